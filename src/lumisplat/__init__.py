@@ -1,0 +1,102 @@
+"""Lumisplat lights 3D Gaussian scenes: captures, meshes and lights, rendered together on CPU and CUDA."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lumisplat.config import Antialiasing, Pipeline, RasterConfig, RenderConfig
+    from lumisplat.errors import (
+        ConfigError,
+        DeviceError,
+        FormatError,
+        LumisplatError,
+        MissingExtraError,
+        SceneError,
+    )
+    from lumisplat.io import load, load_cameras, save
+    from lumisplat.render.frame import Frame
+    from lumisplat.render.renderer import Renderer, create_renderer, render
+    from lumisplat.scene.camera import Camera
+    from lumisplat.scene.demo import demo_cameras, demo_scene
+    from lumisplat.scene.gaussians import Gaussians
+    from lumisplat.scene.materials import MaterialPbr
+    from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.sampling import gaussians_from_mesh
+    from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+__version__ = "0.1.0"
+
+# Public name -> module, imported on first use: `lumisplat --help` must not pay for Warp, and io not for a GPU.
+_HOME = {
+    "Antialiasing": "config",
+    "Camera": "scene.camera",
+    "ConfigError": "errors",
+    "DeviceError": "errors",
+    "FormatError": "errors",
+    "Frame": "render.frame",
+    "Gaussians": "scene.gaussians",
+    "LumisplatError": "errors",
+    "MaterialPbr": "scene.materials",
+    "Mesh": "scene.mesh",
+    "MeshInstance": "scene.scene",
+    "MissingExtraError": "errors",
+    "Pipeline": "config",
+    "RasterConfig": "config",
+    "RenderConfig": "config",
+    "Renderer": "render.renderer",
+    "Scene": "scene.scene",
+    "SceneError": "errors",
+    "SplatInstance": "scene.scene",
+    "create_renderer": "render.renderer",
+    "demo_cameras": "scene.demo",
+    "demo_scene": "scene.demo",
+    "gaussians_from_mesh": "scene.sampling",
+    "load": "io",
+    "load_cameras": "io",
+    "render": "render.renderer",
+    "save": "io",
+}
+
+__all__ = [
+    "Antialiasing",
+    "Camera",
+    "ConfigError",
+    "DeviceError",
+    "FormatError",
+    "Frame",
+    "Gaussians",
+    "LumisplatError",
+    "MaterialPbr",
+    "Mesh",
+    "MeshInstance",
+    "MissingExtraError",
+    "Pipeline",
+    "RasterConfig",
+    "RenderConfig",
+    "Renderer",
+    "Scene",
+    "SceneError",
+    "SplatInstance",
+    "create_renderer",
+    "demo_cameras",
+    "demo_scene",
+    "gaussians_from_mesh",
+    "load",
+    "load_cameras",
+    "render",
+    "save",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module 'lumisplat' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"lumisplat.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

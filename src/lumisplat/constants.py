@@ -1,0 +1,48 @@
+"""Every threshold of the project: value, unit, reason, source. No other file holds a magic number of the method."""
+
+from __future__ import annotations
+
+# --- Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting) ---
+
+ALPHA_MIN = 1.0 / 255.0
+"""Alpha below which a Gaussian is ignored at a pixel: one step of an 8-bit image. INRIA, gsplat, 3DGRT agree."""
+
+ALPHA_MAX = 0.99
+"""Largest alpha of one Gaussian, so that no single one makes what is behind it unreachable. INRIA's rule."""
+
+TRANSMITTANCE_MIN = 1e-4
+"""A pixel or ray stops where its transmittance would fall to this; the crossing Gaussian is dropped. INRIA, gsplat."""
+
+DEPTH_ISO_TRANSMITTANCE = 0.7
+"""Transmittance that marks the iso-opacity surface. NVIDIA's default; seeds/000 section 1.1."""
+
+NORMAL_DEGENERATE = 0.2
+"""Length (of the alpha-weighted mean of unit normals) below which the sum is degenerate and the view direction is
+used. seeds/000 section 2.1; the figure is NVIDIA's."""
+
+# --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
+
+DILATION_PX2 = 0.3
+"""Variance added to the projected covariance, pixel^2: a low-pass filter of about one pixel. INRIA, gsplat eps2d."""
+
+JACOBIAN_CLAMP = 1.3
+"""The Jacobian is taken no further out than this many times tan(fov / 2): beyond, the linearisation explodes."""
+
+NEAR_PLANE = 0.01
+"""Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""
+
+COVARIANCE_2D_DET_MIN = 1e-12
+"""Projected covariance determinants below this, pixel^4, are degenerate and the Gaussian is culled."""
+
+# --- Spherical harmonics (Condon-Shortley signs as in INRIA's code) ---
+
+SH_DEGREE_MAX = 3
+"""Highest SH degree that is read, stored and evaluated."""
+
+SH_C0 = 0.28209479177387814
+"""Y_00 = 1 / (2 sqrt(pi))."""
+
+# --- Work decomposition ---
+
+TILE_PX = 16
+"""Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""

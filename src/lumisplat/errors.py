@@ -1,0 +1,86 @@
+"""What can go wrong, and the shape contract at the door.
+
+LumisplatError
+├── ConfigError        a bad setting (also a ValueError)
+├── SceneError         bad data: shape, NaN, empty (also a ValueError)
+│   └── FormatError    a file we cannot read or write: names the path
+├── DeviceError        a missing device, out of memory, a failed launch
+└── MissingExtraError  an optional library is absent: prints the pip line
+
+Messages say what, where, what was expected and what to do, in one line.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+
+class LumisplatError(Exception):
+    """Base of every error that Lumisplat raises on purpose."""
+
+
+class ConfigError(LumisplatError, ValueError):
+    """A setting is out of its range."""
+
+
+class SceneError(LumisplatError, ValueError):
+    """Scene data is wrong: a shape, a non-finite value, an empty set."""
+
+
+class FormatError(SceneError):
+    """A file cannot be read or written.
+
+    Args:
+        path: The file the message is about.
+        problem: What is wrong, what was expected, what to do.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
+        super().__init__(f"{os.fspath(path)}: {problem}")
+        self.path = os.fspath(path)
+
+
+class DeviceError(LumisplatError, RuntimeError):
+    """A compute device is missing, out of memory or failed."""
+
+
+class MissingExtraError(LumisplatError, ImportError):
+    """An optional dependency is not installed.
+
+    Args:
+        feature: What needs it, e.g. ``"reading OBJ meshes"``.
+        extra: The extra that installs it, e.g. ``"mesh"``.
+    """
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f'{feature} needs an optional library: pip install "lumisplat[{extra}]"')
+
+
+def check_shapes(**named: tuple[np.ndarray | None, str]) -> dict[str, int]:
+    """Checks array shapes against symbolic ones, binding each symbol across all arguments.
+
+    Args:
+        **named: ``name=(array, "N 3")``: numbers must match exactly, letters must agree everywhere; ``None`` arrays
+            are skipped.
+
+    Returns:
+        The size bound to each symbol.
+
+    Raises:
+        SceneError: A shape does not fit; the message names both sides.
+    """
+    bound: dict[str, tuple[int, str]] = {}
+    for name, (array, pattern) in named.items():
+        if array is None:
+            continue
+        symbols = pattern.split()
+        if array.ndim != len(symbols):
+            raise SceneError(f"{name} has shape {array.shape}, expected ({', '.join(symbols)})")
+        for size, symbol in zip(array.shape, symbols, strict=True):
+            expected, origin = (int(symbol), "") if symbol.isdigit() else bound.setdefault(symbol, (size, name))
+            if size != expected:
+                because = f" with {symbol} = {expected} from {origin}" if origin else ""
+                raise SceneError(f"{name} has shape {array.shape}, expected ({', '.join(symbols)}){because}")
+    return {symbol: size for symbol, (size, _) in bound.items()}

@@ -1,0 +1,1 @@
+"""What there is to render: frozen descriptions over NumPy. Nothing here imports Warp."""

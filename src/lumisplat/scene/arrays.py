@@ -1,0 +1,64 @@
+"""Arrays at the door: converted, checked, made read-only. Shared by the scene dataclasses."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int32]
+
+
+def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
+    """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers.
+
+    Raises:
+        SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float32).view()
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name} is not an array of numbers: {error}") from None
+    invalid = array.size - np.count_nonzero(np.isfinite(array))
+    if invalid:
+        raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}")
+    array.flags.writeable = False
+    return array
+
+
+def index_array(name: str, values: npt.ArrayLike, limit: int) -> IntArray:
+    """Returns ``values`` as a read-only int32 array with every entry in ``[0, limit)``.
+
+    Raises:
+        SceneError: The values are not integers, or an index is out of range.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu":
+        raise SceneError(f"{name} must be integers, got {array.dtype}")
+    if array.size and (array.min() < 0 or array.max() >= limit):
+        raise SceneError(f"{name} has indices from {array.min()} to {array.max()}, expected 0 to {limit - 1}")
+    array = np.ascontiguousarray(array, dtype=np.int32).view()
+    array.flags.writeable = False
+    return array
+
+
+def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
+    """Returns a read-only float64 affine transform, the identity for ``None``.
+
+    Raises:
+        SceneError: Not 4x4, not finite, the last row is not (0, 0, 0, 1), or singular.
+    """
+    matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
+    if matrix.shape != (4, 4):
+        raise SceneError(f"{name} has shape {matrix.shape}, expected (4, 4)")
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{name} has non-finite values")
+    if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-6):
+        raise SceneError(f"{name} has last row {matrix[3].tolist()}, expected [0, 0, 0, 1]")
+    scale = np.linalg.norm(matrix[:3, :3])
+    if scale == 0.0 or abs(np.linalg.det(matrix[:3, :3] / scale)) < 1e-9:
+        raise SceneError(f"{name} is singular")
+    matrix.flags.writeable = False
+    return matrix

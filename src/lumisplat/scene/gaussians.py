@@ -1,0 +1,115 @@
+"""A set of 3D Gaussians: the asset that a capture file holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.scene.arrays import FloatArray, float_array
+
+SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussians:
+    """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
+
+    Arrays are converted to read-only float32. Inputs are validated: finite, matching shapes, positive scales,
+    opacities in 0..1; quaternions are normalised.
+
+    Raises:
+        SceneError: An input breaks one of those rules; the message names it and counts the offenders.
+    """
+
+    means: FloatArray
+    """Centres, scene units, shape (N, 3)."""
+    rotations_wxyz: FloatArray
+    """Unit quaternions object-from-Gaussian, scalar first, shape (N, 4)."""
+    scales: FloatArray
+    """Standard deviations along the Gaussian's own axes, scene units, > 0, shape (N, 3)."""
+    opacities: FloatArray
+    """Opacity at the centre, 0..1, shape (N,)."""
+    sh: FloatArray
+    """SH coefficients of display-referred sRGB, INRIA order and signs, shape (N, K, 3), K in 1, 4, 9, 16.
+    Colour = max(sum + 0.5, 0)."""
+    normals: FloatArray | None = None
+    """Unit surface normals in object space, shape (N, 3)."""
+    albedo: FloatArray | None = None
+    """Linear Rec.709 base colour, 0..1, shape (N, 3)."""
+    roughness: FloatArray | None = None
+    """Perceptual roughness, 0..1, shape (N,)."""
+    metallic: FloatArray | None = None
+    """Metalness, 0..1, shape (N,)."""
+    antialiased: bool = field(default=False, kw_only=True)
+    """The capture was trained with Mip-Splatting opacity compensation, and must be rendered with it."""
+    comments: tuple[str, ...] = field(default=(), kw_only=True)
+    """What the file said about itself, kept on conversion."""
+
+    def __post_init__(self) -> None:
+        for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+            object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        for name in ("normals", "albedo", "roughness", "metallic"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        check_shapes(
+            means=(self.means, "N 3"),
+            rotations_wxyz=(self.rotations_wxyz, "N 4"),
+            scales=(self.scales, "N 3"),
+            opacities=(self.opacities, "N"),
+            sh=(self.sh, "N K 3"),
+            normals=(self.normals, "N 3"),
+            albedo=(self.albedo, "N 3"),
+            roughness=(self.roughness, "N"),
+            metallic=(self.metallic, "N"),
+        )
+        if self.count == 0:
+            raise SceneError("zero Gaussians: there is nothing to render")
+        if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
+            raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
+        _refuse("scales", "not positive", (self.scales <= 0.0).any(axis=1))
+        for name in ("opacities", "albedo", "roughness", "metallic"):
+            values = getattr(self, name)
+            if values is not None:
+                _refuse(name, "outside 0..1", ((values < 0.0) | (values > 1.0)).reshape(self.count, -1).any(axis=1))
+        object.__setattr__(self, "rotations_wxyz", _normalised("rotations_wxyz", self.rotations_wxyz))
+        if self.normals is not None:
+            object.__setattr__(self, "normals", _normalised("normals", self.normals))
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians, N."""
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        """SH degree, 0 to 3."""
+        return SH_DEGREE_FROM_COUNT[self.sh.shape[1]]
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Corners (min, max) of the box around the means, object space, shape (3,) each."""
+        return self.means.min(axis=0), self.means.max(axis=0)
+
+    def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
+        """The Gaussians that ``rows`` (a mask or indices) selects, in that order."""
+        names = ("means", "rotations_wxyz", "scales", "opacities", "sh", "normals", "albedo", "roughness", "metallic")
+        picked = {name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None}
+        return replace(self, **picked)
+
+
+def _refuse(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
+    count = np.count_nonzero(offenders)
+    if count:
+        raise SceneError(f"{name}: {count:,} of {offenders.size:,} are {problem} (first at index {offenders.argmax()})")
+
+
+def _normalised(name: str, vectors: FloatArray) -> FloatArray:
+    # Scaled by the largest component first: tiny but valid quaternions would underflow when squared.
+    largest = np.abs(vectors).max(axis=1, keepdims=True)
+    _refuse(name, "of zero length", largest[:, 0] == 0.0)
+    scaled = vectors / largest
+    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    unit.flags.writeable = False
+    return unit

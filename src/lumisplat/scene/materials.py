@@ -1,0 +1,50 @@
+"""Surface materials: metallic-roughness, as glTF 2.0 defines it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MaterialPbr:
+    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_specular, KHR_materials_ior).
+
+    Raises:
+        SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
+    """
+
+    base_color: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    """Linear Rec.709, 0..1; multiplied with the texture and the vertex colour."""
+    metallic: float = 0.0
+    """0 dielectric, 1 metal."""
+    roughness: float = 0.5
+    """Perceptual roughness, 0..1."""
+    specular: float = 1.0
+    """Strength of the dielectric reflection, 0..1."""
+    ior: float = 1.5
+    """Index of refraction, >= 1."""
+    base_color_texture: npt.NDArray[np.uint8] | None = None
+    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF)."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        color = tuple(float(c) for c in self.base_color)
+        object.__setattr__(self, "base_color", color)
+        if len(color) != 3 or not all(0.0 <= c <= 1.0 for c in color):
+            raise SceneError(f"base_color is {color}, expected three numbers in 0..1")
+        for name in ("metallic", "roughness", "specular"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise SceneError(f"{name} is {getattr(self, name)}, expected 0..1")
+        if not 1.0 <= self.ior < np.inf:
+            raise SceneError(f"ior is {self.ior}, expected at least 1")
+        if self.base_color_texture is not None:
+            texture = np.ascontiguousarray(self.base_color_texture).view()
+            if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
+                raise SceneError(f"base_color_texture is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
+            texture.flags.writeable = False
+            object.__setattr__(self, "base_color_texture", texture)

@@ -1,0 +1,60 @@
+"""A triangle mesh with one material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array
+from lumisplat.scene.materials import MaterialPbr
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """V vertices, F triangles, counter-clockwise seen from outside.
+
+    Raises:
+        SceneError: Shapes do not fit, values are not finite, an index is out of range, or there is no triangle.
+    """
+
+    positions: FloatArray
+    """Vertices, object space, scene units, shape (V, 3)."""
+    indices: IntArray
+    """Triangles, shape (F, 3)."""
+    normals: FloatArray | None = None
+    """Unit shading normals, object space, shape (V, 3); None: flat shading."""
+    uvs: FloatArray | None = None
+    """Texture coordinates, (0, 0) at the top left as in glTF, shape (V, 2)."""
+    material: MaterialPbr = field(default_factory=MaterialPbr)
+    colors: FloatArray | None = None
+    """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "normals", "uvs", "colors"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float_array(name, getattr(self, name)))
+        sizes = check_shapes(
+            positions=(self.positions, "V 3"),
+            normals=(self.normals, "V 3"),
+            uvs=(self.uvs, "V 2"),
+            colors=(self.colors, "V 3"),
+        )
+        object.__setattr__(self, "indices", index_array("indices", self.indices, sizes["V"]))
+        check_shapes(indices=(self.indices, "F 3"))
+        if self.face_count == 0:
+            raise SceneError("the mesh has no triangles")
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, V."""
+        return self.positions.shape[0]
+
+    @property
+    def face_count(self) -> int:
+        """Number of triangles, F."""
+        return self.indices.shape[0]
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Corners (min, max) of the bounding box, object space, shape (3,) each."""
+        return self.positions.min(axis=0), self.positions.max(axis=0)

@@ -1,0 +1,113 @@
+"""A scene: assets placed in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.scene.arrays import matrix_4x4
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplatInstance:
+    """A Gaussian set placed in the world by rotation, uniform scale and translation.
+
+    Raises:
+        SceneError: ``world_from_object`` mirrors, shears or scales its axes differently.
+    """
+
+    gaussians: Gaussians
+    world_from_object: npt.NDArray[np.float64] | None = None
+    """Similarity transform, shape (4, 4); None: the identity."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        matrix = matrix_4x4("world_from_object", self.world_from_object)
+        gram = matrix[:3, :3] @ matrix[:3, :3].T
+        scale2 = np.trace(gram) / 3.0
+        if not np.allclose(gram, scale2 * np.eye(3), atol=1e-4 * scale2) or np.linalg.det(matrix[:3, :3]) < 0.0:
+            raise SceneError("a splat instance takes rotation, uniform scale and translation only")
+        object.__setattr__(self, "world_from_object", matrix)
+
+    @property
+    def transform(self) -> npt.NDArray[np.float64]:
+        """``world_from_object``, never None."""
+        assert self.world_from_object is not None
+        return self.world_from_object
+
+    @property
+    def scale(self) -> float:
+        """Uniform scale factor of the transform."""
+        return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshInstance:
+    """A mesh placed in the world by any invertible affine transform."""
+
+    mesh: Mesh
+    world_from_object: npt.NDArray[np.float64] | None = None
+    """Affine transform, shape (4, 4); None: the identity."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
+
+    @property
+    def transform(self) -> npt.NDArray[np.float64]:
+        """``world_from_object``, never None."""
+        assert self.world_from_object is not None
+        return self.world_from_object
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
+
+    Raises:
+        SceneError: An entry is neither an asset nor an instance of one.
+    """
+
+    splats: tuple[SplatInstance, ...] = field(default=())
+    meshes: tuple[MeshInstance, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
+        object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
+
+    @property
+    def gaussian_count(self) -> int:
+        """Number of Gaussians over all instances."""
+        return sum(instance.gaussians.count for instance in self.splats)
+
+    @property
+    def face_count(self) -> int:
+        """Number of triangles over all instances."""
+        return sum(instance.mesh.face_count for instance in self.meshes)
+
+    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Corners (min, max) of a world-space box around all means and vertices, shape (3,) each.
+
+        Raises:
+            SceneError: The scene is empty.
+        """
+        clouds = [(i.gaussians.means, i.transform) for i in self.splats]
+        clouds += [(i.mesh.positions, i.transform) for i in self.meshes]
+        if not clouds:
+            raise SceneError("an empty scene has no bounds")
+        worlds = [points @ matrix[:3, :3].T + matrix[:3, 3] for points, matrix in clouds]
+        return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+
+
+def _instances(name: str, items: Iterable[object], asset: type, instance: type) -> tuple:
+    placed = tuple(instance(item) if isinstance(item, asset) else item for item in items)
+    for item in placed:
+        if not isinstance(item, instance):
+            raise SceneError(f"{name} holds a {type(item).__name__}, expected {instance.__name__} or {asset.__name__}")
+    return placed
