@@ -1,0 +1,63 @@
+# Two commands do everything: `make demo` and `make test`. Needs python3 >= 3.11, make and a package registry.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# A stamp per extra: an edit of pyproject.toml reinstalls, nothing else does.
+BASE := $(VENV)/.installed
+DEV := $(VENV)/.installed-dev
+BENCH := $(VENV)/.installed-bench
+DOCS := $(VENV)/.installed-docs
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help demo test check format bench docs clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+
+demo: $(BASE) ## build the demo scene and render it to pictures under out/
+	$(BIN)/lumisplat demo -o out
+
+test: $(DEV) ## run the tests
+	$(BIN)/python -m pytest
+
+check: $(DEV) ## formatting, lint and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+format: $(DEV) ## format the code and fix what lint can
+	$(BIN)/ruff check --fix --exit-zero .
+	$(BIN)/ruff format .
+
+bench: $(BENCH) ## run the benchmarks against their peer
+	$(BIN)/python bench/run.py
+
+docs: $(DOCS) ## build the documentation under docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+
+clean: ## remove the environment and everything that was built
+	rm -rf $(VENV) out docs/_build .pytest_cache .ruff_cache .hypothesis
+
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "error: Lumisplat needs Python 3.11 or newer as $(PYTHON); give another: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "error: $(PYTHON) cannot make virtual environments: install its venv module (Debian: apt install python3-venv)" >&2; \
+	  exit 1; }
+	@echo "Making the environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(BASE): pyproject.toml | $(VENV)/.created
+	@echo "Installing Lumisplat"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/.installed-%: pyproject.toml | $(VENV)/.created
+	@echo "Installing Lumisplat with the extra [$*]"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$*]"
+	@touch $@
