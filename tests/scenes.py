@@ -191,6 +191,15 @@ def cases() -> list[Case]:
     ]
 
 
+def gsplat_frames() -> dict[str, tuple[Gaussians, Camera]]:
+    """The synthetic frames that tools/make_gsplat_reference.py renders with gsplat."""
+    return {
+        "sh3": (random_gaussians(51, count=500, degree=3), _orbit(160, 96)),
+        "antialiased": (random_gaussians(52, 800, 2, scale_range=(0.004, 0.1), antialiased=True), _orbit(160, 96)),
+        "wide": (random_gaussians(53, 300, 1, (1.5, 0.8, 2.0), (2.5, 2.0, 1.9)), front_camera(96, 64, 28.0, cx=30.0)),
+    }
+
+
 def _raster(transmittance_min: float = 1e-4, depth_iso_transmittance: float = 0.7, **changes: object) -> RenderConfig:
     raster = RasterConfig(
         transmittance_min=transmittance_min, depth_iso_transmittance=depth_iso_transmittance, **changes
