@@ -18,7 +18,8 @@ def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
         SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
     """
     try:
-        array = np.ascontiguousarray(values, dtype=np.float32).view()
+        with np.errstate(over="ignore"):  # Overflow to infinity is reported below.
+            array = np.ascontiguousarray(values, dtype=np.float32).view()
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name} is not an array of numbers: {error}") from None
     invalid = array.size - np.count_nonzero(np.isfinite(array))

@@ -1,0 +1,106 @@
+"""The door of ``Gaussians``: what is accepted, what is refused, and how clearly."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from scenes import random_gaussians
+
+
+def fields(**changes: object) -> dict[str, object]:
+    """Arguments of two valid Gaussians."""
+    return {
+        "means": np.zeros((2, 3)),
+        "rotations_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
+        "scales": np.ones((2, 3)),
+        "opacities": np.full(2, 0.5),
+        "sh": np.zeros((2, 4, 3)),
+    } | changes
+
+
+def test_arrays_become_read_only_float32() -> None:
+    """Whatever comes in, float32 that nobody can change comes out, and the caller's arrays stay as they were."""
+    means = np.ones((2, 3), dtype=np.float32)
+    gaussians = ls.Gaussians(**fields(means=means, opacities=[0, 1]))
+    assert gaussians.count == 2 and gaussians.sh_degree == 1
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
+        assert getattr(gaussians, name).dtype == np.float32
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(gaussians, name)[0] = 1.0
+    means[0] = 2.0  # The caller's array is still the caller's.
+
+
+def test_fields_are_frozen() -> None:
+    """A Gaussian set cannot be edited in place."""
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        random_gaussians(0, 3).means = np.zeros((3, 3))  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-30, 1e30, -2.0])
+def test_quaternions_are_normalised(scale: float) -> None:
+    """Any non-zero length is fine, however small or large."""
+    rotations = scale * np.array([[1.0, 2.0, -3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
+    unit = ls.Gaussians(**fields(rotations_wxyz=rotations)).rotations_wxyz
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(unit[0] / unit[0, 0], [1.0, 2.0, -3.0, 4.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"means": np.zeros((3, 3))}, r"has shape \(\d, \d\), expected .* with N = \d from"),
+        ({"means": np.zeros((2, 2))}, r"means has shape \(2, 2\), expected \(N, 3\)"),
+        ({"means": [[0, 0, np.nan], [0, np.inf, 0]]}, "means has 2 non-finite values out of 6"),
+        ({"means": "abc"}, "means is not an array of numbers"),
+        ({"rotations_wxyz": [[1, 0, 0, 0], [0, 0, 0, 0]]}, "rotations_wxyz: 1 of 2 are of zero length.*index 1"),
+        ({"scales": [[1, 1, 1], [1, 0, 1]]}, "scales: 1 of 2 are not positive"),
+        ({"opacities": [0.5, 1.01]}, "opacities: 1 of 2 are outside 0..1"),
+        ({"opacities": [-0.1, 2.0]}, "opacities: 2 of 2"),
+        ({"sh": np.zeros((2, 5, 3))}, "5 coefficients, expected 1, 4, 9 or 16"),
+        ({"sh": np.zeros((2, 3))}, r"sh has shape \(2, 3\), expected \(N, K, 3\)"),
+        ({"normals": [[0, 0, 1], [0, 0, 0]]}, "normals: 1 of 2 are of zero length"),
+        ({"albedo": np.full((2, 3), 1.5)}, "albedo: 2 of 2 are outside"),
+        ({"roughness": np.zeros(3)}, r"roughness has shape \(3,\)"),
+        ({"metallic": [0.0, np.nan]}, "metallic has 1 non-finite"),
+    ],
+)
+def test_wrong_values_are_refused(changes: dict[str, object], message: str) -> None:
+    """The one line says which property, how many, and what was expected."""
+    with pytest.raises(ls.SceneError, match=message) as caught:
+        ls.Gaussians(**fields(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_none_is_refused() -> None:
+    """Zero Gaussians are an error, not an empty picture."""
+    empty = {name: np.asarray(values)[:0] for name, values in fields().items()}
+    with pytest.raises(ls.SceneError, match="zero Gaussians"):
+        ls.Gaussians(**empty)
+
+
+def test_values_beyond_float32_are_refused() -> None:
+    """A double that overflows float32 is not silently infinite."""
+    with pytest.raises(ls.SceneError, match="non-finite"):
+        ls.Gaussians(**fields(means=np.full((2, 3), 1e300)))
+
+
+def test_subset_keeps_order_and_metadata() -> None:
+    """Rows are picked in the order asked for; flags and comments come along."""
+    gaussians = dataclasses.replace(
+        random_gaussians(1, 5, degree=2, antialiased=True), roughness=np.linspace(0, 1, 5), comments=("made",)
+    )
+    picked = gaussians.subset(np.array([3, 1]))
+    assert picked.count == 2 and picked.antialiased and picked.comments == ("made",)
+    np.testing.assert_array_equal(picked.means, gaussians.means[[3, 1]])
+    np.testing.assert_array_equal(picked.roughness, gaussians.roughness[[3, 1]])
+    assert gaussians.subset(np.arange(5) == 2).means.tolist() == gaussians.means[2:3].tolist()
+
+
+def test_bounds() -> None:
+    """The box of the means."""
+    low, high = random_gaussians(2, 50, center=(1.0, 2.0, 3.0), extent=(1.0, 1.0, 1.0)).bounds()
+    assert (low >= [0, 1, 2]).all() and (high <= [2, 3, 4]).all() and (low < high).all()

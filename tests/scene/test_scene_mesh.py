@@ -1,0 +1,69 @@
+"""The door of ``Mesh`` and ``MaterialPbr``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+
+TRIANGLE = {"positions": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], "indices": [[0, 1, 2]]}
+
+
+def test_a_triangle() -> None:
+    """Lists become read-only float32 and int32 arrays."""
+    mesh = ls.Mesh(**TRIANGLE)
+    assert (mesh.vertex_count, mesh.face_count) == (3, 1)
+    assert mesh.positions.dtype == np.float32 and mesh.indices.dtype == np.int32
+    assert not mesh.positions.flags.writeable and not mesh.indices.flags.writeable
+    assert mesh.bounds()[1].tolist() == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"positions": [[0, 0, 0], [1, 0, np.inf], [0, 1, 0]]}, "positions has 1 non-finite"),
+        ({"positions": np.zeros((3, 2))}, r"positions has shape \(3, 2\)"),
+        ({"indices": [[0, 1, 3]]}, "indices has indices from 0 to 3, expected 0 to 2"),
+        ({"indices": [[0, 1, -1]]}, "from -1 to 1"),
+        ({"indices": [[0.0, 1.0, 2.0]]}, "indices must be integers, got float64"),
+        ({"indices": [[0, 1]]}, r"indices has shape \(1, 2\), expected \(F, 3\)"),
+        ({"indices": np.zeros((0, 3), int)}, "no triangles"),
+        ({"normals": np.ones((2, 3))}, r"normals has shape \(2, 3\), expected \(V, 3\) with V = 3 from positions"),
+        ({"uvs": np.ones((3, 3))}, r"uvs has shape \(3, 3\), expected \(V, 2\)"),
+        ({"colors": [[np.nan] * 3] * 3}, "colors has 9 non-finite"),
+    ],
+)
+def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> None:
+    """The one line names the array and both sides of the contradiction."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.Mesh(**TRIANGLE | changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"base_color": (0.5, 0.5)}, "expected three numbers"),
+        ({"base_color": (0.5, 0.5, 1.5)}, "expected three numbers in 0..1"),
+        ({"base_color": (0.5, 0.5, np.nan)}, "expected three numbers in 0..1"),
+        ({"metallic": -0.1}, "metallic is -0.1"),
+        ({"roughness": 2.0}, "roughness is 2.0"),
+        ({"specular": np.nan}, "specular is nan"),
+        ({"ior": 0.9}, "ior is 0.9"),
+        ({"base_color_texture": np.zeros((4, 4, 3))}, "float64"),
+        ({"base_color_texture": np.zeros((4, 4), np.uint8)}, "expected uint8"),
+        ({"base_color_texture": np.zeros((0, 4, 3), np.uint8)}, "expected uint8"),
+    ],
+)
+def test_wrong_materials_are_refused(changes: dict[str, object], message: str) -> None:
+    """Values outside their physical range are named."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.MaterialPbr(**changes)  # type: ignore[arg-type]
+
+
+def test_texture_is_read_only_for_us_alone() -> None:
+    """The material's view of a texture is frozen, the caller's array is not."""
+    texture = np.zeros((2, 2, 4), np.uint8)
+    material = ls.MaterialPbr(base_color_texture=texture)
+    assert material.base_color_texture is not None and not material.base_color_texture.flags.writeable
+    assert texture.flags.writeable

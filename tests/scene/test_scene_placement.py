@@ -1,0 +1,76 @@
+"""Instances and scenes: which transforms are accepted, what a scene holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from scenes import quad, random_gaussians, rotation, similarity
+
+
+def test_similarity_is_kept() -> None:
+    """Rotation, uniform scale and translation are a splat instance's transform; its scale is known."""
+    matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
+    instance = ls.SplatInstance(random_gaussians(0, 3), matrix)
+    np.testing.assert_array_equal(instance.transform, matrix)
+    assert instance.scale == pytest.approx(2.5)
+    assert np.array_equal(ls.SplatInstance(random_gaussians(0, 3)).transform, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.diag([1.0, 2.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0, 1.0]), np.eye(4) + np.eye(4, k=1) * 0.2],
+    ids=["stretched", "mirrored", "sheared"],
+)
+def test_splats_take_similarities_only(matrix: np.ndarray) -> None:
+    """What would not keep Gaussians and their SH valid is refused; a mesh takes any invertible transform."""
+    matrix = matrix.copy()
+    matrix[3] = (0.0, 0.0, 0.0, 1.0)
+    with pytest.raises(ls.SceneError, match="rotation, uniform scale and translation only"):
+        ls.SplatInstance(random_gaussians(0, 3), matrix)
+    ls.MeshInstance(quad(1.0), matrix)
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, 0.0, 1.0]), np.full((4, 4), np.nan), np.eye(3), np.ones((4, 4))])
+def test_impossible_transforms_are_refused(matrix: np.ndarray) -> None:
+    """Singular, non-finite, wrongly shaped and projective matrices are no placement."""
+    with pytest.raises(ls.SceneError, match="world_from_object"):
+        ls.MeshInstance(quad(1.0), matrix)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_scale_does_not_make_singular(factor: float) -> None:
+    """Very small and very large objects are placed like any other."""
+    matrix = similarity((0.0, 1.0, 0.0), 0.3, factor)
+    assert ls.SplatInstance(random_gaussians(0, 3), matrix).scale == pytest.approx(factor)
+
+
+def test_bare_assets_are_placed_at_the_origin() -> None:
+    """Gaussians and meshes need no wrapping; lists become tuples."""
+    scene = ls.Scene([random_gaussians(0, 7)], [quad(1.0)])
+    assert isinstance(scene.splats, tuple) and isinstance(scene.splats[0], ls.SplatInstance)
+    assert isinstance(scene.meshes[0], ls.MeshInstance)
+    assert (scene.gaussian_count, scene.face_count) == (7, 2)
+    assert (ls.Scene().gaussian_count, ls.Scene().face_count) == (0, 0)
+
+
+def test_strangers_are_refused() -> None:
+    """A mesh among the splats, or anything else, is named."""
+    with pytest.raises(ls.SceneError, match="splats holds a Mesh"):
+        ls.Scene([quad(1.0)])  # type: ignore[list-item]
+    with pytest.raises(ls.SceneError, match="meshes holds a str"):
+        ls.Scene([], ["mesh"])  # type: ignore[list-item]
+
+
+def test_bounds_are_in_the_world() -> None:
+    """The box covers means and vertices where the instances put them."""
+    gaussians = random_gaussians(4, 40, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
+    turned = rotation((0.0, 0.0, 1.0), np.pi / 2)
+    turned[:3, 3] = (10.0, 0.0, 0.0)
+    low, high = ls.Scene([ls.SplatInstance(gaussians, turned)], [quad(5.0, 1.0)]).bounds()
+    points = gaussians.means @ turned[:3, :3].T + turned[:3, 3]
+    np.testing.assert_allclose(low, np.minimum(points.min(axis=0), [-1.0, -1.0, 5.0]), atol=1e-6)
+    np.testing.assert_allclose(high, np.maximum(points.max(axis=0), [1.0, 1.0, 5.0]), atol=1e-6)
+    with pytest.raises(ls.SceneError, match="empty"):
+        ls.Scene().bounds()
