@@ -46,3 +46,31 @@ SH_C0 = 0.28209479177387814
 
 TILE_PX = 16
 """Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""
+
+BLOCK_THREADS = 256
+"""CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
+
+SORT_DIGIT_BITS_MAX = 12
+"""Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
+usual 24 bits of key."""
+
+TILE_BANDS_PER_THREAD = 12
+"""Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
+
+FINISHED_CHECK_INTERVAL = 32
+"""Splats composited in a tile between two looks at whether any pixel is still unfinished."""
+
+# --- Files ---
+
+SCALE_MIN = 1e-12
+"""Smallest standard deviation read from a file, scene units: captures hold logarithms whose exponential underflows to
+zero. Its square and the reciprocal of it are still normal float32 numbers."""
+
+LOGIT_MAX = 20.0
+"""Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
+
+DECODED_BYTES_FREE = 256 * 2**20
+"""Decoded size, bytes, that any file may ask for. Above it, EXPANSION_MAX applies."""
+
+EXPANSION_MAX = 200
+"""Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""

@@ -1,0 +1,67 @@
+"""Named device arrays that only grow: the one place where a frame allocates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from lumisplat.errors import DeviceError
+
+
+class Buffers:
+    """Arrays by name.
+
+    A request no larger than an earlier one returns a view of the same memory: no allocation after the first frame of a
+    size.
+
+    Args:
+        device: Warp device name.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._arrays: dict[str, wp.array] = {}
+        self._views: dict[tuple[str, tuple[int, ...]], wp.array] = {}
+        self.allocations = 0
+        """How often memory was allocated, for tests and for invalidating captured graphs."""
+
+    def get(self, name: str, dtype: Any, shape: int | tuple[int, ...]) -> wp.array:
+        """An array of ``shape`` with undefined contents.
+
+        Raises:
+            DeviceError: The device is out of memory.
+        """
+        shape = (shape,) if isinstance(shape, int) else shape
+        view = self._views.get((name, shape))
+        if view is not None:
+            return view
+        size = 1
+        for side in shape:
+            size *= side
+        held = self._arrays.get(name)
+        if held is None or held.size < size:
+            held = self._allocate(name, dtype, max(size, 1))
+        view = held[:size].reshape(shape) if size else held[:0]
+        self._views[(name, shape)] = view
+        return view
+
+    def capacity(self, name: str) -> int:
+        """Elements held under ``name``, 0 before the first request."""
+        return self._arrays[name].size if name in self._arrays else 0
+
+    @property
+    def bytes(self) -> int:
+        """Memory held, bytes."""
+        return sum(array.capacity for array in self._arrays.values())
+
+    def _allocate(self, name: str, dtype: Any, size: int) -> wp.array:
+        self._arrays.pop(name, None)  # freed before its successor is made: the peak is one of them, not both
+        self._views = {key: view for key, view in self._views.items() if key[0] != name}
+        try:
+            array = wp.empty(size, dtype=dtype, device=self._device)
+        except RuntimeError as error:
+            raise DeviceError(f"{self._device} cannot allocate {size:,} elements for '{name}': {error}") from None
+        self._arrays[name] = array
+        self.allocations += 1
+        return array

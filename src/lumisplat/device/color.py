@@ -1,0 +1,64 @@
+"""Colour on the device: the sRGB transfer function and texture lookup."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def encode_srgb(linear: float) -> float:
+    """Display-referred value of a linear one >= 0 (IEC 61966-2-1)."""
+    if linear <= 0.0031308:
+        return 12.92 * linear
+    return 1.055 * wp.pow(linear, 1.0 / 2.4) - 0.055
+
+
+@wp.func
+def encode_srgb_color(linear: wp.vec3) -> wp.vec3:
+    """The same for a colour."""
+    return wp.vec3(encode_srgb(linear[0]), encode_srgb(linear[1]), encode_srgb(linear[2]))
+
+
+@wp.func
+def texel_linear(texels: wp.array(dtype=wp.uint32), linear_from_byte: wp.array(dtype=float), index: int) -> wp.vec3:
+    """Linear colour of one RGBA8 texel, red in the low byte."""
+    rgba = texels[index]
+    mask = wp.uint32(255)
+    return wp.vec3(
+        linear_from_byte[int(rgba & mask)],
+        linear_from_byte[int((rgba >> wp.uint32(8)) & mask)],
+        linear_from_byte[int((rgba >> wp.uint32(16)) & mask)],
+    )
+
+
+@wp.func
+def sample_texture(
+    texels: wp.array(dtype=wp.uint32),
+    linear_from_byte: wp.array(dtype=float),
+    first: int,
+    width: int,
+    height: int,
+    uv: wp.vec2,
+) -> wp.vec3:
+    """Bilinear lookup with repeat wrap, in linear light; (0, 0) is the texture's top left corner."""
+    x = (uv[0] - wp.floor(uv[0])) * float(width) - 0.5
+    y = (uv[1] - wp.floor(uv[1])) * float(height) - 0.5
+    x_floor = wp.floor(x)
+    y_floor = wp.floor(y)
+    x0 = (int(x_floor) + width) % width
+    y0 = (int(y_floor) + height) % height
+    x1 = (x0 + 1) % width
+    y1 = (y0 + 1) % height
+    row0 = first + y0 * width
+    row1 = first + y1 * width
+    top = wp.lerp(
+        texel_linear(texels, linear_from_byte, row0 + x0),
+        texel_linear(texels, linear_from_byte, row0 + x1),
+        x - x_floor,
+    )
+    bottom = wp.lerp(
+        texel_linear(texels, linear_from_byte, row1 + x0),
+        texel_linear(texels, linear_from_byte, row1 + x1),
+        x - x_floor,
+    )
+    return wp.lerp(top, bottom, y - y_floor)

@@ -1,0 +1,101 @@
+"""From a blended pixel to the surface that the rest of the frame works on."""
+
+import warp as wp
+
+from lumisplat.constants import NORMAL_DEGENERATE
+from lumisplat.device.structs import CameraData, InstanceData, MeshHits, Pixel, Splat, SurfaceData
+
+wp.set_module_options({"enable_backward": False})
+
+NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
+
+
+@wp.func
+def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
+    """Camera-space direction through a pixel's centre, with z = 1."""
+    return wp.vec3(
+        (float(x) + 0.5 - camera.center[0]) / camera.focal[0],
+        (float(y) + 0.5 - camera.center[1]) / camera.focal[1],
+        1.0,
+    )
+
+
+@wp.func
+def blend(pixel: Pixel, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float) -> Pixel:
+    """Adds one splat behind those already there; finishes the pixel instead where T would fall to its minimum."""
+    before = pixel.transmittance
+    weight = before * alpha
+    after = before - weight
+    if after > transmittance_min:
+        pixel.color += weight * splat.color
+        pixel.normal += weight * splat.normal
+        pixel.transmittance = after
+        if before >= iso and after < iso:
+            pixel.splat = splat_index
+    else:
+        pixel.transmittance = -before
+    return pixel
+
+
+@wp.func
+def instance_of(instances: wp.array(dtype=InstanceData), gaussian: int) -> int:
+    """The instance that holds a Gaussian: the last one that starts at or before it."""
+    low = int(0)
+    high = instances.shape[0]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if instances[middle].first <= gaussian:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def store_surface(
+    camera: CameraData,
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    hits: MeshHits,
+    pixel: Pixel,
+    x: int,
+    y: int,
+    surface: SurfaceData,
+):
+    """Ends a pixel on the mesh or the background, and writes it."""
+    i = y * camera.width + x
+    ray = pixel_ray(camera, x, y)
+    transmittance = wp.abs(pixel.transmittance)
+    depth_z = float(wp.inf)
+    gaussian = int(-1)
+    instance = int(-1)
+    if pixel.splat >= 0:
+        splat = splats[pixel.splat]
+        depth_z = splat.depth
+        instance = instance_of(instances, splat.index)
+        gaussian = splat.index - instances[instance].first
+
+    color = pixel.color
+    normal = pixel.normal
+    weight = 1.0 - transmittance
+    mesh_z = hits.depth_z[i]
+    if mesh_z < wp.inf:
+        color += transmittance * hits.color[i]
+        normal += transmittance * hits.normal[i]
+        weight = float(1.0)
+        transmittance = float(0.0)
+        if pixel.splat < 0:
+            depth_z = mesh_z
+            instance = hits.instance[i]
+
+    if weight > 0.0:
+        if wp.length(normal) > NORMAL_MIN * weight:
+            normal = wp.normalize(normal)
+        else:
+            normal = -(camera.world_from_camera * wp.normalize(ray))
+    surface.color[i] = color + transmittance * camera.background
+    surface.alpha[i] = 1.0 - transmittance
+    surface.depth[i] = depth_z * wp.length(ray)
+    surface.normal[i] = normal
+    surface.gaussian[i] = gaussian
+    surface.instance[i] = instance

@@ -1,0 +1,135 @@
+"""Where work runs: device choice, kernel launches, CPU bands, CUDA graphs, stage timers. The only launch site.
+
+A Warp CPU launch is single-threaded but releases the GIL, so one launch is cut into bands over a thread pool. CPU
+atomics are not atomic across threads: a banded kernel writes each output element from one item only. Every kernel that
+may be banded takes ``start`` first and works on item ``start + tid``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import warp as wp
+
+from lumisplat.constants import BLOCK_THREADS
+from lumisplat.errors import DeviceError
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction done, 0..1."""
+
+
+def resolve_device(name: str = "auto") -> str:
+    """The Warp device that ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` means on this machine.
+
+    Raises:
+        DeviceError: There is no such device; the message lists those there are.
+    """
+    available = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+    if name == "auto":
+        return available[1] if len(available) > 1 else "cpu"
+    wanted = "cuda:0" if name == "cuda" else name
+    if wanted not in available:
+        raise DeviceError(f"no device '{name}' here: use auto or one of {', '.join(available)}")
+    return wanted
+
+
+class Launcher:
+    """Launches kernels on one device.
+
+    Args:
+        device: As for ``resolve_device``.
+        threads: CPU threads; None: as many as this process may use.
+        profile: Time each stage on CUDA too, at the price of a synchronisation per stage and no graph.
+        parallel: Schedule work as for CUDA, an item a pixel or a pair, instead of an item a tile or a chunk; None: on
+            CUDA only. The results are the same, so the CPU can check what CUDA runs.
+    """
+
+    def __init__(
+        self, device: str = "auto", threads: int | None = None, profile: bool = False, parallel: bool | None = None
+    ) -> None:
+        self.device = resolve_device(device)
+        self.is_cuda = self.device.startswith("cuda")
+        self.is_parallel = self.is_cuda if parallel is None else parallel
+        self.threads = 1 if self.is_cuda else threads or len(os.sched_getaffinity(0))
+        self.profile = profile
+        self.stage_ms: dict[str, float] = {}
+        """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._graphs: dict[str, tuple[object, Any]] = {}
+
+    def load(self, modules: list[Any], progress: Progress | None = None) -> None:
+        """Compiles and loads kernel modules (seconds at their first use on a machine, then cached on disk)."""
+        for done, module in enumerate(modules):
+            if progress:
+                progress("compiling kernels (once)", done / len(modules))
+            wp.load_module(module, device=self.device, block_dim=BLOCK_THREADS)
+        if progress:
+            progress("compiling kernels (once)", 1.0)
+
+    def run(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
+        """Runs ``count`` items of ``kernel`` in one launch."""
+        if count:
+            wp.launch(kernel, dim=count, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
+
+    def run_banded(self, kernel: wp.Kernel, count: int, *inputs: Any, bands: int | None = None) -> None:
+        """Runs ``count`` items of ``kernel(start, *inputs)``, on the CPU in bands over all threads.
+
+        Args:
+            kernel: Write-once kernel whose first parameter is the first item of the band.
+            count: Number of items.
+            *inputs: The kernel's other parameters.
+            bands: How many bands; more balance uneven work better. None: one a thread.
+        """
+        bands = min(bands or self.threads, count)
+        if self._pool is None or bands < 2:
+            self.run(kernel, count, 0, *inputs)
+            return
+        edges = [count * band // bands for band in range(bands + 1)]
+        jobs = [
+            self._pool.submit(self.run, kernel, end - start, start, *inputs) for start, end in itertools.pairwise(edges)
+        ]
+        for job in jobs:
+            job.result()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Times what runs inside under ``name``; on CUDA only when profiling, as it has to wait for the device."""
+        timed = not self.is_cuda or self.profile
+        started = time.perf_counter()
+        yield
+        if timed:
+            if self.is_cuda:
+                self.synchronize()
+            elapsed = 1e3 * (time.perf_counter() - started)
+            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
+
+    def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
+        """Runs ``work``; on CUDA as a graph, captured anew when ``key`` changes.
+
+        ``work`` must only launch: no allocation, no readback, values that change from call to call in arrays. The
+        first call with a key runs it directly, which warms everything up; the second captures.
+        """
+        if not self.is_cuda or self.profile:
+            work()
+            return
+        seen, graph = self._graphs.get(name, (None, None))
+        if seen != key:
+            work()
+            self._graphs[name] = (key, None)
+            return
+        if graph is None:
+            with wp.ScopedCapture(device=self.device) as capture:
+                work()
+            graph = capture.graph
+            self._graphs[name] = (key, graph)
+        wp.capture_launch(graph)
+
+    def synchronize(self) -> None:
+        """Waits until the device is idle."""
+        wp.synchronize_device(self.device)

@@ -1,0 +1,132 @@
+"""A finished frame: NumPy images, and how to save them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.errors import ConfigError, FormatError
+from lumisplat.scene.arrays import FloatArray, IntArray
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.color import decode_srgb
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStats:
+    """What a frame took and counted."""
+
+    stage_ms: dict[str, float]
+    """Wall time of each stage, milliseconds; on CUDA only when profiling."""
+    gaussians: int
+    """Gaussians in the scene, over all instances."""
+    visible: int
+    """Gaussians that can touch the image."""
+    nonfinite: int
+    """Gaussians dropped because a projected value was NaN or infinite."""
+    pairs: int
+    """(tile, Gaussian) pairs."""
+    triangles: int
+    """Triangles in the scene, over all instances."""
+    memory_bytes: int
+    """Device memory of assets and frame buffers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Images of one camera, all of shape (H, W, ...)."""
+
+    color: FloatArray
+    """Radiance over the background, (H, W, 3), in ``color_space``."""
+    alpha: FloatArray
+    """Coverage 0..1, (H, W)."""
+    depth: FloatArray
+    """Distance along the pixel's ray to the iso-opacity surface, scene units, (H, W); inf where there is none."""
+    normal: FloatArray
+    """World space, unit, towards the viewer, (H, W, 3); zero where there is nothing."""
+    gaussian_index: IntArray
+    """Gaussian at the surface, within its own instance, (H, W); -1: none."""
+    instance_index: IntArray
+    """Instance at the surface, (H, W): splat instances in scene order, then mesh instances; -1: none."""
+    camera: Camera
+    """What was rendered."""
+    color_space: str = "srgb"
+    """``srgb``: display-referred, as captures were trained (an unlit frame)."""
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+    """What ``color`` lies over, in ``color_space``; None: transparent."""
+    stats: FrameStats | None = field(default=None)
+
+    @property
+    def depth_z(self) -> FloatArray:
+        """View depth of the surface, (H, W)."""
+        camera = self.camera
+        x = (np.arange(camera.width, dtype=np.float32) + 0.5 - camera.cx) / camera.fx
+        y = (np.arange(camera.height, dtype=np.float32) + 0.5 - camera.cy) / camera.fy
+        return (self.depth / np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + 1.0)).astype(np.float32)
+
+    def premultiplied(self) -> FloatArray:
+        """Radiance without the background, (H, W, 3)."""
+        if self.background is None:
+            return self.color
+        behind = (1.0 - self.alpha)[..., None] * np.asarray(self.background, np.float32)
+        return np.maximum(self.color - behind, 0.0)
+
+    def straight(self) -> FloatArray:
+        """Colour of what covers the pixel: ``premultiplied`` over alpha, (H, W, 3); zero where alpha is."""
+        alpha = self.alpha[..., None]
+        return np.divide(self.premultiplied(), alpha, out=np.zeros_like(self.color), where=alpha > 0.0)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the frame; the extension chooses how.
+
+        ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none. ``.exr``: 32-bit linear
+        Rec.709 ``R G B A`` without the background, alpha premultiplied, and the layers ``depth.Z``,
+        ``normal.X/Y/Z``, ``index.gaussian``, ``index.instance`` in one part. ``.npz``: every array of the frame as is.
+
+        Raises:
+            FormatError: The extension is none of these, or the file cannot be written.
+        """
+        from lumisplat.io import image
+
+        suffix = Path(path).suffix.lower()
+        if suffix == ".png":
+            image.write_png(path, self.pixels_srgb())
+        elif suffix == ".exr":
+            image.write_exr(path, self.layers())
+        elif suffix == ".npz":
+            image.write_npz(path, self.arrays())
+        else:
+            raise FormatError(path, f"unknown image extension '{suffix}', expected .png, .exr or .npz")
+
+    def pixels_srgb(self) -> FloatArray:
+        """What a PNG shows: (H, W, 3), or (H, W, 4) with straight alpha if there is no background."""
+        if self.background is None:
+            return np.concatenate([self.straight(), self.alpha[..., None]], axis=2)
+        return self.color
+
+    def layers(self, names: Collection[str] = ("depth", "normal", "index")) -> dict[str, np.ndarray]:
+        """EXR channels: linear ``R G B A`` and the AOV layers that ``names`` lists.
+
+        Raises:
+            ConfigError: A name is not a layer.
+        """
+        linear = decode_srgb(self.straight()) * self.alpha[..., None]
+        channels = {name: linear[..., i] for i, name in enumerate("RGB")} | {"A": self.alpha}
+        aovs = {
+            "depth": {"depth.Z": self.depth},
+            "normal": {f"normal.{axis}": self.normal[..., i] for i, axis in enumerate("XYZ")},
+            "index": {"index.gaussian": self.gaussian_index, "index.instance": self.instance_index},
+        }
+        for name in names:
+            if name not in aovs:
+                raise ConfigError(f"unknown AOV '{name}', expected one of {', '.join(aovs)}")
+            channels |= aovs[name]
+        return channels
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every image by name."""
+        names = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index")
+        return {name: getattr(self, name) for name in names}

@@ -1,0 +1,70 @@
+"""Host pass: the nearest mesh surface at each pixel."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.device.structs import MeshHits, Rect, Triangle
+from lumisplat.launcher import Launcher
+from lumisplat.render import mesh_kernels as kernels
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.order import OrderChunked, OrderParallel
+from lumisplat.scene.camera import Camera
+
+
+class MeshRaster:
+    """Rasterises triangles into ``MeshHits``.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        order: Lists triangles per tile.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
+        self._launcher, self._buffers, self._order = launcher, buffers, order
+
+    def draw(self, scene: DeviceScene, camera: Camera) -> MeshHits:
+        """Depth, colour and normal of the meshes; depth is infinite where there is none."""
+        pixels = camera.width * camera.height
+        hits = MeshHits()
+        hits.depth_z = self._buffers.get("mesh.depth", wp.float32, pixels)
+        if not scene.face_counts:
+            hits.depth_z.fill_(float("inf"))
+            for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
+                setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, 1))
+            return hits
+        tiles_x, tiles_y = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+        triangles, rects = self._project(scene)
+        everything = self._order.unsorted(triangles.shape[0])
+        lists = self._order.bin("mesh", everything, rects, tiles_x, tiles_x * tiles_y)
+        winners = self._buffers.get("mesh.triangle", wp.int32, pixels)
+        per_tile = (scene.camera, triangles, lists.starts, lists.items, hits.depth_z, winners)
+        if self._launcher.is_parallel:
+            self._launcher.run(kernels.raster_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *per_tile)
+        else:
+            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+            self._launcher.run_banded(kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
+        for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
+            setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, pixels))
+        self._launcher.run_banded(
+            kernels.shade_hits,
+            pixels,
+            *(scene.camera, scene.mesh_instances, len(scene.gaussians), scene.mesh_data, triangles, winners, hits),
+        )
+        return hits
+
+    def _project(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
+        total = sum(scene.face_counts)
+        triangles = self._buffers.get("mesh.triangles", Triangle, total)
+        rects = self._buffers.get("mesh.rects", Rect, total)
+        for which, faces in enumerate(scene.face_counts):
+            self._launcher.run_banded(
+                kernels.project_triangles,
+                faces,
+                *(which, len(scene.gaussians) + which, scene.camera, scene.mesh_instances, scene.mesh_data),
+                *(triangles, rects),
+            )
+        return triangles, rects

@@ -1,0 +1,196 @@
+"""Nearest mesh surface at each pixel centre.
+
+``project_triangles``: one item is one triangle of one instance. ``raster_tiles`` (CPU): one item is one tile, rows of
+16 pixels as in the splat compositor. ``raster_pixels`` (CUDA): one item is one pixel, one block is one tile.
+``shade_hits``: one item is one pixel; colour and normal of what was hit.
+"""
+
+import warp as wp
+
+from lumisplat.constants import TILE_PX
+from lumisplat.device.color import encode_srgb_color, sample_texture
+from lumisplat.device.structs import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
+from lumisplat.device.surface import pixel_ray
+from lumisplat.device.triangle import barycentric, setup_triangle, triangle_box
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
+
+TILE = wp.constant(TILE_PX)
+TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
+
+TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
+TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
+
+
+@wp.kernel
+def project_triangles(
+    start: int,
+    which: int,
+    instance_id: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=MeshInstanceData),
+    meshes: MeshData,
+    triangles_out: wp.array(dtype=Triangle),
+    rects_out: wp.array(dtype=Rect),
+):
+    """Sets up the triangles of mesh instance ``which``, known to the scene as ``instance_id``."""
+    face = start + wp.tid()
+    view = camera[0]
+    instance = instances[which]
+    corners = meshes.indices[instance.face_first + face]
+    v0 = instance.camera_from_object * meshes.positions[corners[0]] + instance.camera_from_object_offset
+    v1 = instance.camera_from_object * meshes.positions[corners[1]] + instance.camera_from_object_offset
+    v2 = instance.camera_from_object * meshes.positions[corners[2]] + instance.camera_from_object_offset
+    triangle = setup_triangle(v0, v1, v2)
+    triangle.face = instance.face_first + face
+    triangle.instance = instance_id
+    rect = Rect()
+    if triangle.volume > 0.0 and triangle.volume < wp.inf and wp.max(v0[2], wp.max(v1[2], v2[2])) > view.near:
+        box = triangle_box(view, v0, v1, v2)
+        # A pixel of slack: rounding in the projection must not lose a centre that the edge functions would accept.
+        x0 = wp.clamp(wp.floor(box[0]) - 1.0, 0.0, float(view.width))
+        y0 = wp.clamp(wp.floor(box[1]) - 1.0, 0.0, float(view.height))
+        x1 = wp.clamp(wp.ceil(box[2]) + 1.0, 0.0, float(view.width))
+        y1 = wp.clamp(wp.ceil(box[3]) + 1.0, 0.0, float(view.height))
+        if x0 < x1 and y0 < y1:
+            rect.x0 = wp.int16(int(x0) // TILE)
+            rect.y0 = wp.int16(int(y0) // TILE)
+            rect.x1 = wp.int16((int(x1) - 1) // TILE + 1)
+            rect.y1 = wp.int16((int(y1) - 1) // TILE + 1)
+    triangles_out[instance.triangle_first + face] = triangle
+    rects_out[instance.triangle_first + face] = rect
+
+
+@wp.kernel
+def raster_tiles(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    triangles: wp.array(dtype=Triangle),
+    tile_starts: wp.array(dtype=int),
+    tile_triangles: wp.array(dtype=int),
+    depth_out: wp.array(dtype=float),
+    triangle_out: wp.array(dtype=int),
+):
+    """Depth test of a tile's triangles, in order, so that the first of equally near ones stays."""
+    tile = start + wp.tid()
+    view = camera[0]
+    left = (tile % view.tiles_x) * TILE
+    top = (tile // view.tiles_x) * TILE
+    nearest = TileFloats(wp.inf)
+    winner = TileInts(-1)
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_triangles[j]
+        triangle = triangles[index]
+        for y in range(TILE):
+            ray_y = (float(top + y) + 0.5 - view.center[1]) / view.focal[1]
+            row0 = triangle.edge0[1] * ray_y + triangle.edge0[2]
+            row1 = triangle.edge1[1] * ray_y + triangle.edge1[2]
+            row2 = triangle.edge2[1] * ray_y + triangle.edge2[2]
+            for x in range(TILE):
+                i = y * TILE + x
+                ray_x = (float(left + x) + 0.5 - view.center[0]) / view.focal[0]
+                e0 = triangle.edge0[0] * ray_x + row0
+                e1 = triangle.edge1[0] * ray_x + row1
+                e2 = triangle.edge2[0] * ray_x + row2
+                z = triangle.volume / (e0 + e1 + e2)
+                hit = wp.min(e0, wp.min(e1, e2)) >= 0.0
+                z = wp.where(hit, z, wp.inf)
+                z = wp.where(z > view.near, z, wp.inf)
+                winner[i] = wp.where(z < nearest[i], index, winner[i])
+                nearest[i] = wp.min(z, nearest[i])
+    for y in range(wp.min(TILE, view.height - top)):
+        for x in range(wp.min(TILE, view.width - left)):
+            pixel = (top + y) * view.width + left + x
+            depth_out[pixel] = nearest[y * TILE + x]
+            triangle_out[pixel] = winner[y * TILE + x]
+
+
+@wp.kernel
+def raster_pixels(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    triangles: wp.array(dtype=Triangle),
+    tile_starts: wp.array(dtype=int),
+    tile_triangles: wp.array(dtype=int),
+    depth_out: wp.array(dtype=float),
+    triangle_out: wp.array(dtype=int),
+):
+    """Item = tile * 256 + pixel of the tile; the arithmetic of ``raster_tiles``."""
+    i = start + wp.tid()
+    view = camera[0]
+    tile = i // TILE_PIXELS
+    x = (tile % view.tiles_x) * TILE + i % TILE
+    y = (tile // view.tiles_x) * TILE + (i // TILE) % TILE
+    if x >= view.width or y >= view.height:
+        return
+    ray = pixel_ray(view, x, y)
+    nearest = float(wp.inf)
+    winner = int(-1)
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_triangles[j]
+        triangle = triangles[index]
+        e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
+        e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
+        e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
+        if e0 >= 0.0 and e1 >= 0.0 and e2 >= 0.0:
+            z = triangle.volume / (e0 + e1 + e2)
+            if z > view.near and z < nearest:
+                nearest = z
+                winner = index
+    depth_out[y * view.width + x] = nearest
+    triangle_out[y * view.width + x] = winner
+
+
+@wp.kernel
+def shade_hits(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=MeshInstanceData),
+    splat_instance_count: int,
+    meshes: MeshData,
+    triangles: wp.array(dtype=Triangle),
+    triangle_of_pixel: wp.array(dtype=int),
+    hits_out: MeshHits,
+):
+    """Unlit base colour, encoded for display, and the shading normal towards the viewer."""
+    i = start + wp.tid()
+    hits_out.instance[i] = -1
+    hits_out.color[i] = wp.vec3(0.0)
+    hits_out.normal[i] = wp.vec3(0.0)
+    index = triangle_of_pixel[i]
+    if index < 0:
+        return
+    view = camera[0]
+    triangle = triangles[index]
+    instance = instances[triangle.instance - splat_instance_count]
+    ray = pixel_ray(view, i % view.width, i // view.width)
+    weights = barycentric(triangle, ray)
+    c = meshes.indices[triangle.face]
+    color = wp.cw_mul(
+        instance.base_color,
+        weights[0] * meshes.colors[c[0]] + weights[1] * meshes.colors[c[1]] + weights[2] * meshes.colors[c[2]],
+    )
+    if instance.texture_width > 0:
+        uv = weights[0] * meshes.uvs[c[0]] + weights[1] * meshes.uvs[c[1]] + weights[2] * meshes.uvs[c[2]]
+        texel = sample_texture(
+            meshes.texels,
+            meshes.linear_from_byte,
+            instance.texture_first,
+            instance.texture_width,
+            instance.texture_height,
+            uv,
+        )
+        color = wp.cw_mul(color, texel)
+    if instance.has_normals != 0:
+        normal = (
+            weights[0] * meshes.normals[c[0]] + weights[1] * meshes.normals[c[1]] + weights[2] * meshes.normals[c[2]]
+        )
+    else:
+        p0 = meshes.positions[c[0]]
+        normal = wp.cross(meshes.positions[c[1]] - p0, meshes.positions[c[2]] - p0)
+    normal = wp.normalize(instance.world_from_object_normal * normal)
+    if wp.dot(normal, view.world_from_camera * ray) > 0.0:
+        normal = -normal
+    hits_out.instance[i] = triangle.instance
+    hits_out.color[i] = encode_srgb_color(color)
+    hits_out.normal[i] = normal

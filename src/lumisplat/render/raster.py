@@ -1,0 +1,78 @@
+"""Host pass: splats, over the mesh surfaces, into the surface buffers (Kerbl et al. 2023, section 6)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.device.structs import MeshHits, Rect, Splat, SurfaceData
+from lumisplat.launcher import Launcher
+from lumisplat.render import raster_kernels as kernels
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.order import DepthOrder, OrderChunked, OrderParallel, TileLists
+from lumisplat.scene.camera import Camera
+
+
+class SplatRaster:
+    """Projects, orders, bins and composites splats.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        order: Sorts splats and lists them per tile.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
+        self._launcher, self._buffers, self._order = launcher, buffers, order
+
+    def project(self, scene: DeviceScene) -> tuple[wp.array, wp.array, wp.array]:
+        """Splats, depth keys and tile rectangles of all Gaussians of the scene."""
+        total = sum(scene.gaussian_counts)
+        splats = self._buffers.get("raster.splats", Splat, total)
+        keys = self._buffers.get("raster.keys", wp.uint32, total)
+        rects = self._buffers.get("raster.rects", Rect, total)
+        for which, (gaussians, count) in enumerate(zip(scene.gaussians, scene.gaussian_counts, strict=True)):
+            self._launcher.run_banded(
+                kernels.project_splats,
+                count,
+                *(which, scene.camera, scene.instances, gaussians, splats, keys, rects),
+            )
+        return splats, keys, rects
+
+    def bin(self, depth_order: DepthOrder, rects: wp.array, camera: Camera) -> TileLists:
+        """The splats of each tile, front to back."""
+        tiles_x, tiles_y = tile_grid(camera)
+        return self._order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
+
+    def composite(
+        self, scene: DeviceScene, camera: Camera, splats: wp.array, lists: TileLists, hits: MeshHits
+    ) -> SurfaceData:
+        """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
+        tiles_x, tiles_y = tile_grid(camera)
+        surface = self._surface(camera.width * camera.height)
+        inputs = (scene.camera, scene.instances, splats, lists.starts, lists.items, hits, surface)
+        if self._launcher.is_parallel:
+            self._launcher.run(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
+        else:
+            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+            self._launcher.run_banded(kernels.composite_tiles, tiles_x * tiles_y, *inputs, bands=bands)
+        return surface
+
+    def _surface(self, pixels: int) -> SurfaceData:
+        surface = SurfaceData()
+        for name, dtype in (
+            ("color", wp.vec3),
+            ("alpha", wp.float32),
+            ("depth", wp.float32),
+            ("normal", wp.vec3),
+            ("gaussian", wp.int32),
+            ("instance", wp.int32),
+        ):
+            setattr(surface, name, self._buffers.get(f"surface.{name}", dtype, pixels))
+        return surface
+
+
+def tile_grid(camera: Camera) -> tuple[int, int]:
+    """Tiles across and down."""
+    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)

@@ -1,0 +1,223 @@
+"""Projection and compositing of splats.
+
+``project_splats``: one item is one Gaussian of one instance; writes its splat, depth key and tile rectangle.
+``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
+the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is one
+tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
+"""
+
+import warp as wp
+
+from lumisplat.constants import FINISHED_CHECK_INTERVAL, TILE_PX
+from lumisplat.device.gaussian import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
+from lumisplat.device.structs import (
+    CameraData,
+    GaussianData,
+    InstanceData,
+    MeshHits,
+    Pixel,
+    Rect,
+    Splat,
+    SurfaceData,
+)
+from lumisplat.device.surface import blend, store_surface
+
+# The row loop must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no faster.
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+TILE = wp.constant(TILE_PX)
+TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
+CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
+KEY_CULLED = wp.constant(wp.uint32(0xFFFFFFFF))
+KEY_NONFINITE = wp.constant(wp.uint32(0xFFFFFFFE))
+
+TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
+TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
+
+
+@wp.func
+def is_finite(splat: Splat) -> bool:
+    """No NaN or infinity where it would reach a pixel or an index."""
+    total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
+    total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
+    return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
+
+
+@wp.func
+def tile_range(camera: CameraData, splat: Splat) -> Rect:
+    """Tiles whose pixel centres the splat's box covers."""
+    rect = Rect()
+    low = splat.center - splat.extent - wp.vec2(0.5)
+    high = splat.center + splat.extent - wp.vec2(0.5)
+    last_x = float(camera.width - 1)
+    last_y = float(camera.height - 1)
+    x0 = int(wp.ceil(wp.clamp(low[0], 0.0, last_x)))
+    y0 = int(wp.ceil(wp.clamp(low[1], 0.0, last_y)))
+    x1 = int(wp.floor(wp.clamp(high[0], 0.0, last_x)))
+    y1 = int(wp.floor(wp.clamp(high[1], 0.0, last_y)))
+    if x0 <= x1 and y0 <= y1:
+        rect.x0 = wp.int16(x0 // TILE)
+        rect.y0 = wp.int16(y0 // TILE)
+        rect.x1 = wp.int16(x1 // TILE + 1)
+        rect.y1 = wp.int16(y1 // TILE + 1)
+    return rect
+
+
+@wp.kernel
+def project_splats(
+    start: int,
+    which: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    gaussians: GaussianData,
+    splats_out: wp.array(dtype=Splat),
+    keys_out: wp.array(dtype=wp.uint32),
+    rects_out: wp.array(dtype=Rect),
+):
+    """Projects the Gaussians of instance ``which``; the bits of a positive float sort as the float does."""
+    i = start + wp.tid()
+    view = camera[0]
+    splat = project_gaussian(view, instances[which], gaussians, i)
+    key = KEY_CULLED
+    rect = Rect()
+    if splat.log_opacity > -wp.inf:
+        if is_finite(splat):
+            rect = tile_range(view, splat)
+            if rect.x0 < rect.x1:
+                key = wp.cast(splat.depth, wp.uint32)
+        else:
+            key = KEY_NONFINITE
+    splats_out[splat.index] = splat
+    keys_out[splat.index] = key
+    rects_out[splat.index] = rect
+
+
+@wp.kernel
+def composite_pixels(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    surface_out: SurfaceData,
+):
+    """Item = tile * 256 + pixel of the tile."""
+    i = start + wp.tid()
+    view = camera[0]
+    tile = i // TILE_PIXELS
+    x = (tile % view.tiles_x) * TILE + i % TILE
+    y = (tile // view.tiles_x) * TILE + (i // TILE) % TILE
+    if x >= view.width or y >= view.height:
+        return
+    mesh_z = hits.depth_z[y * view.width + x]
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = -1
+    j = int(tile_starts[tile])
+    end = tile_starts[tile + 1]
+    while j < end:
+        index = tile_splats[j]
+        splat = splats[index]
+        if splat.depth >= mesh_z:
+            break
+        dy = float(y) + 0.5 - splat.center[1]
+        dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
+        log_alpha = splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
+        if log_alpha >= LOG_ALPHA_MIN:
+            pixel = blend(
+                pixel, splat, index, alpha_from_log(log_alpha), view.transmittance_min, view.depth_iso_transmittance
+            )
+            if pixel.transmittance <= 0.0:
+                break
+        j += 1
+    store_surface(view, instances, splats, hits, pixel, x, y, surface_out)
+
+
+@wp.kernel
+def composite_tiles(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    surface_out: SurfaceData,
+):
+    """The arithmetic of ``blend``, written as selections over rows of pixels."""
+    tile = start + wp.tid()
+    view = camera[0]
+    left = (tile % view.tiles_x) * TILE
+    top = (tile // view.tiles_x) * TILE
+    rows = wp.min(TILE, view.height - top)
+    columns = wp.min(TILE, view.width - left)
+    t_min = view.transmittance_min
+    iso = view.depth_iso_transmittance
+    transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
+    red = TileFloats(0.0)
+    green = TileFloats(0.0)
+    blue = TileFloats(0.0)
+    normal_x = TileFloats(0.0)
+    normal_y = TileFloats(0.0)
+    normal_z = TileFloats(0.0)
+    mesh_z = TileFloats(0.0)
+    surface = TileInts(-1)
+    for y in range(rows):
+        for x in range(columns):
+            transmittance[y * TILE + x] = 1.0
+            mesh_z[y * TILE + x] = hits.depth_z[(top + y) * view.width + left + x]
+
+    j = int(tile_starts[tile])
+    end = int(tile_starts[tile + 1])
+    while j < end:
+        index = tile_splats[j]
+        splat = splats[index]
+        center_x = splat.center[0] - float(left)
+        center_y = splat.center[1] - float(top)
+        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
+        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
+        for y in range(y0, y1):
+            dy = float(y) + 0.5 - center_y
+            row_log_alpha = splat.log_opacity - splat.across * dy * dy
+            row_center = center_x + splat.shear * dy
+            first = y * TILE
+            for x in range(TILE):
+                i = first + x
+                dx = float(x) + 0.5 - row_center
+                log_alpha = row_log_alpha - splat.along * dx * dx
+                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
+                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = wp.where(splat.depth < mesh_z[i], alpha, 0.0)
+                before = transmittance[i]
+                weight = before * alpha
+                after = before - weight
+                weight = wp.where(after > t_min, weight, 0.0)
+                red[i] = red[i] + weight * splat.color[0]
+                green[i] = green[i] + weight * splat.color[1]
+                blue[i] = blue[i] + weight * splat.color[2]
+                normal_x[i] = normal_x[i] + weight * splat.normal[0]
+                normal_y[i] = normal_y[i] + weight * splat.normal[1]
+                normal_z[i] = normal_z[i] + weight * splat.normal[2]
+                after = wp.where(after > t_min, after, -wp.abs(before))
+                crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
+                surface[i] = wp.where(crossed > 0.0, index, surface[i])
+                transmittance[i] = after
+        j += 1
+        if j % CHECK_INTERVAL == 0:
+            highest = float(0.0)
+            for i in range(TILE_PIXELS):
+                highest = wp.max(highest, transmittance[i])
+            if highest <= 0.0:
+                j = end
+
+    for y in range(rows):
+        for x in range(columns):
+            i = y * TILE + x
+            pixel = Pixel()
+            pixel.color = wp.vec3(red[i], green[i], blue[i])
+            pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
+            pixel.transmittance = transmittance[i]
+            pixel.splat = surface[i]
+            store_surface(view, instances, splats, hits, pixel, left + x, top + y, surface_out)

@@ -1,0 +1,152 @@
+"""From a scene and a camera to a frame, as a list of passes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs import SurfaceData
+from lumisplat.errors import SceneError
+from lumisplat.launcher import Launcher, Progress
+from lumisplat.render import mesh_kernels, order_kernels, raster_kernels
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.frame import Frame, FrameStats
+from lumisplat.render.mesh import MeshRaster
+from lumisplat.render.order import OrderChunked, OrderParallel
+from lumisplat.render.raster import SplatRaster
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
+
+
+class Renderer:
+    """Keeps assets, buffers and compiled kernels warm between frames. Not safe to share between threads.
+
+    Args:
+        config: Settings; the defaults draw a capture as it was trained.
+        launcher: The device to run on.
+    """
+
+    def __init__(self, config: RenderConfig, launcher: Launcher) -> None:
+        self.config = config
+        self._launcher = launcher
+        self._buffers = Buffers(launcher.device)
+        self._scene = DeviceScene(launcher.device)
+        self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
+        self._meshes = MeshRaster(launcher, self._buffers, self._order)
+        self._splats = SplatRaster(launcher, self._buffers, self._order)
+
+    @property
+    def device(self) -> str:
+        """Warp name of the device, e.g. ``cpu`` or ``cuda:0``."""
+        return self._launcher.device
+
+    def render(self, scene: Scene, camera: Camera) -> Frame:
+        """Renders one frame.
+
+        Args:
+            scene: What to draw. Assets already seen by this renderer are not uploaded again.
+            camera: From where.
+
+        Raises:
+            DeviceError: The device is out of memory.
+            SceneError: The scene holds more Gaussians than 32-bit indices reach.
+        """
+        if max(scene.gaussian_count, scene.face_count) >= 2**31:
+            raise SceneError("a scene holds at most 2,147,483,647 Gaussians and as many triangles")
+        self._launcher.stage_ms.clear()
+        with self._launcher.stage("sync"):
+            self._scene.sync(scene, camera, self.config)
+        surface = self._draw(camera)
+        while self._order.overflowed():
+            surface = self._draw(camera)
+        with self._launcher.stage("download"):
+            return self._download(surface, scene, camera)
+
+    def _draw(self, camera: Camera) -> SurfaceData:
+        drawn: list[SurfaceData] = []
+        key = (camera.width, camera.height, self._scene.version, self._buffers.allocations)
+        self._launcher.replay("frame", key, lambda: drawn.append(self._passes(camera)))
+        if drawn:
+            self._surface = drawn[0]
+        return self._surface
+
+    def _passes(self, camera: Camera) -> SurfaceData:
+        stage = self._launcher.stage
+        with stage("mesh"):
+            hits = self._meshes.draw(self._scene, camera)
+        with stage("project"):
+            splats, keys, rects = self._splats.project(self._scene)
+        with stage("sort"):
+            depth_order = self._order.sort(keys)
+        with stage("bin"):
+            lists = self._splats.bin(depth_order, rects, camera)
+        with stage("composite"):
+            return self._splats.composite(self._scene, camera, splats, lists, hits)
+
+    def _download(self, surface: SurfaceData, scene: Scene, camera: Camera) -> Frame:
+        shape = (camera.height, camera.width)
+        counts = self._order.counts()
+
+        def image(name: str, *channels: int) -> np.ndarray:
+            return np.array(getattr(surface, name).numpy()).reshape(*shape, *channels)
+
+        return Frame(
+            color=image("color", 3),
+            alpha=image("alpha"),
+            depth=image("depth"),
+            normal=image("normal", 3),
+            gaussian_index=image("gaussian"),
+            instance_index=image("instance"),
+            camera=camera,
+            background=self.config.background,
+            stats=FrameStats(
+                stage_ms=self._launcher.stage_ms,
+                gaussians=scene.gaussian_count,
+                visible=counts.visible,
+                nonfinite=counts.nonfinite,
+                pairs=counts.pairs,
+                triangles=scene.face_count,
+                memory_bytes=self._scene.bytes + self._buffers.bytes,
+            ),
+        )
+
+
+def create_renderer(
+    config: RenderConfig | None = None,
+    device: str = "auto",
+    *,
+    threads: int | None = None,
+    profile: bool = False,
+    progress: Progress | None = None,
+) -> Renderer:
+    """A renderer whose kernels are compiled and loaded.
+
+    Args:
+        config: Settings; None: the defaults.
+        device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
+        threads: CPU threads; None: as many as this process may use.
+        profile: Time every stage on CUDA too.
+        progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine.
+
+    Raises:
+        DeviceError: There is no such device.
+    """
+    launcher = Launcher(device, threads, profile)
+    launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
+    return Renderer(config or RenderConfig(), launcher)
+
+
+def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
+    """Renders one frame with a renderer of its own; for several, ``create_renderer`` keeps what they share.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        config: Settings; None: the defaults.
+        device: As for ``create_renderer``.
+
+    Raises:
+        DeviceError: There is no such device, or it is out of memory.
+    """
+    return create_renderer(config, device).render(scene, camera)
