@@ -1,0 +1,148 @@
+"""Files to scenes and back: `load`, `save` and `load_cameras` choose the format. Modules are imported when needed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lumisplat.errors import FormatError
+
+if TYPE_CHECKING:
+    from lumisplat.io.columns import SplatColumns
+    from lumisplat.scene.camera import Camera
+    from lumisplat.scene.gaussians import Gaussians
+    from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.scene import Scene
+
+__all__ = ["load", "load_cameras", "save"]
+
+PathLike = str | os.PathLike[str]
+Progress = Callable[[float], None]
+
+READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf"
+WRITABLE = ".ply, .compressed.ply, .spz"
+
+
+def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | None = None) -> Gaussians | Mesh | Scene:
+    """Loads a capture, a mesh or a scene; extension and content choose the reader.
+
+    Args:
+        path: A Gaussian capture (PLY, compressed PLY, SPZ, SOG bundle, SOG folder or its ``meta.json``), a mesh (OBJ,
+            STL, PLY with faces) or a scene (glTF, GLB).
+        drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log how many,
+            instead of refusing the file.
+        progress: Called with the fraction done, 0..1; the last call has 1.
+
+    Returns:
+        ``Gaussians`` for a capture, ``Mesh`` or ``Scene`` for the others. Arrays are read-only.
+
+    Raises:
+        FormatError: The file is missing, unknown, damaged, truncated, empty of Gaussians, holds invalid values, or
+            claims more than memory holds. The message names it.
+    """
+    try:
+        loaded = _load(path, drop_invalid, progress)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise FormatError(path, "does not fit into memory") from None
+    if progress:
+        progress(1.0)
+    return loaded
+
+
+def _load(path: PathLike, drop_invalid: bool, progress: Progress | None) -> Gaussians | Mesh | Scene:
+    extension = _check_exists(Path(path))
+    if extension in (".obj", ".stl"):
+        return _read_mesh(path)
+    if extension in (".glb", ".gltf"):
+        from lumisplat.io.gltf import read_gltf
+
+        return read_gltf(path)
+    if extension == ".ply":
+        columns = _read_ply(path, progress)
+        if columns is None:
+            return _read_mesh(path)
+    elif extension == ".spz":
+        from lumisplat.io.spz import read_spz
+
+        columns = read_spz(path)
+    else:
+        from lumisplat.io.sog import read_sog
+
+        columns = read_sog(path)
+    from lumisplat.io.columns import gaussians_from_columns
+
+    return gaussians_from_columns(path, columns, drop_invalid=drop_invalid)
+
+
+def _check_exists(path: Path) -> str:
+    """The extension that selects the reader, ``.sog`` for a SOG folder or its meta.json."""
+    if path.is_dir():
+        if (path / "meta.json").is_file():
+            return ".sog"
+        raise FormatError(path, "is a folder without a meta.json, expected a SOG folder or a file")
+    if not path.exists():
+        raise FormatError(path, "no such file")
+    extension = ".sog" if path.name == "meta.json" else path.suffix.lower()
+    if extension not in READABLE.split(", "):
+        raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
+    if path.stat().st_size == 0:
+        raise FormatError(path, "is empty: zero bytes")
+    return extension
+
+
+def _read_ply(path: PathLike, progress: Progress | None) -> SplatColumns | None:
+    """The Gaussians of a PLY file of either kind, or None if it holds a mesh."""
+    from lumisplat.io.compressed_ply import is_compressed_header, read_compressed_ply
+    from lumisplat.io.ply import read_ply_header
+    from lumisplat.io.splat_ply import is_gaussian_element, read_splat_ply
+
+    header = read_ply_header(path)
+    if is_compressed_header(header):
+        return read_compressed_ply(path, header)
+    vertex, face = header.element("vertex"), header.element("face")
+    if face is not None and face.count and not (vertex and is_gaussian_element(vertex)):
+        return None
+    return read_splat_ply(path, header, progress)
+
+
+def _read_mesh(path: PathLike) -> Mesh | Scene:
+    from lumisplat.io.mesh import read_mesh
+
+    return read_mesh(path)
+
+
+def save(path: PathLike, gaussians: Gaussians) -> None:
+    """Saves a capture; the extension chooses the format. The file appears complete or not at all.
+
+    Args:
+        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian, reordered) or ``.spz`` (version 4).
+        gaussians: What to save. Only ``.ply`` keeps normals and materials; the others log what they leave out.
+
+    Raises:
+        FormatError: An unknown extension, values that the format cannot hold, or the file cannot be written.
+    """
+    from lumisplat.scene.gaussians import Gaussians
+
+    name = Path(path).name.lower()
+    if not isinstance(gaussians, Gaussians):
+        raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
+    if name.endswith(".compressed.ply"):
+        from lumisplat.io.compressed_ply import write_compressed_ply as write
+    elif name.endswith(".ply"):
+        from lumisplat.io.splat_ply import write_splat_ply as write
+    elif name.endswith(".spz"):
+        from lumisplat.io.spz import write_spz as write
+    else:
+        raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
+    write(path, gaussians)
+
+
+def load_cameras(path: PathLike) -> list[Camera]:
+    """Loads cameras; see `lumisplat.io.cameras.load_cameras`."""
+    from lumisplat.io import cameras
+
+    return cameras.load_cameras(path)

@@ -1,0 +1,165 @@
+"""Between what splat files hold (logarithms of scales, logits of opacities) and `Gaussians`."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import LOGIT_MAX, SCALE_MIN
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.scene.arrays import FloatArray
+from lumisplat.scene.gaussians import Gaussians
+
+logger = logging.getLogger("lumisplat.io")
+
+
+@dataclass(slots=True, eq=False)
+class SplatColumns:
+    """N Gaussians as a file stores them. Arrays are float32 and not yet validated."""
+
+    means: FloatArray
+    """Shape (N, 3)."""
+    rotations_wxyz: FloatArray
+    """Of any length, shape (N, 4)."""
+    log_scales: FloatArray
+    """Natural logarithms of the standard deviations, shape (N, 3)."""
+    opacities: FloatArray
+    """Logits, or 0..1 where ``opacities_are_logits`` is off, shape (N,)."""
+    sh: FloatArray
+    """DC first, shape (N, K, 3)."""
+    normals: FloatArray | None = None
+    albedo: FloatArray | None = None
+    roughness: FloatArray | None = None
+    metallic: FloatArray | None = None
+    opacities_are_logits: bool = True
+    antialiased: bool = False
+    comments: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians, N."""
+        return self.means.shape[0]
+
+
+PROPERTY_NAMES = {
+    "means": ("x", "y", "z"),
+    "rotations_wxyz": ("rot_0", "rot_1", "rot_2", "rot_3"),
+    "log_scales": ("scale_0", "scale_1", "scale_2"),
+    "opacities": ("opacity",),
+    "normals": ("nx", "ny", "nz"),
+    "albedo": ("albedo_0", "albedo_1", "albedo_2"),
+    "roughness": ("roughness",),
+    "metallic": ("metallic",),
+}
+"""The PLY properties of each field, in order. The last three are ours, for relightable captures."""
+
+
+def sh_property_names(coefficients: int) -> list[str]:
+    """PLY properties of SH in the order of ``sh.reshape(N, -1)``: f_rest is channel-major in files, ours is not."""
+    rest = coefficients - 1
+    names = [f"f_dc_{channel}" for channel in range(3)]
+    return names + [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
+
+
+def gaussians_from_columns(
+    path: str | os.PathLike[str], columns: SplatColumns, *, drop_invalid: bool = False
+) -> Gaussians:
+    """Applies exp and sigmoid, and refuses or drops what cannot be rendered.
+
+    Args:
+        path: Named in errors.
+        columns: As read.
+        drop_invalid: Leave out Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log
+            a warning that says how many.
+
+    Raises:
+        FormatError: Invalid values, and ``drop_invalid`` is off; or nothing is left; or a value is out of its range.
+    """
+    if columns.count == 0:
+        raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+    with np.errstate(over="ignore", under="ignore"):
+        scales = np.maximum(np.exp(columns.log_scales), np.float32(SCALE_MIN))
+        opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
+    if columns.normals is not None and not columns.normals.any():
+        columns = replace(columns, normals=None)  # INRIA writes zeros where there are none
+    kept = slice(None)
+    invalid, problems = _invalid_rows(columns, scales)
+    if problems:
+        dropped = np.count_nonzero(invalid)
+        summary = f"{', '.join(problems)}, in {dropped:,} of {columns.count:,} Gaussians"
+        if not drop_invalid:
+            raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
+        if dropped == columns.count:
+            raise FormatError(path, f"{summary}: no valid Gaussian is left")
+        logger.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", ", ".join(problems))
+        kept = ~invalid
+    extras = {name: getattr(columns, name) for name in ("normals", "albedo", "roughness", "metallic")}
+    try:
+        return Gaussians(
+            columns.means[kept],
+            columns.rotations_wxyz[kept],
+            scales[kept],
+            opacities[kept],
+            columns.sh[kept],
+            **{name: values[kept] for name, values in extras.items() if values is not None},
+            antialiased=columns.antialiased,
+            comments=columns.comments,
+        )
+    except SceneError as error:
+        raise FormatError(path, str(error)) from None
+
+
+def _invalid_rows(columns: SplatColumns, scales: FloatArray) -> tuple[npt.NDArray[np.bool_], list[str]]:
+    """Which Gaussians cannot be used, shape (N,), and what is wrong, one phrase per property."""
+    invalid = np.zeros(columns.count, dtype=bool)
+    problems = []
+    for field in fields(columns):
+        values = getattr(columns, field.name)
+        if not isinstance(values, np.ndarray):
+            continue
+        finite = np.isfinite(values)
+        if field.name == "log_scales":
+            finite &= np.isfinite(scales)  # the exponential may overflow
+        if not finite.all():
+            names = PROPERTY_NAMES.get(field.name) or sh_property_names(columns.sh.shape[1])
+            bad = ~finite.reshape(columns.count, -1)
+            invalid |= bad.any(axis=1)
+            counts = np.count_nonzero(bad, axis=0)
+            problems += [f"{n:,} NaN or infinite values in {name}" for n, name in zip(counts, names, strict=True) if n]
+    for name, values in (("rotations", columns.rotations_wxyz), ("normals", columns.normals)):
+        zero = ~values.any(axis=1) if values is not None else invalid[:0]
+        if zero.any():
+            invalid |= zero
+            problems.append(f"{np.count_nonzero(zero):,} {name} of zero length")
+    return invalid, problems
+
+
+def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
+    """The inverse of `gaussians_from_columns`: logarithms and logits, opacities of 0 and 1 made finite."""
+    opacities = gaussians.opacities.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        logits = np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
+    return SplatColumns(
+        means=gaussians.means,
+        rotations_wxyz=gaussians.rotations_wxyz,
+        log_scales=np.log(gaussians.scales),
+        opacities=logits.astype(np.float32),
+        sh=gaussians.sh,
+        normals=gaussians.normals,
+        albedo=gaussians.albedo,
+        roughness=gaussians.roughness,
+        metallic=gaussians.metallic,
+        antialiased=gaussians.antialiased,
+        comments=gaussians.comments,
+    )
+
+
+def warn_unsupported(path: str | os.PathLike[str], kind: str, gaussians: Gaussians, *names: str) -> None:
+    """Logs a warning about data that a format cannot hold."""
+    lost = [name for name in names if getattr(gaussians, name) is not None and getattr(gaussians, name) != ()]
+    if lost:
+        logger.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))

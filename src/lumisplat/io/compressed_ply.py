@@ -1,0 +1,207 @@
+"""PlayCanvas compressed PLY: 16 bytes a Gaussian, in chunks of 256 that share their value ranges.
+
+Layout: https://github.com/playcanvas/engine/issues/6204 and PlayCanvas's splat-transform. A chunk stores minimum and
+maximum of position, log scale and (in newer files) colour. A Gaussian stores position and scale as 11+10+11 bits, its
+rotation as smallest three (2+10+10+10, wxyz), colour and opacity as 8 bits each, and SH of degree 1 up as 8 bits over
+-4..4 in an element of its own. Axes are those of the PLY it was made from.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import SH_C0
+from lumisplat.errors import FormatError
+from lumisplat.io.atomic import atomic_write
+from lumisplat.io.columns import SplatColumns, sh_property_names, warn_unsupported
+from lumisplat.io.ply import PlyHeader, ply_header_bytes, read_ply_element, read_ply_header
+from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
+from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
+from lumisplat.scene.arrays import FloatArray
+from lumisplat.scene.gaussians import Gaussians
+
+CHUNK = 256
+LOG_SCALE_MAX = 20.0
+"""Log scales are clamped to this size when written, as PlayCanvas does: one outlier would cost its chunk precision."""
+
+POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
+SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
+COLOR_RANGE = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+BITS_POSITION = (11, 10, 11)
+BITS_ROTATION = (2, 10, 10, 10)
+BITS_COLOR = (8, 8, 8, 8)
+
+Packed = npt.NDArray[np.uint32]
+
+
+def is_compressed_header(header: PlyHeader) -> bool:
+    """Whether the elements are those of a compressed capture."""
+    vertex = header.element("vertex")
+    return vertex is not None and "packed_position" in vertex.names
+
+
+def read_compressed_ply(path: str | os.PathLike[str], header: PlyHeader | None = None) -> SplatColumns:
+    """Reads a compressed PLY.
+
+    Args:
+        path: The file.
+        header: Its header, if it is known already.
+
+    Raises:
+        FormatError: A property is missing, element counts do not fit, or the file is truncated.
+    """
+    header = header or read_ply_header(path)
+    chunk, vertex, sh = (_element_rows(header, name) for name in ("chunk", "vertex", "sh"))
+    if chunk is None or vertex is None:
+        raise FormatError(path, "is not a complete compressed capture: no chunk or vertex element")
+    _require(header, "chunk", chunk, POSITION_RANGE + SCALE_RANGE)
+    _require(header, "vertex", vertex, PACKED)
+    if any(vertex.dtype[name].kind != "u" or vertex.dtype[name].itemsize != 4 for name in PACKED):
+        raise FormatError(path, "packed properties are not all of type uint")
+    count = len(vertex)
+    if len(chunk) != -(-count // CHUNK):
+        raise FormatError(path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {-(-count // CHUNK):,}")
+    position, rotation, scale, color = (vertex[name].astype(np.uint32) for name in PACKED)
+    colors = unpack_bits(color, BITS_COLOR)
+    kept = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    rgb = colors[:, :3] if "min_r" not in (chunk.dtype.names or ()) else _spread(colors[:, :3], chunk, COLOR_RANGE)
+    return SplatColumns(
+        means=_spread(unpack_bits(position, BITS_POSITION), chunk, POSITION_RANGE),
+        rotations_wxyz=unpack_smallest_three(rotation >> np.uint32(30), kept),
+        log_scales=_spread(unpack_bits(scale, BITS_POSITION), chunk, SCALE_RANGE),
+        opacities=colors[:, 3],
+        sh=_unpack_sh(header, (rgb - np.float32(0.5)) / np.float32(SH_C0), sh),
+        opacities_are_logits=False,
+        antialiased=antialiased_from_comments(header.comments),
+        comments=header.comments,
+    )
+
+
+def _element_rows(header: PlyHeader, name: str) -> np.ndarray | None:
+    element = header.element(name)
+    return None if element is None else read_ply_element(header, element)
+
+
+def _require(header: PlyHeader, element: str, rows: np.ndarray, names: tuple[str, ...]) -> None:
+    missing = [name for name in names if name not in (rows.dtype.names or ())]
+    if missing:
+        raise FormatError(header.path, f"is not a complete compressed capture: {element} has no {', '.join(missing)}")
+
+
+def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> FloatArray:
+    """Fields of 32-bit words, the first in the highest bits, each scaled to 0..1, shape (N, fields)."""
+    values = np.empty((len(packed), len(bits)), dtype=np.float32)
+    shift = 32
+    for i, width in enumerate(bits):
+        shift -= width
+        limit = (1 << width) - 1
+        values[:, i] = (packed >> np.uint32(shift)) & np.uint32(limit)
+        values[:, i] /= np.float32(limit)
+    return values
+
+
+def pack_bits(values: FloatArray, bits: tuple[int, ...]) -> Packed:
+    """The inverse of `unpack_bits`: rounds fields of 0..1, clipping what lies outside."""
+    packed = np.zeros(len(values), dtype=np.uint32)
+    for i, width in enumerate(bits):
+        limit = (1 << width) - 1
+        field = np.floor(np.clip(values[:, i], 0.0, 1.0) * limit + 0.5)
+        packed = (packed << np.uint32(width)) | field.astype(np.uint32)
+    return packed
+
+
+def _spread(unit: FloatArray, chunk: np.ndarray, names: tuple[str, ...]) -> FloatArray:
+    """Values of 0..1 to the range of their chunk, shape (N, 3)."""
+    low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges: refused later, as non-finite values
+        low, size = (np.repeat(values, CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
+        return (low + unit * size).astype(np.float32, copy=False)
+
+
+def _unpack_sh(header: PlyHeader, dc: FloatArray, rest: np.ndarray | None) -> FloatArray:
+    """SH of shape (N, K, 3) from the DC term and the ``sh`` element."""
+    if rest is None:
+        return dc[:, None, :]
+    names = rest.dtype.names or ()
+    if len(rest) != len(dc) or len(names) not in (9, 24, 45):
+        raise FormatError(header.path, f"has {len(rest):,} sh rows of {len(names)} values for {len(dc):,} Gaussians")
+    sh = np.empty((len(dc), 1 + len(names) // 3, 3), dtype=np.float32)
+    sh[:, 0] = dc
+    ordered = sh_property_names(sh.shape[1])[3:]
+    _require(header, "sh", rest, tuple(ordered))
+    values = (np.arange(256, dtype=np.float32) - 127.5) / 32.0
+    values[[0, 255]] = (-4.0, 4.0)
+    for i, name in enumerate(ordered, start=3):
+        if rest.dtype[name] != np.uint8:
+            raise FormatError(header.path, f"sh property {name} is {rest.dtype[name]}, expected uchar")
+        sh[:, i // 3, i % 3] = values[rest[name]]
+    return sh
+
+
+def write_compressed_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+    """Writes a compressed PLY.
+
+    Gaussians are sorted along a Morton curve, as PlayCanvas does: neighbours share a chunk, its ranges are tight, and
+    the 11 bits of a position become finer. The order of the input is not kept.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    warn_unsupported(path, "compressed PLY", gaussians, "normals", "albedo", "roughness", "metallic")
+    ordered = gaussians.subset(morton_order(gaussians.means))
+    log_scales = np.clip(np.log(ordered.scales), -LOG_SCALE_MAX, LOG_SCALE_MAX)
+    rgb = ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
+    ranges, (position, scale, color) = zip(*map(_gather, (ordered.means, log_scales, rgb)), strict=True)
+    largest, kept = pack_smallest_three(ordered.rotations_wxyz)
+    words = [
+        pack_bits(position, BITS_POSITION),
+        pack_bits(np.column_stack([largest / 3.0, kept * np.sqrt(0.5) + 0.5]), BITS_ROTATION),
+        pack_bits(scale, BITS_POSITION),
+        pack_bits(np.column_stack([color, ordered.opacities]), BITS_COLOR),
+    ]
+    rest = ordered.sh[:, 1:].transpose(0, 2, 1).reshape(ordered.count, -1)
+    elements = [
+        ("chunk", len(ranges[0]), "float", [*POSITION_RANGE, *SCALE_RANGE, *COLOR_RANGE]),
+        ("vertex", ordered.count, "uint", list(PACKED)),
+    ]
+    if rest.shape[1]:
+        elements.append(("sh", ordered.count, "uchar", [f"f_rest_{i}" for i in range(rest.shape[1])]))
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.write(ply_header_bytes(comments_with_flag(gaussians), elements))
+        file.write(np.concatenate(ranges, axis=1).astype("<f4").tobytes())
+        file.write(np.stack(words, axis=1).astype("<u4").tobytes())
+        file.write(np.clip((rest / 8.0 + 0.5) * 256.0, 0.0, 255.0).astype(np.uint8).tobytes())
+
+
+def morton_order(positions: FloatArray) -> npt.NDArray[np.int64]:
+    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells an axis."""
+    low = positions.min(axis=0).astype(np.float64)
+    extent = np.maximum(positions.max(axis=0) - low, np.finfo(np.float32).tiny)
+    code = np.zeros(len(positions), dtype=np.uint64)
+    for axis in range(3):
+        bits = ((positions[:, axis] - low[axis]) / extent[axis] * (2**21 - 1)).astype(np.uint64)
+        # Spreads 21 bits to every third place, halving the groups that move together at each step.
+        for shift, mask in (
+            (32, 0x1F00000000FFFF),
+            (16, 0x1F0000FF0000FF),
+            (8, 0x100F00F00F00F00F),
+            (4, 0x10C30C30C30C30C3),
+            (2, 0x1249249249249249),
+        ):
+            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+        code |= bits << np.uint64(axis)
+    return np.argsort(code, kind="stable")
+
+
+def _gather(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ranges of the chunks, shape (C, 6), and values of 0..1 within them, shape (N, 3)."""
+    starts = np.arange(0, len(values), CHUNK)
+    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    size = np.where(high > low, high - low, 1.0)
+    unit = (values - np.repeat(low, CHUNK, axis=0)[: len(values)]) / np.repeat(size, CHUNK, axis=0)[: len(values)]
+    return np.concatenate([low, high], axis=1), unit
