@@ -1,0 +1,241 @@
+"""Camera files: nerfstudio / instant-ngp / NeRF `transforms.json` and INRIA `cameras.json`.
+
+Poses become `camera_from_world` with OpenCV axes (x right, y down, z forward) here, at the door.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.atomic import atomic_write
+from lumisplat.io.source import PathLike, parsing, read_bytes
+from lumisplat.scene.camera import Camera
+
+_log = logging.getLogger("lumisplat")
+
+_OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
+"""OpenGL cameras look along -z with y up. Its own inverse."""
+
+_IMAGE_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
+"""What NeRF's synthetic scenes leave off their file names, in the order tried."""
+
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", ".heic")
+
+_PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+
+_DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def load_cameras(path: PathLike) -> list[Camera]:
+    """Reads the cameras of a capture, in the file's order; each has a unique ``name``, its image's.
+
+    Args:
+        path: `transforms.json` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
+            `camera_angle_x`, for which image sizes are looked up where the file gives none) or INRIA's
+            `cameras.json` (OpenCV; the principal point is the centre). Lens distortion is ignored with a log line.
+
+    Raises:
+        FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
+    """
+    path = Path(path)
+    with parsing(path, "a camera file"):
+        try:
+            content = json.loads(read_bytes(path).decode("utf-8-sig"))
+        except json.JSONDecodeError as error:
+            raise FormatError(path, f"invalid JSON at line {error.lineno}: {error.msg}") from None
+        if isinstance(content, dict) and isinstance(content.get("frames"), list):
+            _check_camera_model(path, content)
+            entries, decode = content["frames"], lambda frame: _nerfstudio_camera(path, content, frame)
+        elif isinstance(content, list) and (not content or any("rotation" in entry for entry in content)):
+            entries, decode = content, _inria_camera
+        else:
+            raise FormatError(path, "not a camera file: expected 'frames' (transforms.json) or a list (cameras.json)")
+        if not entries:
+            raise FormatError(path, "has no frames")
+        return _unique_names([_decoded(path, k, entry, decode) for k, entry in enumerate(entries)])
+
+
+def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
+    """Writes a `transforms.json` that `load_cameras` and nerfstudio read.
+
+    Args:
+        path: Where to.
+        cameras: At least one; names become the frames' file paths.
+
+    Raises:
+        SceneError: There is no camera.
+        FormatError: The file cannot be written.
+    """
+    if not cameras:
+        raise SceneError("no cameras to save")
+    frames = [
+        {
+            "file_path": camera.name or f"frame_{k:05d}",
+            "w": camera.width,
+            "h": camera.height,
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "transform_matrix": (_inverse_rigid(camera.camera_from_world) @ _OPENGL_FROM_OPENCV).tolist(),
+        }
+        for k, camera in enumerate(cameras)
+    ]
+    text = json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1)
+    with atomic_write(path) as temporary:
+        Path(temporary).write_text(text + "\n", encoding="utf-8")
+
+
+def _decoded(path: Path, index: int, entry: Any, decode: Any) -> Camera:
+    """Decodes one entry; whatever is wrong with it is said about that frame."""
+    name = ""
+    try:
+        name = str(entry.get("file_path", entry.get("img_name", "")))
+        return decode(entry)
+    except FormatError:
+        raise
+    except KeyError as error:
+        problem = f"lacks {error.args[0]}"
+    except SceneError as error:
+        problem = str(error)
+    except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
+        problem = f"is malformed: {error}"
+    raise FormatError(path, f"frame {index}{f' ({name})' if name else ''} {problem}")
+
+
+def _check_camera_model(path: Path, content: Mapping[str, Any]) -> None:
+    model = content.get("camera_model", "OPENCV")
+    if model not in _PINHOLE_MODELS:
+        raise FormatError(path, f"has camera_model {model!r}, expected one of {', '.join(_PINHOLE_MODELS)}")
+    frames = [frame for frame in content["frames"] if isinstance(frame, dict)]
+    distorted = [name for name in _DISTORTIONS if any(values.get(name) for values in (content, *frames))]
+    if distorted:
+        _log.warning("%s: lens distortion (%s) is ignored", path, ", ".join(distorted))
+
+
+def _nerfstudio_camera(path: Path, shared: Mapping[str, Any], frame: Mapping[str, Any]) -> Camera:
+    values = {**shared, **frame}
+    world_from_camera = _rigid(values["transform_matrix"]) @ _OPENGL_FROM_OPENCV
+    width, height = _image_size(path, values)
+    fx = values["fl_x"] if "fl_x" in values else _focal(values, "camera_angle_x", width)
+    fy = values["fl_y"] if "fl_y" in values else _focal(values, "camera_angle_y", height, default=fx)
+    return Camera(
+        width=width,
+        height=height,
+        fx=float(fx),
+        fy=float(fy),
+        cx=float(values.get("cx", 0.5 * width)),
+        cy=float(values.get("cy", 0.5 * height)),
+        camera_from_world=_inverse_rigid(world_from_camera),
+        name=_frame_name(values.get("file_path", "")),
+    )
+
+
+def _inria_camera(entry: Mapping[str, Any]) -> Camera:
+    width, height = entry["width"], entry["height"]
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3] = np.array(entry["rotation"], dtype=np.float64)
+    world_from_camera[:3, 3] = np.array(entry["position"], dtype=np.float64)
+    return Camera(
+        width=width,
+        height=height,
+        fx=float(entry["fx"]),
+        fy=float(entry["fy"]),
+        cx=0.5 * width,
+        cy=0.5 * height,
+        camera_from_world=_inverse_rigid(_rigid(world_from_camera)),
+        name=_frame_name(entry.get("img_name", "")),
+    )
+
+
+def _rigid(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """A pose whose rotation is one to rounding error, made exact.
+
+    Raises:
+        SceneError: The matrix is singular, scaled, sheared or mirrored.
+    """
+    matrix = np.array(values, dtype=np.float64)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, (0.0, 0.0, 0.0, 1.0)])
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneError(f"has a pose of shape {matrix.shape} or non-finite values, expected 4x4 numbers")
+    u, singular_values, v = np.linalg.svd(matrix[:3, :3])
+    if singular_values[2] <= 1e-9 * singular_values[0]:
+        raise SceneError("has a singular pose matrix")
+    if np.ptp(singular_values) > 1e-3 * singular_values[0]:
+        raise SceneError("has a pose that shears or stretches, expected a rotation and a translation")
+    if abs(singular_values[0] - 1.0) > 1e-3:
+        raise SceneError(f"has a pose scaled by {singular_values[0]:.6g}, expected a rotation and a translation")
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        raise SceneError("has a pose that mirrors, expected a rotation and a translation")
+    if np.abs(singular_values - 1.0).max() > 1e-12:
+        matrix[:3, :3] = u @ v
+    return matrix
+
+
+def _inverse_rigid(matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
+
+
+def _image_size(path: Path, values: Mapping[str, Any]) -> tuple[int, int]:
+    """From the file; otherwise from the header of the frame's image."""
+    if "w" in values and "h" in values:
+        return values["w"], values["h"]
+    from PIL import Image
+
+    stem = str(values.get("file_path", ""))
+    for extension in _IMAGE_EXTENSIONS:
+        image_path = path.parent / (stem + extension)
+        if image_path.is_file():
+            try:
+                with Image.open(image_path) as image:
+                    return image.size
+            except Exception as error:  # Pillow raises whatever the format's parser does
+                raise FormatError(image_path, f"cannot be read for its size: {error}") from None
+    raise SceneError(f"has no w and h, and there is no image {stem!r} to take them from: add w and h")
+
+
+def _focal(values: Mapping[str, Any], angle_name: str, size: int, default: float | None = None) -> float:
+    """Focal length in pixels of a field of view in radians."""
+    if angle_name not in values:
+        if default is None:
+            raise SceneError("has no intrinsics: expected fl_x, or camera_angle_x")
+        return default
+    angle = float(values[angle_name])
+    if not 0.0 < angle < math.pi:
+        raise SceneError(f"has {angle_name} {angle}, expected radians between 0 and pi")
+    return 0.5 * size / math.tan(0.5 * angle)
+
+
+def _frame_name(image: object) -> str:
+    """The image's file name without its extension: `images/0001.png` -> `0001`; other dots stay."""
+    name = str(image).replace("\\", "/").rstrip("/").rpartition("/")[2]
+    return name[: -len(Path(name).suffix)] if Path(name).suffix.lower() in _IMAGE_SUFFIXES else name
+
+
+def _unique_names(cameras: list[Camera]) -> list[Camera]:
+    """Empty names become `frame_00000`; repeated ones get a number."""
+    used: set[str] = set()
+    named = []
+    for index, camera in enumerate(cameras):
+        base = camera.name or f"frame_{index:05d}"
+        name, copy = base, 1
+        while name in used:
+            copy += 1
+            name = f"{base}_{copy}"
+        used.add(name)
+        named.append(replace(camera, name=name))
+    return named

@@ -1,0 +1,159 @@
+"""Images: textures in; PNG (8-bit sRGB), EXR (float layers named as in Nuke) and NPZ out.
+
+Files appear whole or not at all: writers go through `atomic_write`.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.atomic import atomic_write
+from lumisplat.io.source import PathLike, parsing, read_bytes
+
+_log = logging.getLogger("lumisplat")
+
+
+def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
+    """Writes an 8-bit PNG.
+
+    Args:
+        path: Where to.
+        srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and one
+            log line counts them.
+
+    Raises:
+        SceneError: The shape is not that of an image.
+        FormatError: The file cannot be written.
+    """
+    from PIL import Image
+
+    pixels = np.asarray(srgb, dtype=np.float32)
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
+        raise SceneError(f"a PNG takes (H, W, 3 or 4), got {pixels.shape}")
+    nan_count = np.count_nonzero(np.isnan(pixels))
+    if nan_count:
+        _log.warning("%s: %d NaN values written as 0", os.fspath(path), nan_count)
+    # NaN to 0 before the clamp, which keeps it; +0.5 and truncation round half up, where np.round would go to even.
+    bytes_ = (np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    with atomic_write(path) as temporary:
+        Image.fromarray(bytes_).save(temporary, format="PNG")
+
+
+def write_exr(path: PathLike, channels: Mapping[str, npt.NDArray], metadata: Mapping[str, str] | None = None) -> None:
+    """Writes a one-part scanline EXR, ZIP-compressed, with channels exactly as named (Nuke reads ``layer.channel``).
+
+    Args:
+        path: Where to.
+        channels: ``"R"``, ``"depth.Z"``, ``"normal.X"``, ...: all of one shape (H, W). Floating-point arrays become
+            32-bit float (infinities are kept), integer ones 32-bit unsigned: -1 ("none") reads back as 4294967295.
+        metadata: Header attributes.
+
+    Raises:
+        SceneError: No channel, or shapes differ.
+        FormatError: The file cannot be written.
+    """
+    import OpenEXR
+
+    shapes = {np.shape(pixels) for pixels in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
+    # One channel per name: given an (H, W, 3) array, OpenEXR would name its channels .R .G .B whatever they mean.
+    planes = {name: _exr_plane(np.asarray(pixels)) for name, pixels in channels.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(metadata or {})}
+    with atomic_write(path) as temporary, OpenEXR.File(header, planes) as file:
+        Path(temporary).touch()  # an OSError where the folder cannot be written; OpenEXR would say less
+        try:
+            file.write(os.fspath(temporary))
+        except RuntimeError as error:
+            raise FormatError(path, f"cannot be written: {error}") from None
+
+
+def write_npz(path: PathLike, arrays: Mapping[str, npt.ArrayLike]) -> None:
+    """Writes named arrays as they are, compressed.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    with atomic_write(path) as temporary, Path(temporary).open("wb") as stream:
+        named = {name: np.asarray(array) for name, array in arrays.items()}
+        np.savez_compressed(stream, **named)  # pyright: ignore[reportArgumentType]
+
+
+def read_image(path: PathLike) -> dict[str, npt.NDArray]:
+    """Reads back what the writers above write.
+
+    Returns:
+        PNG: ``{"srgb": (H, W, 3 or 4) uint8}``. EXR: each channel by its full name, (H, W) float32 or uint32.
+        NPZ: the arrays by name.
+
+    Raises:
+        FormatError: The file cannot be read, or has another extension.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".png":
+        return {"srgb": decode_texture(read_bytes(path), path, os.fspath(path))}
+    if suffix == ".exr":
+        return _read_exr(path)
+    if suffix == ".npz":
+        with parsing(path, "an NPZ file"), np.load(io.BytesIO(read_bytes(path))) as arrays:
+            return dict(arrays)
+    raise FormatError(path, "is not a .png, .exr or .npz image")
+
+
+def decode_texture(data: bytes, path: PathLike, label: str) -> npt.NDArray[np.uint8]:
+    """Decodes PNG, JPEG, WebP or whatever else Pillow reads.
+
+    Args:
+        data: The encoded image.
+        path: The file to name in errors.
+        label: Which image of that file, to name in errors.
+
+    Returns:
+        sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) where the image has transparency; row 0 on top.
+
+    Raises:
+        FormatError: The image is corrupt, or absurdly large.
+    """
+    from PIL import Image
+
+    where = "" if label == os.fspath(path) else f"texture {label} "
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as image:
+                if image.mode.startswith("I"):  # 16-bit grey: Pillow would clamp it at 255
+                    grey = (np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8)
+                    return np.repeat(grey[:, :, None], 3, axis=2)
+                opaque = not image.has_transparency_data
+                return np.asarray(image.convert("RGB" if opaque else "RGBA"))
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise FormatError(path, f"{where}is too large to decode: {error}") from None
+    except Exception as error:  # Pillow's decoders raise whatever their format's parser does
+        raise FormatError(path, f"{where}is corrupt, or no image: {error}") from error
+
+
+def _exr_plane(pixels: npt.NDArray) -> npt.NDArray:
+    if pixels.dtype.kind in "iub":
+        return np.ascontiguousarray(pixels).astype(np.int64).astype(np.uint32)
+    return np.ascontiguousarray(pixels, dtype=np.float32)
+
+
+def _read_exr(path: PathLike) -> dict[str, npt.NDArray]:
+    import OpenEXR
+
+    read_bytes(path)
+    try:
+        with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
+            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except Exception as error:  # the binding raises RuntimeError, TypeError or its own, by the place it stumbles
+        raise FormatError(path, f"damaged, or not an EXR file: {' '.join(str(error).split())}") from error

@@ -1,0 +1,60 @@
+"""Array steps that the mesh formats share: polygons to triangles, faces' corners to vertices, unit normals."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.scene.arrays import index_array
+
+
+def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
+    """Splits polygons into fans around their first corner.
+
+    Args:
+        corner_counts: Corners of each polygon, shape (P,); fewer than 3 (points, lines) give no triangle.
+
+    Returns:
+        Triangles as indices into the concatenated corners of all polygons, shape (F, 3).
+    """
+    counts = np.asarray(corner_counts, dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    fans = np.maximum(counts - 2, 0)
+    first = np.repeat(starts, fans)
+    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    return np.stack([first, first + step + 1, first + step + 2], axis=1)
+
+
+def flip_v(uvs: npt.NDArray) -> npt.NDArray[np.float32]:
+    """Texture coordinates between a bottom-left origin (OBJ, PLY) and our top-left one, shape (V, 2)."""
+    return np.stack([uvs[:, 0], 1.0 - uvs[:, 1].astype(np.float64)], axis=1).astype(np.float32)
+
+
+def unit_normals(
+    normals: npt.NDArray[np.floating], positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]
+) -> npt.NDArray[np.float32]:
+    """Normals at length 1; where a file stores a zero one, the area-weighted mean of the adjacent triangles.
+
+    Args:
+        normals: As stored, shape (V, 3).
+        positions: Shape (V, 3).
+        indices: Triangles, shape (F, 3).
+
+    Returns:
+        Shape (V, 3), float32; +z where even the triangles have no area.
+
+    Raises:
+        SceneError: An index is out of range.
+    """
+    indices = index_array("indices", indices, len(positions))
+    normals = np.array(normals, dtype=np.float64)
+    missing = np.linalg.norm(normals, axis=1) == 0.0
+    if missing.any():
+        a, b, c = (positions[indices[:, k]].astype(np.float64) for k in range(3))
+        doubled_area = np.cross(b - a, c - a)
+        smooth = np.zeros_like(normals)
+        for k in range(3):
+            np.add.at(smooth, indices[:, k], doubled_area)
+        smooth[np.linalg.norm(smooth, axis=1) == 0.0] = (0.0, 0.0, 1.0)
+        normals[missing] = smooth[missing]
+    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
