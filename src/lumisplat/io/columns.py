@@ -16,25 +16,27 @@ from lumisplat.scene.gaussians import Gaussians
 
 logger = logging.getLogger("lumisplat.io")
 
+Floats = npt.NDArray[np.floating]
+
 
 @dataclass(slots=True, eq=False)
 class SplatColumns:
-    """N Gaussians as a file stores them. Arrays are float32 and not yet validated."""
+    """N Gaussians as a file stores them, not yet validated."""
 
-    means: FloatArray
+    means: Floats
     """Shape (N, 3)."""
-    rotations_wxyz: FloatArray
+    rotations_wxyz: Floats
     """Of any length, shape (N, 4)."""
-    log_scales: FloatArray
+    log_scales: Floats
     """Natural logarithms of the standard deviations, shape (N, 3)."""
-    opacities: FloatArray
+    opacities: Floats
     """Logits, or 0..1 where ``opacities_are_logits`` is off, shape (N,)."""
-    sh: FloatArray
+    sh: Floats
     """DC first, shape (N, K, 3)."""
-    normals: FloatArray | None = None
-    albedo: FloatArray | None = None
-    roughness: FloatArray | None = None
-    metallic: FloatArray | None = None
+    normals: Floats | None = None
+    albedo: Floats | None = None
+    roughness: Floats | None = None
+    metallic: Floats | None = None
     opacities_are_logits: bool = True
     antialiased: bool = False
     comments: tuple[str, ...] = ()
@@ -97,15 +99,19 @@ def gaussians_from_columns(
             raise FormatError(path, f"{summary}: no valid Gaussian is left")
         logger.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", ", ".join(problems))
         kept = ~invalid
+
+    def picked(values: Floats) -> FloatArray:
+        return values[kept].astype(np.float32, copy=False)
+
     extras = {name: getattr(columns, name) for name in ("normals", "albedo", "roughness", "metallic")}
     try:
         return Gaussians(
-            columns.means[kept],
-            columns.rotations_wxyz[kept],
-            scales[kept],
-            opacities[kept],
-            columns.sh[kept],
-            **{name: values[kept] for name, values in extras.items() if values is not None},
+            picked(columns.means),
+            picked(columns.rotations_wxyz),
+            picked(scales),
+            picked(opacities),
+            picked(columns.sh),
+            **{name: picked(values) for name, values in extras.items() if values is not None},
             antialiased=columns.antialiased,
             comments=columns.comments,
         )
@@ -113,7 +119,7 @@ def gaussians_from_columns(
         raise FormatError(path, str(error)) from None
 
 
-def _invalid_rows(columns: SplatColumns, scales: FloatArray) -> tuple[npt.NDArray[np.bool_], list[str]]:
+def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
     """Which Gaussians cannot be used, shape (N,), and what is wrong, one phrase per property."""
     invalid = np.zeros(columns.count, dtype=bool)
     problems = []

@@ -9,6 +9,7 @@ rotation as smallest three (2+10+10+10, wxyz), colour and opacity as 8 bits each
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +17,10 @@ import numpy.typing as npt
 from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
-from lumisplat.io.columns import SplatColumns, sh_property_names, warn_unsupported
-from lumisplat.io.ply import PlyHeader, ply_header_bytes, read_ply_element, read_ply_header
+from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_unsupported
+from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_element, read_ply_header
 from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
-from lumisplat.scene.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
 
 CHUNK = 256
@@ -56,44 +56,46 @@ def read_compressed_ply(path: str | os.PathLike[str], header: PlyHeader | None =
         FormatError: A property is missing, element counts do not fit, or the file is truncated.
     """
     header = header or read_ply_header(path)
-    chunk, vertex, sh = (_element_rows(header, name) for name in ("chunk", "vertex", "sh"))
-    if chunk is None or vertex is None:
-        raise FormatError(path, "is not a complete compressed capture: no chunk or vertex element")
-    _require(header, "chunk", chunk, POSITION_RANGE + SCALE_RANGE)
-    _require(header, "vertex", vertex, PACKED)
-    if any(vertex.dtype[name].kind != "u" or vertex.dtype[name].itemsize != 4 for name in PACKED):
-        raise FormatError(path, "packed properties are not all of type uint")
+    _require(header, "chunk", "f4", POSITION_RANGE + SCALE_RANGE)
+    _require(header, "vertex", "u4", PACKED)
+    chunk, vertex = (read_ply_element(header, _element(header, name)) for name in ("chunk", "vertex"))
     count = len(vertex)
     if len(chunk) != -(-count // CHUNK):
         raise FormatError(path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {-(-count // CHUNK):,}")
-    position, rotation, scale, color = (vertex[name].astype(np.uint32) for name in PACKED)
+    position, rotation, scale, color = (vertex[name].astype(np.uint32, copy=False) for name in PACKED)
     colors = unpack_bits(color, BITS_COLOR)
     kept = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
-    rgb = colors[:, :3] if "min_r" not in (chunk.dtype.names or ()) else _spread(colors[:, :3], chunk, COLOR_RANGE)
+    rgb = colors[:, :3]
+    if "min_r" in _element(header, "chunk").names:
+        _require(header, "chunk", "f4", COLOR_RANGE)
+        rgb = _spread(rgb, chunk, COLOR_RANGE)
     return SplatColumns(
         means=_spread(unpack_bits(position, BITS_POSITION), chunk, POSITION_RANGE),
         rotations_wxyz=unpack_smallest_three(rotation >> np.uint32(30), kept),
         log_scales=_spread(unpack_bits(scale, BITS_POSITION), chunk, SCALE_RANGE),
         opacities=colors[:, 3],
-        sh=_unpack_sh(header, (rgb - np.float32(0.5)) / np.float32(SH_C0), sh),
+        sh=_with_rest(header, (rgb - np.float32(0.5)) / np.float32(SH_C0)),
         opacities_are_logits=False,
         antialiased=antialiased_from_comments(header.comments),
         comments=header.comments,
     )
 
 
-def _element_rows(header: PlyHeader, name: str) -> np.ndarray | None:
+def _element(header: PlyHeader, name: str) -> PlyElement:
     element = header.element(name)
-    return None if element is None else read_ply_element(header, element)
+    if element is None:
+        raise FormatError(header.path, f"is not a complete compressed capture: no element {name}")
+    return element
 
 
-def _require(header: PlyHeader, element: str, rows: np.ndarray, names: tuple[str, ...]) -> None:
-    missing = [name for name in names if name not in (rows.dtype.names or ())]
-    if missing:
-        raise FormatError(header.path, f"is not a complete compressed capture: {element} has no {', '.join(missing)}")
+def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str]) -> None:
+    types = dict(_element(header, name).properties)
+    wrong = [prop for prop in properties if types.get(prop) != code]
+    if wrong:
+        raise FormatError(header.path, f"is not a compressed capture: {name} has no {', '.join(wrong)} of type {code}")
 
 
-def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> FloatArray:
+def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
     """Fields of 32-bit words, the first in the highest bits, each scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
@@ -105,7 +107,7 @@ def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> FloatArray:
     return values
 
 
-def pack_bits(values: FloatArray, bits: tuple[int, ...]) -> Packed:
+def pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
     """The inverse of `unpack_bits`: rounds fields of 0..1, clipping what lies outside."""
     packed = np.zeros(len(values), dtype=np.uint32)
     for i, width in enumerate(bits):
@@ -115,7 +117,7 @@ def pack_bits(values: FloatArray, bits: tuple[int, ...]) -> Packed:
     return packed
 
 
-def _spread(unit: FloatArray, chunk: np.ndarray, names: tuple[str, ...]) -> FloatArray:
+def _spread(unit: Floats, chunk: np.ndarray, names: tuple[str, ...]) -> Floats:
     """Values of 0..1 to the range of their chunk, shape (N, 3)."""
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
     with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges: refused later, as non-finite values
@@ -123,23 +125,23 @@ def _spread(unit: FloatArray, chunk: np.ndarray, names: tuple[str, ...]) -> Floa
         return (low + unit * size).astype(np.float32, copy=False)
 
 
-def _unpack_sh(header: PlyHeader, dc: FloatArray, rest: np.ndarray | None) -> FloatArray:
-    """SH of shape (N, K, 3) from the DC term and the ``sh`` element."""
-    if rest is None:
+def _with_rest(header: PlyHeader, dc: Floats) -> Floats:
+    """SH of shape (N, K, 3): the DC term, and the degrees that the ``sh`` element holds, if there is one."""
+    element = header.element("sh")
+    if element is None:
         return dc[:, None, :]
-    names = rest.dtype.names or ()
-    if len(rest) != len(dc) or len(names) not in (9, 24, 45):
-        raise FormatError(header.path, f"has {len(rest):,} sh rows of {len(names)} values for {len(dc):,} Gaussians")
-    sh = np.empty((len(dc), 1 + len(names) // 3, 3), dtype=np.float32)
+    rest = len(element.properties)
+    if element.count != len(dc) or rest not in (9, 24, 45):
+        raise FormatError(header.path, f"has {element.count:,} sh rows of {rest} values for {len(dc):,} Gaussians")
+    sh = np.empty((len(dc), 1 + rest // 3, 3), dtype=np.float32)
     sh[:, 0] = dc
-    ordered = sh_property_names(sh.shape[1])[3:]
-    _require(header, "sh", rest, tuple(ordered))
+    names = sh_property_names(sh.shape[1])[3:]
+    _require(header, "sh", "u1", names)
+    rows = read_ply_element(header, element)
     values = (np.arange(256, dtype=np.float32) - 127.5) / 32.0
     values[[0, 255]] = (-4.0, 4.0)
-    for i, name in enumerate(ordered, start=3):
-        if rest.dtype[name] != np.uint8:
-            raise FormatError(header.path, f"sh property {name} is {rest.dtype[name]}, expected uchar")
-        sh[:, i // 3, i % 3] = values[rest[name]]
+    for i, name in enumerate(names, start=3):
+        sh[:, i // 3, i % 3] = values[rows[name]]
     return sh
 
 
@@ -178,7 +180,7 @@ def write_compressed_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> 
         file.write(np.clip((rest / 8.0 + 0.5) * 256.0, 0.0, 255.0).astype(np.uint8).tobytes())
 
 
-def morton_order(positions: FloatArray) -> npt.NDArray[np.int64]:
+def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
     """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells an axis."""
     low = positions.min(axis=0).astype(np.float64)
     extent = np.maximum(positions.max(axis=0) - low, np.finfo(np.float32).tiny)
@@ -198,7 +200,7 @@ def morton_order(positions: FloatArray) -> npt.NDArray[np.int64]:
     return np.argsort(code, kind="stable")
 
 
-def _gather(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _gather(values: Floats) -> tuple[Floats, Floats]:
     """Ranges of the chunks, shape (C, 6), and values of 0..1 within them, shape (N, 3)."""
     starts = np.arange(0, len(values), CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)

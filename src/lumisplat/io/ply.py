@@ -101,9 +101,7 @@ def read_ply_header(path: str | os.PathLike[str]) -> PlyHeader:
     return PlyHeader(os.fspath(path), encoding, comments, elements, end.end(), size)
 
 
-def _parse_lines(
-    path: str | os.PathLike[str], lines: list[str]
-) -> tuple[str, tuple[str, ...], tuple[PlyElement, ...]]:
+def _parse_lines(path: str | os.PathLike[str], lines: list[str]) -> tuple[str, tuple[str, ...], tuple[PlyElement, ...]]:
     encoding = ""
     comments: list[str] = []
     elements: list[tuple[str, int, list[tuple[str, str]]]] = []
@@ -175,7 +173,7 @@ def _ascii_rows(header: PlyHeader, element: PlyElement, rows_before: int) -> Ite
         file.seek(header.data_offset)
         if element.count:
             rows = np.loadtxt(
-                file, rows.dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="latin1"
+                file, rows.dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="ascii"
             )
     if len(rows) < element.count:
         _truncated(header, element, f"{len(rows):,} rows")
@@ -199,9 +197,7 @@ def _truncated(header: PlyHeader, element: PlyElement, found: str) -> None:
     )
 
 
-def ply_header_bytes(
-    comments: tuple[str, ...], elements: list[tuple[str, int, str, list[str]]]
-) -> bytes:
+def ply_header_bytes(comments: tuple[str, ...], elements: list[tuple[str, int, str, list[str]]]) -> bytes:
     """A little-endian header.
 
     Args:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.io.columns import Floats
 from lumisplat.scene.arrays import FloatArray
 
 
-def unpack_smallest_three(largest: npt.NDArray[np.integer], kept: FloatArray) -> FloatArray:
+def unpack_smallest_three(largest: npt.NDArray[np.integer], kept: Floats) -> FloatArray:
     """Restores unit quaternions, their largest component positive.
 
     Args:
@@ -26,7 +27,7 @@ def unpack_smallest_three(largest: npt.NDArray[np.integer], kept: FloatArray) ->
     return quaternions
 
 
-def pack_smallest_three(quaternions: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
+def pack_smallest_three(quaternions: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
     """The inverse of `unpack_smallest_three`.
 
     Args:

@@ -25,11 +25,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from lumisplat.errors import FormatError
-from lumisplat.io.columns import SplatColumns
+from lumisplat.io.columns import Floats, SplatColumns
 from lumisplat.io.limits import check_expansion, check_gaussian_count
 from lumisplat.io.quaternions import unpack_smallest_three
 from lumisplat.io.source import parsing, read_bytes
-from lumisplat.scene.arrays import FloatArray
 
 PathLike = str | os.PathLike[str]
 Bytes = npt.NDArray[np.uint8]
@@ -143,7 +142,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
     )
 
 
-def _values(stored: Bytes, field: Meta) -> FloatArray:
+def _values(stored: Bytes, field: Meta) -> Floats:
     """Bytes to numbers, by the codebook of a field or, in version 1, by its range."""
     if "codebook" not in field:
         return _spread(stored / np.float32(255.0), field)
@@ -153,19 +152,19 @@ def _values(stored: Bytes, field: Meta) -> FloatArray:
     return codebook[stored]
 
 
-def _spread(unit: FloatArray, field: Meta) -> FloatArray:
+def _spread(unit: Floats, field: Meta) -> Floats:
     low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
     return low + unit * (high - low)
 
 
-def _rotations(pixels: Bytes) -> FloatArray:
+def _rotations(pixels: Bytes) -> Floats:
     """Smallest three of wxyz, a byte each; zero, and so refused later, where the tag is none. Shape (N, 4)."""
     kept = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     largest = pixels[:, 3].astype(np.int64) - QUATERNION_TAG
     return unpack_smallest_three(largest, kept) * (largest >= 0)[:, None]
 
 
-def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> FloatArray:
+def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
     """Coefficients of degree 1 up, from a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
     # Writers list the centroids first, the specification the labels: the names tell them apart.
     centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)

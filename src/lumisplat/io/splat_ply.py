@@ -21,7 +21,7 @@ from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_h
 from lumisplat.scene.gaussians import Gaussians
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
-OPTIONAL = ("normals", "albedo", "roughness", "metallic")
+MATERIAL = ("albedo", "roughness", "metallic")
 
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 """Brush's spelling, which PlayCanvas's tools also write."""
@@ -75,8 +75,9 @@ def read_splat_ply(
     for rows in read_ply_rows(header, vertex):
         # Allocated only once the first block proves that the file is as long as its header says.
         columns = columns or _allocate(header, vertex, coefficients)
-        for name, target in _targets(columns):
-            target[start : start + len(rows)] = rows[name]
+        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32: refused later, as infinite
+            for name, target in _targets(columns):
+                target[start : start + len(rows)] = rows[name]
         start += len(rows)
         if progress:
             progress(start / vertex.count)
@@ -107,15 +108,19 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
     def empty(*shape: int) -> np.ndarray:
         return np.empty((vertex.count, *shape), dtype=np.float32)
 
-    present = [field for field in OPTIONAL if set(PROPERTY_NAMES[field]) <= set(vertex.names)]
-    shapes = {"normals": (3,), "albedo": (3,), "roughness": (), "metallic": ()}
+    def optional(field: str, *shape: int) -> np.ndarray | None:
+        return empty(*shape) if set(PROPERTY_NAMES[field]) <= set(vertex.names) else None
+
     return SplatColumns(
         means=empty(3),
         rotations_wxyz=empty(4),
         log_scales=empty(3),
         opacities=empty(),
         sh=empty(coefficients, 3),
-        **{field: empty(*shapes[field]) for field in present},
+        normals=optional("normals", 3),
+        albedo=optional("albedo", 3),
+        roughness=optional("roughness"),
+        metallic=optional("metallic"),
         antialiased=antialiased_from_comments(header.comments),
         comments=header.comments,
     )
@@ -142,7 +147,7 @@ def write_splat_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     rest = [f"f_rest_{i}" for i in range(3 * (columns.sh.shape[1] - 1))]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
-    names += [name for field in OPTIONAL[1:] for name in PROPERTY_NAMES[field] if name in values]
+    names += [name for field in MATERIAL for name in PROPERTY_NAMES[field] if name in values]
     header = ply_header_bytes(comments_with_flag(gaussians), [("vertex", columns.count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:

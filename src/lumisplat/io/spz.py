@@ -12,7 +12,7 @@ import math
 import os
 import struct
 from dataclasses import dataclass, replace
-from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -140,13 +140,13 @@ def _read_v4(path: str | os.PathLike[str], data: bytes) -> tuple[SpzHeader, Spla
     return header, columns, data[HEADER_V4.size : toc_offset]
 
 
-def _gsply(path: str | os.PathLike[str]):  # noqa: ANN202 - an extension module without stubs
+def _gsply(path: str | os.PathLike[str]) -> ModuleType:
     # Imported by itself: `import gsply` would start numba, half a second that this module does not need.
     try:
         import gsply_cpp
     except ImportError:
         raise FormatError(
-            path, "SPZ version 4 needs gsply's C++ module, which gsply's wheels hold: pip install --only-binary gsply gsply"
+            path, "SPZ version 4 needs the C++ module in gsply's wheels: pip install --only-binary gsply gsply"
         ) from None
     return gsply_cpp
 

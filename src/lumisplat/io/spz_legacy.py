@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import zlib
 
@@ -9,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.columns import SplatColumns
+from lumisplat.io.columns import Floats, SplatColumns
 from lumisplat.io.quaternions import unpack_smallest_three
 from lumisplat.io.spz import HEADER_LEGACY, SpzHeader, parse_header
-from lumisplat.scene.arrays import FloatArray
 
 COLOR_SCALE = 0.15
 """Colour byte = 255 (0.5 + 0.15 DC): wider than 0..1, so that no coefficient is clipped."""
@@ -45,7 +45,7 @@ def read_legacy(path: str | os.PathLike[str], data: bytes) -> tuple[SpzHeader, S
             path, f"truncated: {header.count:,} Gaussians take {size:,} bytes, {len(content) - 16:,} are there"
         )
     ends = np.cumsum((HEADER_LEGACY.size, *header.section_sizes))
-    sections = [np.frombuffer(content, np.uint8)[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    sections = [np.frombuffer(content, np.uint8)[a:b] for a, b in itertools.pairwise(ends)]
     return header, _decode(header, sections), content[ends[-1] :]
 
 
@@ -63,8 +63,9 @@ def _decode(header: SpzHeader, sections: list[Bytes]) -> SplatColumns:
     coefficients = np.empty((n, header.sh_coefficients, 3), dtype=np.float32)
     coefficients[:, 0] = (colors.reshape(n, 3) / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOR_SCALE)
     coefficients[:, 1:] = (sh.reshape(n, -1, 3) - np.float32(128.0)) / np.float32(128.0)
+    half = header.version == 1
     return SplatColumns(
-        means=_half_positions(positions) if header.version == 1 else _fixed_positions(positions, header.fractional_bits),
+        means=_half_positions(positions) if half else _fixed_positions(positions, header.fractional_bits),
         rotations_wxyz=_packed_rotations(rotations) if header.version >= 3 else _byte_rotations(rotations),
         log_scales=scales.reshape(n, 3) / np.float32(16.0) - np.float32(10.0),
         opacities=alphas / np.float32(255.0),
@@ -73,11 +74,11 @@ def _decode(header: SpzHeader, sections: list[Bytes]) -> SplatColumns:
     )
 
 
-def _half_positions(section: Bytes) -> FloatArray:
+def _half_positions(section: Bytes) -> Floats:
     return section.view("<f2").astype(np.float32).reshape(-1, 3)
 
 
-def _fixed_positions(section: Bytes, fractional_bits: int) -> FloatArray:
+def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
     """24-bit two's complement, shape (N, 3)."""
     parts = section.reshape(-1, 3, 3).astype(np.int32)
     # Into the high bytes of an int32, so that the sign is where it belongs; then back down, sign and all.
@@ -85,13 +86,13 @@ def _fixed_positions(section: Bytes, fractional_bits: int) -> FloatArray:
     return fixed * np.float32(2.0**-fractional_bits)
 
 
-def _byte_rotations(section: Bytes) -> FloatArray:
+def _byte_rotations(section: Bytes) -> Floats:
     """x, y, z as bytes; w positive, from unit length. Shape (N, 4), wxyz."""
     xyz = section.reshape(-1, 3) / np.float32(127.5) - np.float32(1.0)
     return unpack_smallest_three(np.zeros(len(xyz), dtype=np.int64), xyz)
 
 
-def _packed_rotations(section: Bytes) -> FloatArray:
+def _packed_rotations(section: Bytes) -> Floats:
     """Smallest three of xyzw: 2 bits of index, then sign and 9 bits of magnitude each. Shape (N, 4), wxyz."""
     packed = section.view("<u4")
     fields = np.stack([packed >> np.uint32(shift) & np.uint32(0x3FF) for shift in (20, 10, 0)], axis=1)
