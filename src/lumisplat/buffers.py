@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import warp as wp
@@ -21,12 +22,12 @@ class Buffers:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._arrays: dict[str, wp.array] = {}
-        self._views: dict[tuple[str, tuple[int, ...]], wp.array] = {}
+        self._arrays: dict[str, Any] = {}
+        self._views: dict[tuple[str, tuple[int, ...]], Any] = {}
         self.allocations = 0
         """How often memory was allocated, for tests and for invalidating captured graphs."""
 
-    def get(self, name: str, dtype: Any, shape: int | tuple[int, ...]) -> wp.array:
+    def get(self, name: str, dtype: Any, shape: int | tuple[int, ...]) -> Any:
         """An array of ``shape`` with undefined contents.
 
         Raises:
@@ -36,13 +37,12 @@ class Buffers:
         view = self._views.get((name, shape))
         if view is not None:
             return view
-        size = 1
-        for side in shape:
-            size *= side
+        size = math.prod(shape)
         held = self._arrays.get(name)
         if held is None or held.size < size:
             held = self._allocate(name, dtype, max(size, 1))
-        view = held[:size].reshape(shape) if size else held[:0]
+        view: Any = held[:size]
+        view = view.reshape(shape) if size else view
         self._views[(name, shape)] = view
         return view
 
@@ -55,7 +55,7 @@ class Buffers:
         """Memory held, bytes."""
         return sum(array.capacity for array in self._arrays.values())
 
-    def _allocate(self, name: str, dtype: Any, size: int) -> wp.array:
+    def _allocate(self, name: str, dtype: Any, size: int) -> Any:
         self._arrays.pop(name, None)  # freed before its successor is made: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         try:

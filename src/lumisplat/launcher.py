@@ -72,12 +72,12 @@ class Launcher:
         if progress:
             progress("compiling kernels (once)", 1.0)
 
-    def run(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
+    def run(self, kernel: Any, count: int, *inputs: Any) -> None:
         """Runs ``count`` items of ``kernel`` in one launch."""
         if count:
             wp.launch(kernel, dim=count, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
-    def run_banded(self, kernel: wp.Kernel, count: int, *inputs: Any, bands: int | None = None) -> None:
+    def run_banded(self, kernel: Any, count: int, *inputs: Any, bands: int | None = None) -> None:
         """Runs ``count`` items of ``kernel(start, *inputs)``, on the CPU in bands over all threads.
 
         Args:
@@ -128,7 +128,7 @@ class Launcher:
                 work()
             graph = capture.graph
             self._graphs[name] = (key, graph)
-        wp.capture_launch(graph)
+        wp.capture_launch(graph)  # type: ignore[arg-type]
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

@@ -103,9 +103,13 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
 
 @wp.func
 def alpha_from_log(log_alpha: float) -> float:
-    """Alpha of a logarithm in [log(1/255), 0], to 1e-6: (p(x/8))^8 in multiplications only, so that it vectorises."""
+    """Alpha of a logarithm in [log(1/255), 0], to 7e-7 relative.
+
+    exp(x) = p(x / 8)^8 with a minimax p of degree 5 and p(0) = 1: multiplications and additions, so that it vectorises.
+    """
     x = 0.125 * log_alpha
-    p = 1.0 + x * (1.0 + x * (0.5 + x * (0.16666667 + x * (0.041666667 + x * (0.008333333 + x * 0.0013888889)))))
+    p = 0.039882663 + x * 0.0059069833
+    p = 1.0 + x * (0.999995 + x * (0.49990376 + x * (0.16604706 + x * p)))
     p = p * p
     p = p * p
     return wp.min(p * p, ALPHA_LIMIT)

@@ -1,9 +1,20 @@
 """Data that kernels exchange. One struct is one noun of the method."""
 
+from typing import TYPE_CHECKING, TypeVar
+
 import warp as wp
 
+if TYPE_CHECKING:
+    Noun = TypeVar("Noun")
 
-@wp.struct
+    def struct(noun: type[Noun]) -> type[Noun]:
+        """Type checkers see a plain class, which is how host code uses it."""
+        return noun
+else:
+    struct = wp.struct
+
+
+@struct
 class CameraData:
     """A pinhole camera and the settings of a frame. Lives in a 1-element array, so that captured graphs see changes."""
 
@@ -33,7 +44,7 @@ class CameraData:
     """Display-referred sRGB."""
 
 
-@wp.struct
+@struct
 class GaussianData:
     """A Gaussian asset on the device, in its own space."""
 
@@ -48,7 +59,7 @@ class GaussianData:
     sh_count: int
 
 
-@wp.struct
+@struct
 class InstanceData:
     """One placement of an asset as a frame sees it."""
 
@@ -65,7 +76,7 @@ class InstanceData:
     """1: compensate opacity for the dilation (Mip-Splatting)."""
 
 
-@wp.struct
+@struct
 class Splat:
     """A projected Gaussian, 64 bytes.
 
@@ -96,7 +107,7 @@ class Splat:
     """Among all Gaussians of the scene."""
 
 
-@wp.struct
+@struct
 class Rect:
     """Half-open rectangle of tiles, 8 bytes; empty for what is culled."""
 
@@ -106,7 +117,7 @@ class Rect:
     y1: wp.int16
 
 
-@wp.struct
+@struct
 class ChunkData:
     """What one chunk of depth keys holds."""
 
@@ -116,7 +127,7 @@ class ChunkData:
     nonfinite: int
 
 
-@wp.struct
+@struct
 class SurfaceData:
     """What primary visibility finds, one element a pixel: the seam between it and everything that shades."""
 
@@ -134,7 +145,7 @@ class SurfaceData:
     """Splat instances first, then mesh instances; -1: none."""
 
 
-@wp.struct
+@struct
 class MeshHits:
     """The nearest mesh surface, one element a pixel."""
 
@@ -148,7 +159,7 @@ class MeshHits:
     """Among all instances of the scene."""
 
 
-@wp.struct
+@struct
 class Pixel:
     """Front-to-back blending of one pixel."""
 
@@ -162,7 +173,7 @@ class Pixel:
     """Splat of the iso-opacity surface; -1: not reached."""
 
 
-@wp.struct
+@struct
 class MeshData:
     """All meshes of a scene, end to end, each in its own space."""
 
@@ -179,7 +190,7 @@ class MeshData:
     """sRGB decoding table, 256 entries."""
 
 
-@wp.struct
+@struct
 class MeshInstanceData:
     """One placement of a mesh as a frame sees it."""
 
@@ -200,12 +211,12 @@ class MeshInstanceData:
     texture_height: int
 
 
-@wp.struct
+@struct
 class Triangle:
-    """A triangle in camera space, set up for the rays through pixel centres (Olano and Greer 1997, homogeneous edges).
+    """A triangle in camera space, set up for the rays through pixel centres (Olano and Greer 1997).
 
-    For a ray (x, y, 1): inside where all three ``edge . ray`` are >= 0; the view depth is ``volume / sum``, and the edge
-    values over their sum are the perspective-correct barycentric coordinates. Vertices may lie behind the camera.
+    For a ray (x, y, 1): inside where all three ``edge . ray`` are >= 0; the view depth is ``volume / sum``, and the
+    edge values over their sum are perspective-correct barycentric coordinates. Vertices may lie behind the camera.
     """
 
     edge0: wp.vec3

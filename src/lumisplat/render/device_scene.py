@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -36,9 +38,9 @@ class DeviceScene:
         """Triangles of each mesh instance."""
         self.gaussian_counts: list[int] = []
         """Gaussians of each splat instance."""
-        self.camera = wp.zeros(1, dtype=CameraData, device=device)
-        self.instances = wp.zeros(0, dtype=InstanceData, device=device)
-        self.mesh_instances = wp.zeros(0, dtype=MeshInstanceData, device=device)
+        self.camera: Any = wp.zeros(1, dtype=CameraData, device=device)
+        self.instances: Any = wp.zeros(0, dtype=InstanceData, device=device)
+        self.mesh_instances: Any = wp.zeros(0, dtype=MeshInstanceData, device=device)
 
     def sync(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
         """Uploads the assets that are new, drops those no longer used, and writes poses and camera."""
@@ -76,9 +78,9 @@ class DeviceScene:
         self.face_counts = [instance.mesh.face_count for instance in scene.meshes]
 
     def _place_splats(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
-        table = np.zeros(len(scene.splats), dtype=InstanceData.numpy_dtype())
+        table = np.zeros(len(scene.splats), dtype=table_dtype(InstanceData))
         first = 0
-        for row, instance in zip(table, scene.splats, strict=True):
+        for row, instance in zip(_rows(table), scene.splats, strict=True):
             camera_from_object = camera.camera_from_world @ instance.transform
             row["camera_from_object"] = camera_from_object[:3, :3]
             row["camera_from_object_offset"] = camera_from_object[:3, 3]
@@ -98,9 +100,9 @@ class DeviceScene:
         for mesh in self._meshes:
             face_first[id(mesh)] = total
             total += mesh.face_count
-        table = np.zeros(len(scene.meshes), dtype=MeshInstanceData.numpy_dtype())
+        table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
         triangle_first = 0
-        for row, instance in zip(table, scene.meshes, strict=True):
+        for row, instance in zip(_rows(table), scene.meshes, strict=True):
             camera_from_object = camera.camera_from_world @ instance.transform
             row["camera_from_object"] = camera_from_object[:3, :3]
             row["camera_from_object_offset"] = camera_from_object[:3, 3]
@@ -118,7 +120,7 @@ class DeviceScene:
             triangle_first += instance.mesh.face_count
         self.mesh_instances = self._write(self.mesh_instances, MeshInstanceData, table)
 
-    def _write(self, held: wp.array, dtype: type, table: np.ndarray) -> wp.array:
+    def _write(self, held: Any, dtype: Any, table: np.ndarray) -> Any:
         if held.shape[0] != len(table):
             held = wp.zeros(len(table), dtype=dtype, device=self._device)
             self.version += 1
@@ -127,10 +129,15 @@ class DeviceScene:
         return held
 
 
+def table_dtype(struct: Any) -> np.dtype:
+    """NumPy's view of a Warp struct, to fill tables of it row by row."""
+    return np.dtype(struct.numpy_dtype())
+
+
 def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the frame's camera and settings from."""
-    table = np.zeros(1, dtype=CameraData.numpy_dtype())
-    row = table[0]
+    table = np.zeros(1, dtype=table_dtype(CameraData))
+    row = _rows(table)[0]
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
@@ -194,7 +201,11 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
     return data, texture_first
 
 
-def _shared(values: np.ndarray, dtype: type, device: str) -> wp.array:
+def _rows(table: np.ndarray) -> list[Any]:
+    return [table[i] for i in range(len(table))]
+
+
+def _shared(values: np.ndarray, dtype: Any, device: str) -> Any:
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if device != "cpu":
         return wp.array(values, dtype=dtype, device=device)

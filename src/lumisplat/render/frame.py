@@ -21,15 +21,15 @@ class FrameStats:
 
     stage_ms: dict[str, float]
     """Wall time of each stage, milliseconds; on CUDA only when profiling."""
-    gaussians: int
+    gaussian_count: int
     """Gaussians in the scene, over all instances."""
-    visible: int
+    visible_count: int
     """Gaussians that can touch the image."""
-    nonfinite: int
+    nonfinite_count: int
     """Gaussians dropped because a projected value was NaN or infinite."""
-    pairs: int
+    pair_count: int
     """(tile, Gaussian) pairs."""
-    triangles: int
+    triangle_count: int
     """Triangles in the scene, over all instances."""
     memory_bytes: int
     """Device memory of assets and frame buffers."""

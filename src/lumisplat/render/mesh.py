@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.buffers import Buffers
@@ -56,7 +58,7 @@ class MeshRaster:
         )
         return hits
 
-    def _project(self, scene: DeviceScene) -> tuple[wp.array, wp.array]:
+    def _project(self, scene: DeviceScene) -> tuple[Any, Any]:
         total = sum(scene.face_counts)
         triangles = self._buffers.get("mesh.triangles", Triangle, total)
         rects = self._buffers.get("mesh.rects", Rect, total)

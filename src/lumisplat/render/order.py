@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -18,7 +19,7 @@ from lumisplat.render import order_kernels as kernels
 class DepthOrder:
     """Items front to back; ties keep their order."""
 
-    order: wp.array
+    order: Any
     """Item indices; those after ``count`` are not visible."""
     count: int
     """Items to list; in the parallel schedule all of them, as the visible count stays on the device."""
@@ -40,9 +41,9 @@ class OrderCounts:
 class TileLists:
     """Which items touch each tile, in depth order."""
 
-    starts: wp.array
+    starts: Any
     """First entry of each tile, and last the total."""
-    items: wp.array
+    items: Any
 
 
 class OrderChunked:
@@ -57,7 +58,7 @@ class OrderChunked:
         self._launcher, self._buffers = launcher, buffers
         self._visible, self._nonfinite, self._pairs = 0, 0, {}
 
-    def sort(self, keys: wp.array) -> DepthOrder:
+    def sort(self, keys: Any) -> DepthOrder:
         """Orders the visible items by key: a radix sort whose first pass also drops the culled ones."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         ranges = buffers.get("order.ranges", ChunkData, chunks)
@@ -96,7 +97,7 @@ class OrderChunked:
         self._launcher.run_banded(kernels.fill_identity, count, order)
         return DepthOrder(order, count)
 
-    def bin(self, name: str, depth_order: DepthOrder, rects: wp.array, tiles_x: int, tile_count: int) -> TileLists:
+    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: a counting sort by tile."""
         run, buffers, chunks, count = (
             self._launcher.run_banded,
@@ -133,11 +134,11 @@ class OrderParallel:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._capacity: dict[str, int] = {}
-        self._totals: dict[str, wp.array] = {}
+        self._totals: dict[str, Any] = {}
         self._key_counts = buffers.get("order.key_counts", wp.int32, 2)
         self._key_counts.zero_()
 
-    def sort(self, keys: wp.array) -> DepthOrder:
+    def sort(self, keys: Any) -> DepthOrder:
         """Orders all items by key; the culled ones come last and have empty rectangles."""
         count = keys.shape[0]
         sorted_keys = self._buffers.get("order.keys", wp.uint32, 2 * count)
@@ -154,7 +155,7 @@ class OrderParallel:
         self._launcher.run(kernels.fill_identity, count, 0, order)
         return DepthOrder(order, count)
 
-    def bin(self, name: str, depth_order: DepthOrder, rects: wp.array, tiles_x: int, tile_count: int) -> TileLists:
+    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: (tile, item) pairs in depth order, sorted stably by tile."""
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
         capacity = self._capacity.setdefault(name, grown(2 * count))

@@ -1,8 +1,8 @@
 """Depth order and tile lists, in two schedules.
 
 Chunked (CPU): one item is one contiguous chunk of the input, walked by one thread. A counting sort counts digits (or
-tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to positions that are its own:
-stable, write-once, no atomics.
+tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to positions that are its
+own: stable, write-once, no atomics.
 
 Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair; the library's radix sort and scan do the rest, over
 capacities rather than counts, so that nothing is read back.

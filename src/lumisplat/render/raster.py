@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.buffers import Buffers
@@ -26,7 +28,7 @@ class SplatRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
         self._launcher, self._buffers, self._order = launcher, buffers, order
 
-    def project(self, scene: DeviceScene) -> tuple[wp.array, wp.array, wp.array]:
+    def project(self, scene: DeviceScene) -> tuple[Any, Any, Any]:
         """Splats, depth keys and tile rectangles of all Gaussians of the scene."""
         total = sum(scene.gaussian_counts)
         splats = self._buffers.get("raster.splats", Splat, total)
@@ -40,13 +42,13 @@ class SplatRaster:
             )
         return splats, keys, rects
 
-    def bin(self, depth_order: DepthOrder, rects: wp.array, camera: Camera) -> TileLists:
+    def bin(self, depth_order: DepthOrder, rects: Any, camera: Camera) -> TileLists:
         """The splats of each tile, front to back."""
         tiles_x, tiles_y = tile_grid(camera)
         return self._order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
 
     def composite(
-        self, scene: DeviceScene, camera: Camera, splats: wp.array, lists: TileLists, hits: MeshHits
+        self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits
     ) -> SurfaceData:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
         tiles_x, tiles_y = tile_grid(camera)

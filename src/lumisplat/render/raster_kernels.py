@@ -2,8 +2,8 @@
 
 ``project_splats``: one item is one Gaussian of one instance; writes its splat, depth key and tile rectangle.
 ``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
-the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is one
-tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
+the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
+one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
 """
 
 import warp as wp

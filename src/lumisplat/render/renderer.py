@@ -54,7 +54,7 @@ class Renderer:
         """
         if max(scene.gaussian_count, scene.face_count) >= 2**31:
             raise SceneError("a scene holds at most 2,147,483,647 Gaussians and as many triangles")
-        self._launcher.stage_ms.clear()
+        self._launcher.stage_ms = {}
         with self._launcher.stage("sync"):
             self._scene.sync(scene, camera, self.config)
         surface = self._draw(camera)
@@ -102,11 +102,11 @@ class Renderer:
             background=self.config.background,
             stats=FrameStats(
                 stage_ms=self._launcher.stage_ms,
-                gaussians=scene.gaussian_count,
-                visible=counts.visible,
-                nonfinite=counts.nonfinite,
-                pairs=counts.pairs,
-                triangles=scene.face_count,
+                gaussian_count=scene.gaussian_count,
+                visible_count=counts.visible,
+                nonfinite_count=counts.nonfinite,
+                pair_count=counts.pairs,
+                triangle_count=scene.face_count,
                 memory_bytes=self._scene.bytes + self._buffers.bytes,
             ),
         )
