@@ -3,7 +3,8 @@
 Every step is a small function that can be read next to its equation: EWA projection (Zwicker et al. 2001), spherical
 harmonics, brute-force triangle visibility (Olano and Greer 1997), and front-to-back blending (Kerbl et al. 2023).
 The twin also says where it cannot be trusted to agree with float32: ``band`` marks the pixels at which some decision
-(a threshold, a depth order, a triangle's edge) was so close that rounding may take the other side.
+was so close that rounding may take the other side; ``tie`` those of them at which that may change the whole colour
+(a depth order, a triangle's edge), while a threshold of alpha or transmittance changes it by a step of 1/255.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Fragments:
 
 
 def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> dict[str, np.ndarray]:
-    """Renders a frame; the keys are those of ``Frame``, and ``band``."""
+    """Renders a frame; the keys are those of ``Frame``, ``band`` and ``tie``."""
     config = config or RenderConfig()
     splats = project(scene, camera, config.raster)
     fragments = rasterize_meshes(scene, camera)
@@ -238,7 +239,9 @@ def rasterize_triangle(
     ray_world = rays[wins] @ view[:3, :3]
     fragments.depth_z[wins] = depth_z[wins]
     fragments.color[wins] = encode_srgb(base_color(mesh, face, barycentric[wins]))
-    fragments.normal[wins] = mesh_normal(instance, face, corners, barycentric[wins], ray_world)
+    normal = mesh_normal(instance, face, corners, barycentric[wins], ray_world)
+    fragments.normal[wins] = normal
+    fragments.band[wins] |= np.abs((normal * ray_world).sum(axis=-1)) < BAND  # May be turned the other way.
     fragments.instance_index[wins] = number
 
 
@@ -263,14 +266,14 @@ def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndar
         color = color * (barycentric @ mesh.colors[face].astype(np.float64))
     texture = mesh.material.base_color_texture
     if texture is not None and mesh.uvs is not None:
-        color = color * decode_srgb(bilinear(texture, barycentric @ mesh.uvs[face].astype(np.float64)))
+        color = color * bilinear(texture, barycentric @ mesh.uvs[face].astype(np.float64))
     return color
 
 
 def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Encoded texels 0..1 at ``uv``, texel centres at +0.5, repeated, shape (P, 3)."""
+    """Linear colour at ``uv``, texel centres at +0.5, repeated, filtered after decoding, shape (P, 3)."""
     height, width = texture.shape[:2]
-    texels = texture[..., :3] / 255.0
+    texels = decode_srgb(texture[..., :3] / 255.0)
     x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     u, v = (x - x0)[:, None], (y - y0)[:, None]
@@ -305,7 +308,7 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
     shape = (camera.height, camera.width)
     color, normal, weight = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape)
     transmittance, last_z = np.ones(shape), np.full(shape, -np.inf)
-    done, band = np.zeros(shape, bool), fragments.band.copy()
+    done, band, tie = np.zeros(shape, bool), np.zeros(shape, bool), fragments.band.copy()
     depth_z, gaussian, instance = np.full(shape, np.inf), np.full(shape, -1), np.full(shape, -1)
 
     for i, z in enumerate(splats.depth_z):
@@ -316,11 +319,10 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
         after = transmittance[at] * (1.0 - alpha)
         band[at] |= touched & (
             (alpha < ALPHA_MIN * (1.0 + BAND))
-            | (z - last_z[at] < BAND_DEPTH * z)
-            | (np.abs(z - fragments.depth_z[at]) < BAND_DEPTH * z)
             | (np.abs(after - config.transmittance_min) < BAND * config.transmittance_min)
             | (np.abs(after - config.depth_iso_transmittance) < BAND * config.depth_iso_transmittance)
         )
+        tie[at] |= touched & (np.minimum(z - last_z[at], np.abs(z - fragments.depth_z[at])) < BAND_DEPTH * z)
         reached = live & (alpha >= ALPHA_MIN) & (z < fragments.depth_z[at])
         done[at] |= reached & (after <= config.transmittance_min)
         accepted = reached & ~done[at]
@@ -351,7 +353,8 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
         "normal": integrated_normal(normal + share[..., None] * fragments.normal, weight + share, camera),
         "gaussian_index": gaussian,
         "instance_index": np.where(surface, fragments.instance_index, instance),
-        "band": band | (np.abs(mean_length - NORMAL_DEGENERATE) < BAND),
+        "tie": tie,
+        "band": band | tie | (np.abs(mean_length - NORMAL_DEGENERATE) < BAND),
     }
 
 

@@ -45,6 +45,16 @@ def joined(*sets: Gaussians) -> Gaussians:
     return Gaussians(*(np.concatenate([getattr(s, name) for s in sets]) for name in names))
 
 
+def opposed_sheets() -> Gaussians:
+    """Two sheets seen nearly edge-on from either side: their normals all but cancel out."""
+    half = 0.5 * np.radians(85.0)
+    sheets = [
+        one_gaussian((0.0, 0.0, z), (0.6, 0.6, 1e-3), opacity, rotation=(np.cos(half), 0.0, turn * np.sin(half), 0.0))
+        for z, opacity, turn in ((4.0, 0.5, 1.0), (4.01, 0.99, -1.0))
+    ]
+    return joined(*sheets)
+
+
 def random_gaussians(
     seed: int,
     count: int = 150,
@@ -149,7 +159,7 @@ def cases() -> list[Case]:
     """The frames of the twin agreement."""
     big = random_gaussians(31, count=12, scale_range=(3.0, 30.0))
     needles = random_gaussians(32, count=80, scale_range=(0.001, 0.8))
-    around = random_gaussians(33, count=600, center=(0.0, 0.0, 0.0), extent=(4.0, 4.0, 4.0))
+    around = random_gaussians(33, count=1500, center=(0.0, 0.0, 0.0), extent=(3.0, 3.0, 3.0))
     edge = random_gaussians(34, count=60, center=(2.6, 0.0, 3.0), extent=(0.8, 1.5, 2.5), scale_range=(0.05, 0.6))
     dim = random_gaussians(37, count=2000, scale_range=(0.02, 0.08))
     lens = front_camera(61, 45, fx=50.0, fy=75.0, cx=20.3, cy=31.7)
@@ -178,10 +188,11 @@ def cases() -> list[Case]:
         Case("no dilation", Scene([random_gaussians(38)]), config=_raster(dilation=0.0)),
         Case("degree cut", Scene([random_gaussians(39, degree=3)]), config=_raster(sh_degree=1)),
         Case("other thresholds", Scene([random_gaussians(40, count=400)]), config=_raster(0.05, 0.3)),
+        Case("normals cancel", Scene([opposed_sheets()])),
         Case("white background", Scene([random_gaussians(41)]), config=RenderConfig(background=(1.0, 0.9, 0.8))),
         Case("transparent", Scene([random_gaussians(42)]), config=RenderConfig(background=None)),
         Case("mesh behind", _crossing(quad(6.0, 2.0))),
-        Case("mesh in front", _crossing(quad(2.4, 0.5))),
+        Case("mesh in front", _crossing(quad(2.4, 0.47))),
         Case("mesh crossing", _crossing(quad(4.0, 1.2, tilt=0.9)), _orbit()),
         Case("mesh textured", Scene([random_gaussians(23, count=60)], [textured])),
         Case("mesh smooth", _crossing(octahedron((0.0, 0.0, 4.0), 1.0)), _orbit()),
