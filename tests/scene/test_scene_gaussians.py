@@ -49,6 +49,14 @@ def test_quaternions_are_normalised(scale: float) -> None:
     np.testing.assert_allclose(unit[0] / unit[0, 0], [1.0, 2.0, -3.0, 4.0], rtol=1e-6)
 
 
+def test_normalising_twice_changes_nothing() -> None:
+    """Unit quaternions and normals come out as they went in, to the bit: subsets and round trips do not drift."""
+    once = dataclasses.replace(random_gaussians(3, 2000), normals=np.random.default_rng(0).normal(size=(2000, 3)))
+    twice = once.subset(np.arange(2000))
+    np.testing.assert_array_equal(twice.rotations_wxyz, once.rotations_wxyz)
+    np.testing.assert_array_equal(twice.normals, once.normals)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -110,6 +110,9 @@ def _normalised(name: str, vectors: FloatArray) -> FloatArray:
     largest = np.abs(vectors).max(axis=1, keepdims=True)
     _refuse(name, "of zero length", largest[:, 0] == 0.0)
     scaled = vectors / largest
-    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    length = np.linalg.norm(scaled, axis=1, keepdims=True)
+    # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.
+    already = np.abs(length - 1.0 / largest) < 1e-6 * length
+    unit = np.where(already, vectors, scaled / length)
     unit.flags.writeable = False
     return unit
