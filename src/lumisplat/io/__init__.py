@@ -21,7 +21,7 @@ __all__ = ["load", "load_cameras", "save"]
 PathLike = str | os.PathLike[str]
 Progress = Callable[[float], None]
 
-READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf"
+READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
 WRITABLE = ".ply, .compressed.ply, .spz"
 
 
@@ -30,7 +30,8 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
 
     Args:
         path: A Gaussian capture (PLY, compressed PLY, SPZ, SOG bundle, SOG folder or its ``meta.json``), a mesh (OBJ,
-            STL, PLY with faces) or a scene (glTF, GLB).
+            STL, PLY with faces) or a scene (glTF, GLB, a
+            ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log how many,
             instead of refusing the file.
         progress: Called with the fraction done, 0..1; the last call has 1.
@@ -61,6 +62,10 @@ def _load(path: PathLike, drop_invalid: bool, progress: Progress | None) -> Gaus
         from lumisplat.io.gltf import read_gltf
 
         return read_gltf(path)
+    if extension == ".toml":
+        from lumisplat.io.scene_file import read_scene_file
+
+        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
     if extension == ".ply":
         columns = _read_ply(path, progress)
         if columns is None:

@@ -59,6 +59,9 @@ PROPERTY_NAMES = {
 }
 """The PLY properties of each field, in order. The last three are ours, for relightable captures."""
 
+MATERIALS = ("normals", "albedo", "roughness", "metallic")
+"""The optional fields."""
+
 
 def sh_property_names(coefficients: int) -> list[str]:
     """PLY properties of SH in the order of ``sh.reshape(N, -1)``: f_rest is channel-major in files, ours is not."""
@@ -103,7 +106,7 @@ def gaussians_from_columns(
     def picked(values: Floats) -> FloatArray:
         return values[kept].astype(np.float32, copy=False)
 
-    extras = {name: getattr(columns, name) for name in ("normals", "albedo", "roughness", "metallic")}
+    extras = {name: getattr(columns, name) for name in MATERIALS}
     try:
         return Gaussians(
             picked(columns.means),
@@ -164,8 +167,8 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
     )
 
 
-def warn_unsupported(path: str | os.PathLike[str], kind: str, gaussians: Gaussians, *names: str) -> None:
-    """Logs a warning about data that a format cannot hold."""
-    lost = [name for name in names if getattr(gaussians, name) is not None and getattr(gaussians, name) != ()]
+def warn_lost_materials(path: str | os.PathLike[str], kind: str, gaussians: Gaussians) -> None:
+    """Logs a warning about normals and materials, for formats that cannot hold them."""
+    lost = [name for name in MATERIALS if getattr(gaussians, name) is not None]
     if lost:
         logger.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
-from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_unsupported
+from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
 from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_element, read_ply_header
 from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
@@ -154,7 +154,7 @@ def write_compressed_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> 
     Raises:
         FormatError: The file cannot be written.
     """
-    warn_unsupported(path, "compressed PLY", gaussians, "normals", "albedo", "roughness", "metallic")
+    warn_lost_materials(path, "compressed PLY", gaussians)
     ordered = gaussians.subset(morton_order(gaussians.means))
     log_scales = np.clip(np.log(ordered.scales), -LOG_SCALE_MAX, LOG_SCALE_MAX)
     rgb = ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)

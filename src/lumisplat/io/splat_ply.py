@@ -16,12 +16,11 @@ import numpy as np
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
-from lumisplat.io.columns import PROPERTY_NAMES, SplatColumns, columns_from_gaussians, sh_property_names
+from lumisplat.io.columns import MATERIALS, PROPERTY_NAMES, SplatColumns, columns_from_gaussians, sh_property_names
 from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_header, read_ply_rows
 from lumisplat.scene.gaussians import Gaussians
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
-MATERIAL = ("albedo", "roughness", "metallic")
 
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 """Brush's spelling, which PlayCanvas's tools also write."""
@@ -147,7 +146,7 @@ def write_splat_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     rest = [f"f_rest_{i}" for i in range(3 * (columns.sh.shape[1] - 1))]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
-    names += [name for field in MATERIAL for name in PROPERTY_NAMES[field] if name in values]
+    names += [name for field in MATERIALS[1:] for name in PROPERTY_NAMES[field] if name in values]
     header = ply_header_bytes(comments_with_flag(gaussians), [("vertex", columns.count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:

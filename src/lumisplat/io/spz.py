@@ -20,7 +20,7 @@ from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.axes import mirrored
-from lumisplat.io.columns import SplatColumns, columns_from_gaussians, warn_unsupported
+from lumisplat.io.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
 from lumisplat.io.limits import check_gaussian_count
 from lumisplat.io.source import read_bytes
 from lumisplat.scene.gaussians import Gaussians
@@ -174,7 +174,7 @@ def write_spz(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     Raises:
         FormatError: Positions beyond what 24-bit fixed point can hold, or the file cannot be written.
     """
-    warn_unsupported(path, "SPZ", gaussians, "normals", "albedo", "roughness", "metallic", "comments")
+    warn_lost_materials(path, "SPZ", gaussians)
     columns = mirrored(columns_from_gaussians(gaussians), RDF_FROM_RUB)
     bits = position_bits(path, float(np.abs(columns.means).max()))
     arrays = (columns.means, columns.log_scales, columns.rotations_wxyz, columns.opacities, columns.sh[:, 0])

@@ -1,0 +1,197 @@
+"""Builds tiny splat files of every format, by means other than the package's own writers where it has none."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.scene.gaussians import Gaussians
+
+SAVED = ("capture.ply", "capture.compressed.ply", "capture.spz")
+FORMATS = (*SAVED, "ascii.ply", "big_endian.ply", "v1.spz", "v2.spz", "v3.spz", "bundle.sog", "linear.sog")
+SOG_FILES = ("means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels")
+
+
+def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -> Gaussians:
+    """Gaussians with every property varied, SH within the +-1 that SPZ holds."""
+    rng = np.random.default_rng(seed)
+    sh = rng.uniform(-0.95, 0.95, (count, (degree + 1) ** 2, 3))
+    sh[:, 0] = rng.uniform(-1.6, 1.6, (count, 3))
+    return Gaussians(
+        rng.normal(0.0, 1.5, (count, 3)) + (0.0, -1.0, 3.0),
+        rng.normal(size=(count, 4)),
+        np.exp(rng.uniform(-6.0, 0.0, (count, 3))),
+        rng.uniform(0.02, 0.98, count),
+        sh,
+        **extra,  # type: ignore[arg-type]
+    )
+
+
+def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) -> Path:
+    """Writes one of `FORMATS` and returns its path."""
+    gaussians = gaussians or capture(40)
+    path = folder / name
+    if name in SAVED:
+        ls.save(path, gaussians)
+    elif name.endswith(".ply"):
+        ls.save(path, gaussians)
+        path.write_bytes(reencoded(path.read_bytes(), ascii=name.startswith("ascii")))
+    elif name.endswith(".spz"):
+        path.write_bytes(legacy_spz(gaussians, int(name[1])))
+    else:
+        path.write_bytes(zipped(sog_files(gaussians, linear=name.startswith("linear"))))
+    return path
+
+
+def ply_header(count: int, names: list[str], encoding: str = "binary_little_endian", kind: str = "float") -> bytes:
+    """Header of a vertex-only PLY."""
+    lines = ["ply", f"format {encoding} 1.0", f"element vertex {count}"]
+    return "\n".join([*lines, *(f"property {kind} {name}" for name in names), "end_header", ""]).encode()
+
+
+def parse_ply(data: bytes) -> tuple[list[str], np.ndarray]:
+    """Property names and values of a little-endian float PLY."""
+    header, body = data.split(b"end_header\n", 1)
+    names = [line.split()[-1] for line in header.decode().splitlines() if line.startswith("property")]
+    return names, np.frombuffer(body, "<f4").reshape(-1, len(names))
+
+
+def reencoded(data: bytes, ascii: bool) -> bytes:
+    """A little-endian float PLY as ASCII, or as big-endian doubles."""
+    names, values = parse_ply(data)
+    if ascii:
+        text = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in values)
+        return ply_header(len(values), names, "ascii") + text.encode()
+    return ply_header(len(values), names, "binary_big_endian", "double") + values.astype(">f8").tobytes()
+
+
+def legacy_spz(gaussians: Gaussians, version: int, flags: int = 0, extensions: bytes = b"") -> bytes:
+    """An SPZ file of version 1 to 3, in RUB axes, written Gaussian by Gaussian."""
+    odd = ["", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x"]
+    flips = [(-1) ** sum(axis in "yz" for axis in axes) for axes in odd]
+    sections: list[bytearray] = [bytearray() for _ in range(6)]
+    for i in range(gaussians.count):
+        x, y, z = (float(value) for value in gaussians.means[i])
+        for value in (x, -y, -z):
+            sections[0] += struct.pack("<e", value) if version == 1 else struct.pack("<i", round(value * 4096))[:3]
+        sections[1].append(round(float(gaussians.opacities[i]) * 255))
+        sections[2] += bytes(round(float(np.clip(v * 0.15 * 255 + 127.5, 0, 255))) for v in gaussians.sh[i, 0])
+        sections[3] += bytes(round((float(v) + 10) * 16) for v in np.log(gaussians.scales[i]))
+        qw, qx, qy, qz = (float(v) for v in gaussians.rotations_wxyz[i])
+        sections[4] += _spz_rotation(np.array([qx, -qy, -qz, qw]), version)
+        for k in range(1, gaussians.sh.shape[1]):
+            sections[5] += bytes(round(flips[k] * float(v) * 128 + 128) for v in gaussians.sh[i, k])
+    header = struct.pack("<IIIBBBB", 0x5053474E, version, gaussians.count, gaussians.sh_degree, 12, flags, 0)
+    return gzip.compress(header + b"".join(sections) + extensions, mtime=0)
+
+
+def _spz_rotation(xyzw: np.ndarray, version: int) -> bytes:
+    if version < 3:
+        return bytes(round(float(v) * 127.5 + 127.5) for v in xyzw[:3] * (1 if xyzw[3] >= 0 else -1))
+    largest = int(np.abs(xyzw).argmax())
+    word = largest
+    for i in range(4):
+        if i != largest:
+            value = xyzw[i] * np.sign(xyzw[largest])
+            word = word << 10 | (value < 0) << 9 | round(abs(float(value)) * np.sqrt(2) * 511)
+    return struct.pack("<I", word)
+
+
+def sog_files(gaussians: Gaussians, linear: bool) -> dict[str, bytes]:
+    """The files of a SOG capture: version 1 (``linear``) or 2. SH has a palette entry for each Gaussian."""
+    count = gaussians.count
+    width = 64
+    height = -(-count // width)
+
+    def image(values: np.ndarray, columns: int = width, rows: int = height) -> bytes:
+        pixels = np.full((rows * columns, 4), 255, dtype=np.uint8)
+        pixels[: len(values), : values.shape[1]] = values
+        buffer = io.BytesIO()
+        Image.fromarray(pixels.reshape(rows, columns, 4)).save(buffer, "WEBP", lossless=True, exact=True)
+        return buffer.getvalue()
+
+    logs = np.sign(gaussians.means) * np.log1p(np.abs(gaussians.means))
+    means, meta_means = _quantised(logs, 65535, per_channel=True)
+    logits = np.log(gaussians.opacities / (1 - gaussians.opacities))
+    dc = np.column_stack([gaussians.sh[:, 0], logits]) if linear else gaussians.sh[:, 0]
+    scales, meta_scales = _quantised(np.log(gaussians.scales), 255, per_channel=linear)
+    sh0, meta_sh0 = _quantised(dc, 255, per_channel=linear)
+    if not linear:
+        sh0 = np.column_stack([sh0, np.round(gaussians.opacities * 255)])
+    files = {
+        "means_l.webp": image(means % 256),
+        "means_u.webp": image(means // 256),
+        "scales.webp": image(scales),
+        "quats.webp": image(_sog_rotations(gaussians.rotations_wxyz)),
+        "sh0.webp": image(sh0),
+    }
+    meta: dict[str, object] = {
+        "means": meta_means | {"shape": [count, 3], "files": ["means_l.webp", "means_u.webp"]},
+        "scales": meta_scales | {"files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": meta_sh0 | {"files": ["sh0.webp"]},
+    }
+    rest = gaussians.sh.shape[1] - 1
+    if rest:
+        palette, meta_sh = _quantised(gaussians.sh[:, 1:], 255, per_channel=False)
+        labels = np.arange(count)[::-1]  # not the identity, so that a reader that ignores them fails
+        files["shN_centroids.webp"] = image(palette[::-1].reshape(-1, 3), width * rest)
+        files["shN_labels.webp"] = image(np.column_stack([labels % 256, labels // 256]))
+        names = ["shN_centroids.webp", "shN_labels.webp"]
+        meta["shN"] = meta_sh | {"files": names, "count": count, "bands": gaussians.sh_degree}
+    if not linear:
+        for field in ("scales", "sh0", "shN"):
+            if field in meta:
+                meta[field] = _as_codebook(meta[field])
+        meta |= {"version": 2, "count": count, "antialias": gaussians.antialiased}
+    return {"meta.json": json.dumps(meta).encode()} | files
+
+
+def _quantised(values: np.ndarray, levels: int, per_channel: bool) -> tuple[np.ndarray, dict[str, object]]:
+    axis = 0 if per_channel else None
+    low, high = values.min(axis=axis), values.max(axis=axis)
+    stored = np.round((values - low) / (high - low) * levels).astype(int)
+    return stored, {"mins": low.tolist(), "maxs": high.tolist()}
+
+
+def _as_codebook(field: dict[str, object]) -> dict[str, object]:
+    codebook = np.linspace(field.pop("mins"), field.pop("maxs"), 256)  # type: ignore[arg-type]
+    return {"codebook": codebook.tolist()} | field
+
+
+def _sog_rotations(wxyz: np.ndarray) -> np.ndarray:
+    pixels = np.empty((len(wxyz), 4))
+    for i, quaternion in enumerate(wxyz):
+        largest = int(np.abs(quaternion).argmax())
+        kept = np.delete(quaternion * np.sign(quaternion[largest]), largest)
+        pixels[i] = (*np.round((kept / np.sqrt(2) + 0.5) * 255), 252 + largest)
+    return pixels
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """A zip archive of files."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as bundle:
+        for name, data in files.items():
+            bundle.writestr(zipfile.ZipInfo(name), data)
+    return buffer.getvalue()
+
+
+def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
+    """Files written into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return folder
+
+
+Edit = Callable[[bytes], bytes]
