@@ -1,0 +1,84 @@
+"""The command line: ``lumisplat render | info | convert | demo | bench``.
+
+A front end on the public names of the package. A user's mistake ends as one line on standard error and exit status 2.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, subcommand
+
+import lumisplat as ls
+from lumisplat.cli.bench import Bench
+from lumisplat.cli.convert import Convert
+from lumisplat.cli.demo import Demo
+from lumisplat.cli.info import Info
+from lumisplat.cli.render import Render
+
+_DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
+
+A scene to look at, nothing to download: lumisplat demo -o out
+
+A first look at a capture: lumisplat render garden.ply -o garden.png
+
+A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out"""
+
+_Command = (
+    Annotated[Render, subcommand("render")]
+    | Annotated[Info, subcommand("info")]
+    | Annotated[Convert, subcommand("convert")]
+    | Annotated[Demo, subcommand("demo")]
+    | Annotated[Bench, subcommand("bench")]
+)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        args: The arguments after the program's name; None: the process's own.
+
+    Returns:
+        Exit status: 0, 2 after a user's mistake, 130 when interrupted.
+    """
+    args = list(sys.argv[1:] if args is None else args)
+    if args == ["--version"]:
+        print(f"lumisplat {ls.__version__}")
+        return 0
+    try:
+        command = tyro.cli(
+            _Command,  # type: ignore[arg-type]
+            args=args or ["--help"],
+            prog="lumisplat",
+            description=_DESCRIPTION,
+            config=(FlagCreatePairsOff,),
+        )
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return _run(command)
+
+
+def _run(command: Render | Info | Convert | Demo | Bench) -> int:
+    try:
+        command.run()
+    except KeyboardInterrupt:
+        return 130
+    except (ls.LumisplatError, OSError, MemoryError) as error:
+        if command.debug:
+            traceback.print_exc()
+        print(f"error: {_one_line(error)}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return "out of memory: try fewer pixels or a smaller capture"
+    return " ".join(str(error).split()) or type(error).__name__

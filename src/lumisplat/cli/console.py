@@ -1,0 +1,68 @@
+"""What commands print: tables on standard output, progress bars on standard error, a quiet Warp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Report = Callable[[str, float], None]
+"""Called with what is being done and the fraction done, 0..1."""
+
+
+@contextmanager
+def progress_bars() -> Iterator[Report]:
+    """Shows a bar for each label that is reported until it is done; on a terminal only, and gone afterwards."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks = {}
+
+        def report(label: str, fraction: float) -> None:
+            if label not in tasks:
+                tasks[label] = bars.add_task(label, total=1.0)
+            bars.update(tasks[label], completed=fraction, visible=fraction < 1.0)
+
+        yield report
+
+
+def quiet_warp() -> None:
+    """Keeps Warp's banner and module messages off the terminal. Comes before the first use of a device."""
+    import os
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    # Where there is no CUDA driver, Warp's native code says so on file descriptor 2, whatever the level.
+    saved = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        wp.init()
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+
+
+def print_table(title: str, rows: list[tuple[str, str]]) -> None:
+    """Prints name and value pairs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(name, value)
+    Console(highlight=False).print(table)
+
+
+def byte_size(count: float) -> str:
+    """``count`` bytes for people: ``3.6 MB`` (powers of 1000)."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000.0:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000.0
+    return f"{count:.2f} GB"

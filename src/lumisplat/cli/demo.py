@@ -1,0 +1,50 @@
+"""``lumisplat demo``: pictures of a scene that the package makes itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+import lumisplat as ls
+from lumisplat.cli.console import progress_bars
+from lumisplat.cli.options import DeviceCommand, Flag
+from lumisplat.cli.outputs import make_folder, plan_shots
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(DeviceCommand):
+    """Build the demo scene and render it. Nothing is downloaded."""
+
+    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("out")
+    """Folder for the pictures."""
+    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image width; the aspect ratio is kept."""
+    save_assets: Flag = False
+    """Also write the scene's capture (demo.ply) and cameras (transforms.json), to try the other commands on."""
+
+    def run(self) -> None:
+        """Builds, renders, writes."""
+        with progress_bars() as report:
+            renderer = self.start_renderer(report)
+            make_folder(self.output)
+            report("building the demo scene", 0.0)
+            scene = ls.demo_scene()
+            report("building the demo scene", 1.0)
+            cameras = ls.demo_cameras()
+            if self.save_assets:
+                self._save_assets(scene, cameras)
+            shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
+            for done, shot in enumerate(shots):
+                report("rendering", done / len(shots))
+                renderer.render(scene, shot.camera).save(shot.path)
+        for shot in shots:
+            print(shot.path)
+
+    def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
+        from lumisplat.io.cameras import save_cameras
+
+        ls.save(self.output / "demo.ply", scene.splats[0].gaussians)
+        save_cameras(self.output / "transforms.json", cameras)

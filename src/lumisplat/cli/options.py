@@ -1,0 +1,95 @@
+"""Options that several commands share, and the reading of their values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+import lumisplat as ls
+from lumisplat.cli.console import Report, quiet_warp
+
+_COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "transparent": None}
+
+
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+"""An option without a value, off unless given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Options of every command."""
+
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceCommand(Command):
+    """Options of the commands that compute."""
+
+    device: Annotated[str, arg(metavar="auto|cpu|cuda:N")] = "auto"
+    """Where to compute; auto takes a CUDA GPU if there is one."""
+
+    def start_renderer(
+        self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
+    ) -> ls.Renderer:
+        """A renderer on the device, its kernels compiled, with Warp kept quiet unless debugging."""
+        if not self.debug:
+            quiet_warp()
+        return ls.create_renderer(config, self.device, profile=profile, progress=report)
+
+
+def parse_background(text: str) -> tuple[float, float, float] | None:
+    """Reads ``black``, ``white``, ``transparent`` (None), ``#rrggbb`` or ``r,g,b`` in 0..1.
+
+    Raises:
+        ConfigError: It is none of them.
+    """
+    if text in _COLORS:
+        return _COLORS[text]
+    try:
+        if text.startswith("#") and len(text) == 7:
+            red, green, blue = bytes.fromhex(text[1:])
+            return red / 255.0, green / 255.0, blue / 255.0
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ls.ConfigError(
+            f"--background is '{text}', expected black, white, transparent, #rrggbb or r,g,b in 0..1"
+        ) from None
+    return red, green, blue
+
+
+def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> ls.Scene:
+    """Loads files of any kind into one scene, each in its own coordinates.
+
+    Raises:
+        ConfigError: No file was given.
+        FormatError: A file cannot be read.
+    """
+    if not paths:
+        raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+    splats: list[ls.SplatInstance] = []
+    meshes: list[ls.MeshInstance] = []
+    for path in paths:
+        asset = ls.load(path, drop_invalid=drop_invalid, progress=partial(report, f"loading {path.name}"))
+        scene = asset if isinstance(asset, ls.Scene) else as_scene(asset)
+        splats.extend(scene.splats)
+        meshes.extend(scene.meshes)
+    return ls.Scene(splats=tuple(splats), meshes=tuple(meshes))
+
+
+def as_scene(asset: ls.Gaussians | ls.Mesh) -> ls.Scene:
+    """A scene of one asset at the origin."""
+    if isinstance(asset, ls.Mesh):
+        return ls.Scene(meshes=(ls.MeshInstance(asset),))
+    return ls.Scene(splats=(ls.SplatInstance(asset),))
+
+
+def size_on_disk(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder (unpacked SOG)."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size

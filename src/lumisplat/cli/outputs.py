@@ -1,0 +1,80 @@
+"""Where pictures go: which cameras, under which file names, in which format."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import lumisplat as ls
+
+FORMATS = ("png", "exr", "npz")
+_UNSAFE = re.compile(r"[^\w.-]+")
+_STEM_MAX = 150
+"""Longest file stem, characters: room for layer names and suffixes below the usual limit of 255 bytes."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture to make."""
+
+    camera: ls.Camera
+    path: Path
+
+
+def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path, format_name: str) -> list[Shot]:
+    """Decides which cameras are rendered, and to which files.
+
+    Args:
+        cameras: All there are.
+        wanted: Names of those to render; none means all.
+        output: A folder, or for a single picture a file ``.png``, ``.exr`` or ``.npz``.
+        format_name: One of `FORMATS`, or ``auto``: that of the file's name, else PNG.
+
+    Raises:
+        ConfigError: A name is unknown, or name and format of the output do not go together.
+    """
+    stems = file_stems([camera.name for camera in cameras])
+    picked = [index for index in range(len(cameras)) if not wanted or {cameras[index].name, stems[index]} & {*wanted}]
+    for name in wanted:
+        if not any(name in (cameras[index].name, stems[index]) for index in picked):
+            listed = ", ".join(stems[:5]) + (", ..." if len(stems) > 5 else "")
+            raise ls.ConfigError(f"no frame is named '{name}': there are {len(stems)} ({listed})")
+    suffix = output.suffix.lower().removeprefix(".")
+    if suffix not in FORMATS:
+        extension = "png" if format_name == "auto" else format_name
+        return [Shot(cameras[index], output / f"{stems[index]}.{extension}") for index in picked]
+    if format_name not in ("auto", suffix):
+        raise ls.ConfigError(f"{output}: the name says {suffix}, --format says {format_name}")
+    if len(picked) > 1:
+        raise ls.ConfigError(f"{output}: {len(picked)} frames do not fit in one file: give a folder, or pick a --frame")
+    return [Shot(cameras[index], output) for index in picked]
+
+
+def file_stems(names: Sequence[str]) -> list[str]:
+    """A safe file stem for each frame name, with a number where two would meet (upper and lower case count as one)."""
+    taken: set[str] = set()
+    stems = []
+    for index, name in enumerate(names):
+        safe = _UNSAFE.sub("_", name).strip("._")[:_STEM_MAX] or f"frame_{index:04d}"
+        stem, number = safe, 2
+        while stem.casefold() in taken:
+            stem, number = f"{safe}_{number}", number + 1
+        taken.add(stem.casefold())
+        stems.append(stem)
+    return stems
+
+
+def make_folder(folder: Path) -> None:
+    """Makes ``folder`` and its parents.
+
+    Raises:
+        FormatError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise ls.FormatError(folder, "is a file, expected a folder for the pictures") from None
+    except OSError as error:
+        raise ls.FormatError(folder, f"the output folder cannot be made: {error.strerror}") from None

@@ -1,0 +1,119 @@
+"""``lumisplat render``: pictures of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+import lumisplat as ls
+from lumisplat.cli.console import progress_bars
+from lumisplat.cli.options import DeviceCommand, Flag, load_scene, parse_background
+from lumisplat.cli.outputs import Shot, make_folder, plan_shots
+from lumisplat.cli.stats import print_stats
+
+LAYERS = ("depth", "normal", "gaussian_index", "instance_index")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(DeviceCommand):
+    """Render a scene to pictures."""
+
+    scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
+    """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl, .glb, .gltf) or a scene.toml. Several
+    make one scene."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """transforms.json (nerfstudio) or cameras.json (INRIA). Without: all of the scene, from the front."""
+    up: Literal["auto", "y-down", "y-up", "z-up"] = "auto"
+    """Which way is up without --cameras; auto: y-down with a capture, y-up for meshes alone."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
+    """A folder, or for one frame a file: .png, .exr or .npz."""
+    frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
+    """Render only this frame of the camera file."""
+    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image width; alone, it keeps the camera's aspect ratio."""
+    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image height; alone, it keeps the camera's aspect ratio."""
+    background: Annotated[str, arg(metavar="COLOR")] = "black"
+    """black, white, transparent, #rrggbb, or r,g,b in 0..1."""
+    format: Literal["auto", "png", "exr", "npz"] = "auto"
+    """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
+    aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
+    """Also write some of depth, normal, gaussian_index, instance_index (with commas): into the EXR, or beside the PNG
+    as NAME.depth.png. An NPZ has them all."""
+    antialiasing: Literal["auto", "on", "off"] = "auto"
+    """Mip-Splatting's opacity compensation; auto: as the capture was trained."""
+    sh_degree: Annotated[int, arg(metavar="0..3")] = 3
+    """Highest degree of view-dependent colour."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+    stats: Flag = False
+    """Print times, counts and memory of the last frame."""
+
+    def run(self) -> None:
+        """Renders and writes the pictures."""
+        layers = parse_layers(self.aov)
+        config = ls.RenderConfig(
+            background=parse_background(self.background),
+            raster=ls.RasterConfig(antialiasing=ls.Antialiasing(self.antialiasing), sh_degree=self.sh_degree),
+        )
+        # What fails fast comes first: cameras and device before a capture of a gigabyte.
+        cameras = None if self.cameras is None else ls.load_cameras(self.cameras)
+        with progress_bars() as report:
+            renderer = self.start_renderer(report, config, profile=self.stats)
+            scene = load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
+            shots = plan_shots(self._sized(cameras, scene), self.frame, self.output, self.format)
+            make_folder(shots[0].path.parent)
+            for done, shot in enumerate(shots, start=1):
+                frame = renderer.render(scene, shot.camera)
+                save_frame(frame, shot.path, layers)
+                report("rendering", done / len(shots))
+                if self.stats and done == len(shots):
+                    print_stats(frame)
+        print(_summary(shots))
+
+    def _sized(self, cameras: list[ls.Camera] | None, scene: ls.Scene) -> list[ls.Camera]:
+        if cameras is not None:
+            return [camera.scaled(self.width, self.height) for camera in cameras]
+        from lumisplat.cli.framing import framing_camera
+
+        if self.width is not None and self.height is not None:
+            return [framing_camera(scene, self.up, self.width, self.height)]
+        return [framing_camera(scene, self.up).scaled(self.width, self.height)]
+
+
+def parse_layers(text: str) -> tuple[str, ...]:
+    """Reads layer names with commas between.
+
+    Raises:
+        ConfigError: There is no such layer.
+    """
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in names:
+        if name not in LAYERS:
+            raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(LAYERS)}")
+    return names
+
+
+def save_frame(frame: ls.Frame, path: Path, layers: tuple[str, ...]) -> None:
+    """Writes a frame: ``layers`` go into an EXR, or beside a PNG as pictures; an NPZ has everything."""
+    from lumisplat.io.image import write_exr, write_png
+
+    if path.suffix.lower() == ".exr":
+        write_exr(path, frame.layers({"index" if layer.endswith("_index") else layer for layer in layers}))
+        return
+    frame.save(path)
+    if path.suffix.lower() == ".png":
+        from lumisplat.cli.pictures import layer_picture
+
+        for layer in layers:
+            write_png(path.with_suffix(f".{layer}.png"), layer_picture(frame, layer))
+
+
+def _summary(shots: list[Shot]) -> str:
+    first = shots[0]
+    if len(shots) == 1:
+        return f"{first.path} ({first.camera.width} x {first.camera.height})"
+    return f"{len(shots)} pictures in {first.path.parent}"

@@ -1,0 +1,123 @@
+"""``scene.toml``: several files placed in one scene.
+
+[[splats]]
+path = "garden.ply"                     # relative to the scene file
+
+[[meshes]]
+path = "teapot.obj"
+position = [0.0, -1.2, 3.0]
+rotation_wxyz = [0.0, 1.0, 0.0, 0.0]    # y up to y down: half a turn about x
+scale = 0.5
+name = "teapot"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.source import PathLike, read_bytes
+from lumisplat.scene.arrays import float_array
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+_KEYS = ("path", "position", "rotation_wxyz", "scale", "name")
+
+
+def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Scene]) -> Scene:
+    """Reads a scene file and the files it names. A file named twice is loaded once.
+
+    Args:
+        path: The ``.toml`` file.
+        load: Reads one capture or mesh.
+
+    Raises:
+        FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
+    """
+    document = _document(path)
+    assets: dict[Path, Gaussians | Mesh | Scene] = {}
+    splats: list[SplatInstance] = []
+    meshes: list[MeshInstance] = []
+    for kind in ("splats", "meshes"):
+        for index, entry in enumerate(document.get(kind, ())):
+            try:
+                _check_keys(entry)
+                file = Path(path).parent / entry["path"]
+                world_from_entry = _transform(entry)
+            except (SceneError, TypeError) as error:
+                raise FormatError(path, f"{kind}[{index}]: {error}") from None
+            if file not in assets:
+                assets[file] = load(file)
+            scene = _as_scene(assets[file])
+            if (scene.splats and kind == "meshes") or (scene.meshes and kind == "splats"):
+                found = "a mesh" if kind == "splats" else "a capture"
+                raise FormatError(path, f"{kind}[{index}]: {entry['path']} is {found}, list it under the other heading")
+            name = entry.get("name", "")
+            splats += [SplatInstance(i.gaussians, world_from_entry @ i.transform, name or i.name) for i in scene.splats]
+            meshes += [MeshInstance(i.mesh, world_from_entry @ i.transform, name or i.name) for i in scene.meshes]
+    return Scene(splats=tuple(splats), meshes=tuple(meshes))
+
+
+def _document(path: PathLike) -> dict:
+    try:
+        document = tomllib.loads(read_bytes(path).decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FormatError(path, f"is not valid TOML: {error}") from None
+    unknown = document.keys() - {"splats", "meshes"}
+    if unknown:
+        raise FormatError(path, f"has unknown '{min(unknown)}', expected [[splats]] and [[meshes]]")
+    for kind, entries in document.items():
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise FormatError(path, f"{kind} must be written with double brackets: [[{kind}]]")
+    if not any(document.values()):
+        raise FormatError(path, "lists nothing: expected [[splats]] or [[meshes]] entries")
+    return document
+
+
+def _check_keys(entry: dict) -> None:
+    for key in entry:
+        if key not in _KEYS:
+            raise SceneError(f"unknown '{key}', expected {', '.join(_KEYS)}")
+    if not isinstance(entry.get("path"), str) or not isinstance(entry.get("name", ""), str):
+        raise SceneError("path (needed) and name are strings")
+    if entry["path"].lower().endswith(".toml"):
+        raise SceneError(f"{entry['path']} is a scene file itself: list its captures and meshes here instead")
+
+
+def _transform(entry: dict) -> npt.NDArray[np.float64]:
+    position = float_array("position", entry.get("position", (0.0, 0.0, 0.0))).astype(np.float64)
+    wxyz = float_array("rotation_wxyz", entry.get("rotation_wxyz", (1.0, 0.0, 0.0, 0.0))).astype(np.float64)
+    scale = entry.get("scale", 1.0)
+    if position.shape != (3,) or wxyz.shape != (4,):
+        raise SceneError("position takes three numbers, rotation_wxyz four")
+    if not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
+        raise SceneError(f"scale is {scale}, expected one positive number")
+    length = np.linalg.norm(wxyz)
+    if length == 0.0:
+        raise SceneError("rotation_wxyz has zero length")
+    w, x, y, z = wxyz / length
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = position
+    return matrix
+
+
+def _as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
+    if isinstance(asset, Scene):
+        return asset
+    if isinstance(asset, Mesh):
+        return Scene(meshes=(MeshInstance(asset),))
+    return Scene(splats=(SplatInstance(asset),))
