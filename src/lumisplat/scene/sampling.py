@@ -1,0 +1,310 @@
+"""Gaussians from a mesh: flat discs laid over its surface, so that one object exists in both forms."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import SH_C0
+from lumisplat.errors import SceneError
+from lumisplat.scene.blue_noise import Pairs, cell_order, cross_pairs, neighbour_pairs, poisson_disk
+from lumisplat.scene.color import decode_srgb, encode_srgb
+from lumisplat.scene.creases import CreasePoints, crease_points
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+
+DEFAULT_SPACINGS_PER_DIAGONAL = 300
+"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart."""
+DEFAULT_COUNT_RANGE = (1_000, 1_000_000)
+"""Bounds of the default count."""
+
+_CANDIDATES_PER_GAUSSIAN = 4.0
+_OPACITY = 0.995
+_THICKNESS = 0.05
+_FIRST_SCALE = 0.7
+_GROWTH = 1.08
+_GROWTH_REACH = 0.5
+_GROWTH_STEPS = 8
+_COVERED_ALPHA = 0.95
+_FACING_COSINE = -0.5
+_EDGE_ROW = (0.2, 0.45)
+_SEARCH_SPACINGS = 0.86
+_AXIS_COSINE = 0.7
+
+_Floats = npt.NDArray[np.floating]
+
+
+class _SurfacePoints(NamedTuple):
+    """Points on triangles, shape (M, ...)."""
+
+    positions: npt.NDArray[np.float64]
+    faces: npt.NDArray[np.integer]
+    weights: npt.NDArray[np.float64]
+    """Barycentric coordinates, shape (M, 3)."""
+
+    def at(self, rows: npt.NDArray[np.integer]) -> _SurfacePoints:
+        return _SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
+
+
+def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> Gaussians:
+    """Covers a mesh with opaque, flat, surface-aligned Gaussians: the same object as a splat.
+
+    Centres are blue noise: candidates stratified by area, thinned by Poisson-disk elimination. The thin axis is the
+    surface normal; the wide ones grow from the local spacing until no hole is left, and shrink towards creases and open
+    edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
+    colour times bilinearly filtered texture), encoded as display-referred sRGB in SH degree 0.
+
+    Args:
+        mesh: Object-space triangles. Triangles of no area are skipped.
+        count: Number of Gaussians, >= 1. None: as many as put neighbours 1/300 of the bounding box's diagonal apart
+            (``area / (diagonal / 300)^2``, from 1,000 to 1,000,000).
+        seed: Seed of the random order; equal seeds give equal results.
+
+    Returns:
+        Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
+        ``albedo`` (linear), ``roughness`` and ``metallic``.
+
+    Raises:
+        SceneError: The mesh has no area, or ``count`` is less than 1.
+    """
+    areas, face_normals = _face_areas_and_normals(mesh)
+    area = float(areas.sum())
+    if not area > 0.0:
+        raise SceneError("the mesh has no area: every triangle is degenerate, nothing can be sampled")
+    if count is None:
+        count = _default_count(mesh, areas)
+    if count < 1:
+        raise SceneError(f"count is {count}, expected at least 1")
+    spacing = math.sqrt(area / count)
+    rng = np.random.default_rng(seed)
+    creases = crease_points(mesh, face_normals, spacing / 3.0)
+    candidates = _candidates(mesh, areas, math.ceil(_CANDIDATES_PER_GAUSSIAN * count), rng)
+    candidates = candidates.at(cell_order(candidates.positions, spacing))
+    edge_distance = _crease_distance(candidates.positions, creases, spacing)
+
+    pairs = neighbour_pairs(candidates.positions, _SEARCH_SPACINGS * spacing)
+    pairs = _facing(pairs, face_normals[candidates.faces].astype(np.float32))
+    chosen = poisson_disk(pairs, _priority(edge_distance, spacing, rng), count, _SEARCH_SPACINGS * spacing)
+    points = candidates.at(chosen)
+    shading_normals = _shading_normals(mesh, points, face_normals)
+    axes = _axes(points.positions, _thin_axes(shading_normals, face_normals[points.faces]), creases, spacing)
+    limits = _crease_limits(points.positions, axes, creases, spacing)
+    inner = edge_distance > _EDGE_ROW[0] * spacing
+    wide = _grown_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
+    thin = _THICKNESS * wide.max(axis=1, keepdims=True)
+    albedo = _base_colors(mesh, points)
+    material = mesh.material
+    return Gaussians(
+        means=points.positions,
+        rotations_wxyz=_quaternions(axes),
+        scales=np.concatenate([wide, thin], axis=1),
+        opacities=np.full(count, _OPACITY),
+        sh=(encode_srgb(albedo)[:, None, :] - 0.5) / SH_C0,
+        normals=shading_normals,
+        albedo=albedo,
+        roughness=np.full(count, material.roughness),
+        metallic=np.full(count, material.metallic),
+    )
+
+
+def _face_areas_and_normals(mesh: Mesh) -> tuple[_Floats, _Floats]:
+    corners = mesh.positions.astype(np.float64)[mesh.indices]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(cross, axis=1)
+    normals = np.divide(cross, doubled[:, None], out=np.zeros_like(cross), where=doubled[:, None] > 0.0)
+    return 0.5 * doubled, normals
+
+
+def _default_count(mesh: Mesh, areas: _Floats) -> int:
+    corners = mesh.positions[mesh.indices[areas > 0.0]].reshape(-1, 3).astype(np.float64)
+    diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
+    ideal = float(areas.sum()) / (diagonal / DEFAULT_SPACINGS_PER_DIAGONAL) ** 2
+    return int(np.clip(math.ceil(ideal), *DEFAULT_COUNT_RANGE))
+
+
+def _candidates(mesh: Mesh, areas: _Floats, count: int, rng: np.random.Generator) -> _SurfacePoints:
+    """Points stratified by area over the triangles, and by the R2 sequence (Roberts 2018) within each."""
+    cumulative = np.cumsum(areas)
+    strata = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
+    faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
+    plastic = 1.3247179572447460
+    steps = np.arange(count)[:, None] * np.array([1.0 / plastic, 1.0 / plastic**2])
+    jitter = 0.7 * rng.random((count, 2)) / np.sqrt(np.bincount(faces, minlength=areas.size)[faces])[:, None]
+    uv = (steps + jitter) % 1.0
+    uv = np.where(uv.sum(axis=1, keepdims=True) > 1.0, 1.0 - uv, uv)
+    weights = np.concatenate([1.0 - uv.sum(axis=1, keepdims=True), uv], axis=1)
+    points = _SurfacePoints(np.empty(0), faces, weights)
+    return points._replace(positions=_interpolated(mesh, mesh.positions.astype(np.float64), points))
+
+
+def _interpolated(mesh: Mesh, values: _Floats, points: _SurfacePoints) -> npt.NDArray[np.float64]:
+    """Vertex values at surface points, shape (M, D)."""
+    corners = mesh.indices[points.faces]
+    return sum(points.weights[:, k, None] * values[corners[:, k]] for k in range(3))  # type: ignore[return-value]
+
+
+def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
+    """Distance to the nearest crease where it is below half a spacing, else infinite, shape (M,)."""
+    distance = np.full(positions.shape[0], np.inf)
+    if creases.positions.size:
+        near = cross_pairs(positions, creases.positions, 0.5 * spacing)
+        np.minimum.at(distance, near.first, near.distance)
+    return distance
+
+
+def _priority(edge_distance: _Floats, spacing: float, rng: np.random.Generator) -> npt.NDArray[np.integer]:
+    """A random order in which points just inside a crease lead, so that a row of Gaussians follows the edge."""
+    low, high = _EDGE_ROW
+    row = (edge_distance > low * spacing) & (edge_distance < high * spacing)
+    shuffled = rng.permutation(edge_distance.size)
+    order = np.concatenate([shuffled[row[shuffled]], shuffled[~row[shuffled]]])
+    priority = np.empty_like(order)
+    priority[order] = np.arange(order.size)
+    return priority
+
+
+def _facing(pairs: Pairs, normals: _Floats) -> Pairs:
+    """Without the pairs across a thin wall: the two sides are sampled independently."""
+    cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
+    return pairs.where(cosines > _FACING_COSINE)
+
+
+def _shading_normals(mesh: Mesh, points: _SurfacePoints, face_normals: _Floats) -> _Floats:
+    flat = face_normals[points.faces]
+    if mesh.normals is None:
+        return flat
+    smooth = _interpolated(mesh, mesh.normals, points)
+    length = np.linalg.norm(smooth, axis=1, keepdims=True)
+    return np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), flat)
+
+
+def _thin_axes(shading_normals: _Floats, flat_normals: _Floats) -> _Floats:
+    """Shading normals, but geometric ones where the two disagree so much that discs would stand off the surface."""
+    agree = np.abs(np.einsum("ij,ij->i", shading_normals, flat_normals)) > _AXIS_COSINE
+    return np.where(agree[:, None], shading_normals, flat_normals)
+
+
+def _axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
+    """Columns (across the nearest crease, along it, normal) of each Gaussian, right-handed, shape (N, 3, 3)."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    if creases.positions.size:
+        near = cross_pairs(positions, creases.positions, 2.5 * spacing)
+        # Written furthest first, so that the nearest crease has the last word.
+        order = np.argsort(-near.distance, kind="stable")
+        direction = creases.directions[near.second[order]]
+        usable = np.abs(np.einsum("ij,ij->i", direction, normals[near.first[order]])) < 0.9
+        helper[near.first[order][usable]] = direction[usable]
+    across = np.cross(helper, normals)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([across, np.cross(normals, across), normals], axis=2)
+
+
+def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
+    """Largest scale along the two wide axes before a Gaussian reaches far over a crease, shape (N, 2)."""
+    limits = np.full((positions.shape[0], 2), np.inf)
+    if not creases.positions.size:
+        return limits
+    near = cross_pairs(positions, creases.positions, 2.5 * spacing)
+    step = creases.positions[near.second] - positions[near.first]
+    for axis in (0, 1):
+        reach = np.abs(np.einsum("ij,ij->i", step, axes[near.first, :, axis]))
+        turned = np.abs(np.einsum("ij,ij->i", creases.directions[near.second], axes[near.first, :, axis])) < 0.5
+        ahead = turned & (reach > 0.7 * near.distance)
+        np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead])
+    return np.maximum(limits, 0.25 * spacing)
+
+
+def _grown_scales(
+    candidates: _Floats,
+    inner: npt.NDArray[np.bool_],
+    chosen: npt.NDArray[np.integer],
+    pairs: Pairs,
+    *,
+    axes: _Floats,
+    limits: _Floats,
+    spacing: float,
+) -> _Floats:
+    """Smallest tangential scales, shape (N, 2), with which the discs cover all ``inner`` candidates.
+
+    Discs start small and round. Where a candidate is not yet opaque, those that hide most of it grow a step.
+    """
+    point, gaussian = _covering_pairs(pairs, chosen, inner)
+    step = (candidates[point] - candidates[chosen[gaussian]]).astype(np.float32)
+    offset2 = np.einsum("ij,ijk->ik", step, axes[gaussian, :, :2].astype(np.float32)) ** 2
+    size = np.full(chosen.size, _FIRST_SCALE * spacing, dtype=np.float32)
+    limits = limits.astype(np.float32)
+    for _ in range(_GROWTH_STEPS):
+        scales = np.minimum(size[:, None], limits)
+        exponent = (offset2 / scales[gaussian] ** 2).sum(axis=1)
+        clear = np.bincount(point, np.log1p(-_OPACITY * np.exp(-0.5 * exponent)), candidates.shape[0])
+        short = (clear > math.log(1.0 - _COVERED_ALPHA))[point]
+        point, gaussian, offset2, exponent = point[short], gaussian[short], offset2[short], exponent[short]
+        nearest = np.full(candidates.shape[0], np.inf, dtype=np.float32)
+        np.minimum.at(nearest, point, exponent)
+        growing = np.unique(gaussian[exponent <= nearest[point] + _GROWTH_REACH])
+        size[growing] *= _GROWTH
+    return np.minimum(size[:, None], limits)
+
+
+def _covering_pairs(
+    pairs: Pairs, chosen: npt.NDArray[np.integer], inner: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
+    """Pairs of an inner candidate that was not chosen and the index of a Gaussian nearby."""
+    gaussian_of = np.full(inner.size, -1, dtype=np.int32)
+    gaussian_of[chosen] = np.arange(chosen.size)
+    points = np.concatenate([pairs.second, pairs.first])
+    gaussians = gaussian_of[np.concatenate([pairs.first, pairs.second])]
+    wanted = (gaussians >= 0) & (inner & (gaussian_of < 0))[points]
+    return points[wanted], gaussians[wanted]
+
+
+def _base_colors(mesh: Mesh, points: _SurfacePoints) -> _Floats:
+    """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3)."""
+    colors = np.tile(np.asarray(mesh.material.base_color), (points.faces.size, 1))
+    if mesh.colors is not None:
+        colors *= _interpolated(mesh, mesh.colors, points)
+    if mesh.material.base_color_texture is not None and mesh.uvs is not None:
+        colors *= _texture_colors(mesh.material.base_color_texture, _interpolated(mesh, mesh.uvs, points))
+    return np.clip(colors, 0.0, 1.0)
+
+
+def _texture_colors(texture: npt.NDArray[np.uint8], uvs: _Floats) -> _Floats:
+    """Bilinearly filtered, repeating texture in linear Rec.709, shape (M, 3)."""
+    height, width = texture.shape[:2]
+    linear = decode_srgb(np.arange(256) / 255.0)
+    x, y = uvs[:, 0] * width - 0.5, uvs[:, 1] * height - 0.5
+    left, top = np.floor(x), np.floor(y)
+    right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
+    columns = [(left.astype(np.int64) + k) % width for k in (0, 1)]
+    rows = [(top.astype(np.int64) + k) % height for k in (0, 1)]
+    upper, lower = (
+        linear[texture[r, columns[0], :3]] * (1.0 - right_share) + linear[texture[r, columns[1], :3]] * right_share
+        for r in rows
+    )
+    return upper * (1.0 - bottom_share) + lower * bottom_share
+
+
+def _quaternions(axes: _Floats) -> _Floats:
+    """Unit quaternions wxyz of rotation matrices, shape (N, 4) from (N, 3, 3).
+
+    Of the four ways to write one (Shepperd 1978), each row takes the one with the largest divisor.
+    """
+    m = axes
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    yz, xz, xy = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    yz_sum, xz_sum, xy_sum = m[:, 2, 1] + m[:, 1, 2], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 0] + m[:, 0, 1]
+    ways = np.stack(
+        [
+            np.stack([1.0 + xx + yy + zz, yz, xz, xy], axis=1),
+            np.stack([yz, 1.0 + xx - yy - zz, xy_sum, xz_sum], axis=1),
+            np.stack([xz, xy_sum, 1.0 - xx + yy - zz, yz_sum], axis=1),
+            np.stack([xy, xz_sum, yz_sum, 1.0 - xx - yy + zz], axis=1),
+        ],
+        axis=1,
+    )
+    best = np.argmax(np.diagonal(ways, axis1=1, axis2=2), axis=1)
+    picked = ways[np.arange(best.size), best]
+    return picked / np.linalg.norm(picked, axis=1, keepdims=True)
