@@ -39,6 +39,11 @@ def resolve_device(name: str = "auto") -> str:
     return wanted
 
 
+def usable_cores() -> int:
+    """CPU cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class Launcher:
     """Launches kernels on one device.
 
@@ -56,7 +61,7 @@ class Launcher:
         self.device = resolve_device(device)
         self.is_cuda = self.device.startswith("cuda")
         self.is_parallel = self.is_cuda if parallel is None else parallel
-        self.threads = 1 if self.is_cuda else threads or len(os.sched_getaffinity(0))
+        self.threads = 1 if self.is_cuda else threads or usable_cores()
         self.profile = profile
         self.stage_ms: dict[str, float] = {}
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""

@@ -10,6 +10,7 @@ from lumisplat.device.structs import CameraData, GaussianData, InstanceData, Spl
 
 wp.set_module_options({"enable_backward": False})
 
+OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
 LOG_ALPHA_MIN = wp.constant(wp.float32(math.log(ALPHA_MIN)))
 ALPHA_LIMIT = wp.constant(wp.float32(ALPHA_MAX))
 DET_MIN = wp.constant(wp.float32(COVARIANCE_2D_DET_MIN))
@@ -51,7 +52,7 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     view = instance.camera_from_object * mean + instance.camera_from_object_offset
     splat.depth = view[2]
     opacity = gaussians.opacities[i]
-    if not (view[2] > camera.near and opacity >= wp.exp(LOG_ALPHA_MIN)):
+    if not (view[2] > camera.near and opacity >= OPACITY_MIN):
         return splat
 
     rotation = wp.quat_to_matrix(gaussians.rotations[i])

@@ -1,0 +1,84 @@
+"""Times one preset in a process of its own, so that memory and first use are the preset's: ``python -m bench.case NAME``."""
+
+from __future__ import annotations
+
+import json
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+REPEATS = 20
+
+
+def main(name: str) -> None:
+    """Prints one JSON object: milliseconds, counts and peak memory."""
+    from bench.presets import BIKER, PRESETS, synthetic
+
+    import lumisplat as ls
+
+    preset = next(preset for preset in PRESETS if preset.name == name)
+    with tempfile.TemporaryDirectory() as folder:
+        path = BIKER
+        if preset.count:
+            path = Path(folder) / "synthetic.ply"
+            ls.save(path, synthetic(preset.count))
+        print(json.dumps(timed(path, preset.camera())))
+
+
+def timed(path: Path, camera) -> dict:
+    """Loads in this process, whose peak memory is then that of loading and rendering alone."""
+    import subprocess
+
+    script = f"import bench.case as case; case.measure({str(path)!r}, {camera_arguments(camera)!r})"
+    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def camera_arguments(camera) -> dict:
+    """A camera as plain numbers, to pass to the measuring process."""
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    return {name: getattr(camera, name) for name in names} | {"camera_from_world": camera.camera_from_world.tolist()}
+
+
+def measure(path: str, camera_fields: dict) -> None:
+    """Loads, renders a first frame and ``REPEATS`` steady ones, and prints what they took."""
+    started = time.perf_counter()
+    import lumisplat as ls
+
+    scene = ls.Scene(splats=[ls.load(path)])
+    loaded = time.perf_counter()
+    import warp as wp
+
+    wp.config.quiet = True
+    camera = ls.Camera(**camera_fields)
+    renderer = ls.create_renderer(device="cpu")
+    ready = time.perf_counter()
+    renderer.render(scene, camera)
+    first = time.perf_counter()
+    frames, walls = [], []
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        frames.append(renderer.render(scene, camera).stats)
+        walls.append(1e3 * (time.perf_counter() - begun))
+    stages = {s: statistics.median(f.stage_ms[s] for f in frames) for s in frames[0].stage_ms}
+    row = {
+        "load_ms": 1e3 * (loaded - started),
+        "start_ms": 1e3 * (ready - loaded),
+        "first_ms": 1e3 * (first - ready),
+        "frame_ms": statistics.median(walls),
+        "frame_min_ms": min(walls),
+        "frame_max_ms": max(walls),
+        "stage_ms": stages,
+        "gaussians": frames[0].gaussian_count,
+        "visible": frames[0].visible_count,
+        "pairs": frames[0].pair_count,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+    print(json.dumps(row))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,82 @@
+"""The peer: Mitsuba 3's ``volprim_rf_basic`` on the same capture and camera, one sample a pixel, in its own process.
+
+``python -m bench.mitsuba_peer NAME`` prints one JSON object. The LLVM variant needs a libLLVM that Mitsuba accepts:
+Debian's ``libllvm19``, found by itself or through ``DRJIT_LIBLLVM_PATH``.
+"""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+import statistics
+import sys
+import time
+
+import numpy as np
+
+REPEATS = 5
+
+
+def main(name: str) -> None:
+    """Renders the preset ``REPEATS`` times after a warm-up."""
+    found = sorted(glob.glob("/usr/lib/*/libLLVM.so.19*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM.so*"))
+    if found:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
+    import mitsuba as mi
+    from bench.presets import BIKER, PRESETS, synthetic
+
+    import lumisplat as ls
+
+    mi.set_variant("llvm_ad_rgb")
+    preset = next(preset for preset in PRESETS if preset.name == name)
+    gaussians = synthetic(preset.count) if preset.count else ls.load(BIKER)
+    scene = mi.load_dict(describe(mi, gaussians, preset.camera()))
+    mi.render(scene, spp=1).numpy()
+    walls = []
+    for seed in range(REPEATS):
+        begun = time.perf_counter()
+        mi.render(scene, spp=1, seed=seed).numpy()
+        walls.append(1e3 * (time.perf_counter() - begun))
+    reference = mi.render(scene, spp=16).numpy()[..., :3]
+    ours = ls.render(ls.Scene(splats=[gaussians]), preset.camera(), device="cpu").color
+    psnr = -10.0 * np.log10(np.mean((np.clip(ours, 0, 1) - np.clip(reference, 0, 1)) ** 2))
+    print(json.dumps({"peer": f"mitsuba {mi.__version__}", "frame_ms": statistics.median(walls), "psnr_db": psnr}))
+
+
+def describe(mi, gaussians, camera) -> dict:
+    """Mitsuba's scene dictionary; its cameras look along +z with x to the left."""
+    count = gaussians.count
+    to_world = camera.world_from_camera.copy()
+    to_world[:, :2] *= -1.0
+    return {
+        "type": "scene",
+        "integrator": {"type": "volprim_rf_basic", "max_depth": 128, "srgb_primitives": False},
+        "splats": {
+            "type": "ellipsoids",
+            "centers": mi.TensorXf(np.array(gaussians.means)),
+            "scales": mi.TensorXf(np.array(gaussians.scales)),
+            "quaternions": mi.TensorXf(np.ascontiguousarray(gaussians.rotations_wxyz[:, [1, 2, 3, 0]])),
+            "opacities": mi.TensorXf(np.array(gaussians.opacities[:, None])),
+            "sh_coeffs": mi.TensorXf(np.array(gaussians.sh.reshape(count, -1))),
+            "extent": 3.0,
+            "extent_adaptive_clamping": True,
+        },
+        "sensor": {
+            "type": "perspective",
+            "fov": float(np.degrees(camera.fov_y)),
+            "fov_axis": "y",
+            "to_world": mi.ScalarTransform4f(to_world),
+            "film": {
+                "type": "hdrfilm",
+                "width": camera.width,
+                "height": camera.height,
+                "rfilter": {"type": "box"},
+                "pixel_format": "rgba",
+            },
+        },
+    }
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

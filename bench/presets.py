@@ -1,0 +1,70 @@
+"""What is timed. The same presets draw the preview pictures, so that everyone sees what was measured."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import lumisplat as ls
+
+DATA = Path(os.environ.get("LUMISPLAT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+BIKER = DATA / "splats" / "biker.compressed.ply"
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One capture and one camera."""
+
+    name: str
+    width: int
+    height: int
+    exercises: str
+    count: int = 0
+    """Gaussians of a synthetic capture; 0: the biker."""
+    peer: bool = False
+    """Whether Mitsuba renders it in the same run."""
+
+    @property
+    def available(self) -> bool:
+        """Whether this machine has the capture."""
+        return self.count > 0 or BIKER.is_file()
+
+    def camera(self) -> ls.Camera:
+        """The view: the whole subject, filling the height of the image."""
+        if self.count:
+            eye, target, up, fov_y = (0.0, -0.6, -3.2), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 0.75
+        else:
+            eye, target, up, fov_y = (0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0.0, -1.0, 0.0), 0.85
+        return ls.Camera.look_at(eye, target, up, width=self.width, height=self.height, fov_y=fov_y)
+
+
+SIZES = ((640, 360), (1280, 720), (1920, 1088))
+PRESETS = [
+    *(Preset(f"biker-{w}x{h}", w, h, "a real capture, 152,746 Gaussians, SH 0", peer=True) for w, h in SIZES),
+    Preset("synthetic-10k", 1280, 720, "fixed costs", 10_000),
+    Preset("synthetic-100k", 1280, 720, "a small capture, SH 3", 100_000, peer=True),
+    Preset("synthetic-1M", 1280, 720, "a room, SH 3", 1_000_000),
+    Preset("synthetic-3M", 1280, 720, "a large outdoor capture, SH 3; memory", 3_000_000),
+]
+
+
+def synthetic(count: int, seed: int = 7) -> ls.Gaussians:
+    """A capture-like set: flat Gaussians over three nested wavy spheres, their size following the local density."""
+    random = np.random.default_rng(seed)
+    direction = random.standard_normal((count, 3), dtype=np.float32)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    ripple = 1.0 + 0.08 * np.sin(9.0 * direction[:, :1]) * np.cos(7.0 * direction[:, 1:2])
+    shell = np.array([0.45, 0.75, 1.0], np.float32)[random.integers(0, 3, count)][:, None]
+    means = direction * shell * ripple
+    spacing = np.sqrt(4.0 * np.pi * (0.45**2 + 0.75**2 + 1.0) / count)
+    scales = spacing * np.exp(0.5 * random.standard_normal((count, 3), dtype=np.float32))
+    scales[:, 2] *= 0.15
+    to_z = np.column_stack([1.0 + direction[:, 2], -direction[:, 1], direction[:, 0], np.zeros(count, np.float32)])
+    to_z[np.abs(to_z).max(axis=1) < 1e-6] = (0.0, 1.0, 0.0, 0.0)
+    sh = 0.08 * random.standard_normal((count, 16, 3), dtype=np.float32)
+    sh[:, 0] = 1.5 * direction
+    opacities = random.beta(1.2, 0.6, count).astype(np.float32)
+    return ls.Gaussians(means, to_z, scales, opacities, sh)
