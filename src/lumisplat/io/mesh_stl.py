@@ -41,6 +41,6 @@ def read_stl(path: Path) -> Mesh:
 def _ascii_corners(path: Path, data: bytes) -> np.ndarray:
     facets, closed = len(_LOOP.findall(data)), len(_END.findall(data))
     corners = np.array(_VERTEX.findall(data)).astype(np.float32).reshape(-1, 3)
-    if len(corners) != 3 * facets or closed != facets:
+    if len(corners) != 3 * facets or closed != facets or b"endsolid" not in data.lower():
         raise FormatError(path, f"{facets:,} facets begin, {closed:,} end, with {len(corners):,} vertices: truncated?")
     return corners

@@ -59,14 +59,15 @@ class _Cursor:
         Raises:
             EOFError: The file ends before.
         """
-        fields = np.dtype([(str(k), self.order + type_, (n,)) for k, (_, type_, n) in enumerate(layout)])
         widths = [n for _, _, n in layout]
-        size = count * (fields.itemsize if self.order else sum(widths))
+        row_size = sum(n * np.dtype(type_).itemsize for _, type_, n in layout) if self.order else sum(widths)
+        size = count * row_size
         if self.position + size > len(self.values):
             raise EOFError
         block = self.values[self.position : self.position + size]
         self.position += size
         if self.order:
+            fields = [(str(k), self.order + type_, (n,)) for k, (_, type_, n) in enumerate(layout)]
             table = block.view(fields)
             return {name: table[str(k)] for k, (name, _, _) in enumerate(layout)}
         columns = np.split(block.reshape(count, -1), np.cumsum(widths)[:-1], axis=1)

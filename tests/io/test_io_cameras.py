@@ -1,0 +1,173 @@
+"""Camera files: axes, intrinsics, names, round trip, and one clear error for each thing that can be wrong."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mesh_files import png_bytes
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras import load_cameras, save_cameras
+from lumisplat.scene.camera import Camera
+
+IDENTITY = np.eye(4).tolist()
+FRAME: dict[str, Any] = {"file_path": "images/0001.png", "transform_matrix": IDENTITY}
+FILE: dict[str, Any] = {"w": 8, "h": 6, "fl_x": 10.0, "fl_y": 11.0, "cx": 4.5, "cy": 2.5, "frames": [FRAME]}
+INRIA = {
+    "id": 0,
+    "img_name": "00001",
+    "width": 8,
+    "height": 6,
+    "position": [1, 2, 3],
+    "rotation": [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
+    "fx": 10.0,
+    "fy": 11.0,
+}
+
+
+def load(tmp_path: Path, content: object) -> list[Camera]:
+    """Writes the content as JSON and loads it."""
+    (tmp_path / "cameras.json").write_text(content if isinstance(content, str) else json.dumps(content))
+    return load_cameras(tmp_path / "cameras.json")
+
+
+def test_nerfstudio_axes(tmp_path: Path) -> None:
+    """An OpenGL camera at the identity looks along -z with +y up: image x is world x, image y is world -y."""
+    (camera,) = load(tmp_path, FILE)
+    np.testing.assert_array_equal(camera.camera_from_world[:3, :3], np.diag([1, -1, -1]))
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (8, 6, 10, 11, 4.5, 2.5)
+    assert camera.name == "0001"
+
+
+def test_inria_axes(tmp_path: Path) -> None:
+    """The columns of INRIA's rotation are the camera's x, y, z axes in the world, and the position is its eye."""
+    (camera,) = load(tmp_path, [INRIA])
+    np.testing.assert_allclose(camera.eye, (1, 2, 3), atol=1e-12)
+    forward_x = camera.camera_from_world @ (1 + 5, 2, 3, 1)  # rotation's third column is world +x
+    np.testing.assert_allclose(forward_x, (0, 0, 5, 1), atol=1e-12)
+    assert (camera.cx, camera.cy) == (4, 3)
+
+
+def test_frames_override_the_file(tmp_path: Path) -> None:
+    """Intrinsics of a frame win over those of the file, and order and names are the file's."""
+    frames = [FRAME, {**FRAME, "file_path": "images/0000.png", "w": 16, "fl_x": 20.0}]
+    first, second = load(tmp_path, {**FILE, "frames": frames})
+    assert (first.name, second.name) == ("0001", "0000")
+    assert (first.width, second.width, second.fx, second.fy) == (8, 16, 20.0, 11.0)
+
+
+def test_field_of_view_and_image_size(tmp_path: Path) -> None:
+    """NeRF's synthetic form: size from the image that the frame names, focal length from the angle, centre implied."""
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "r_0.png").write_bytes(png_bytes(np.zeros((30, 40, 3), np.uint8)))
+    content = {"camera_angle_x": 0.5 * math.pi, "frames": [{**FRAME, "file_path": "./train/r_0"}]}
+    (camera,) = load(tmp_path, content)
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
+    assert camera.fx == pytest.approx(20.0)
+    assert camera.fy == pytest.approx(20.0)
+
+
+def test_names_are_unique(tmp_path: Path) -> None:
+    """Pictures are named after cameras, so equal and missing names are told apart; inner dots stay."""
+    paths = ["a/1.png", "b/1.png", "", "c/view.left"]
+    cameras = load(tmp_path, {**FILE, "frames": [{**FRAME, "file_path": p} for p in paths]})
+    assert [camera.name for camera in cameras] == ["1", "1_2", "frame_00002", "view.left"]
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    """What is saved loads as the same cameras to float precision, in order, with their names."""
+    rng = np.random.default_rng(4)
+    cameras = [
+        replace(
+            Camera.look_at(rng.normal(size=3) * 5, rng.normal(size=3), fov_y=0.3 + k, width=64 + k, name=f"v.{k}"),
+            cx=31.25,
+        )
+        for k in range(3)
+    ]
+    save_cameras(tmp_path / "transforms.json", cameras)
+    for camera, loaded in zip(cameras, load_cameras(tmp_path / "transforms.json"), strict=True):
+        np.testing.assert_allclose(loaded.camera_from_world, camera.camera_from_world, atol=1e-14)
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "name"):
+            assert getattr(loaded, name) == getattr(camera, name)
+
+
+def test_saving_nothing_is_refused(tmp_path: Path) -> None:
+    """No cameras, no file."""
+    with pytest.raises(SceneError, match="no cameras"):
+        save_cameras(tmp_path / "transforms.json", [])
+    assert not list(tmp_path.iterdir())
+
+
+def test_distortion_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Lens distortion that is not zero gives one log line, however many frames there are."""
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        load(tmp_path, {**FILE, "k1": 0.1, "k2": 0.0, "frames": [FRAME, FRAME]})
+    assert [record.message.rpartition("lens ")[2] for record in caplog.records] == ["distortion (k1) is ignored"]
+
+
+def pose(*diagonal: float) -> dict:
+    """A file whose only frame has this diagonal pose."""
+    return {**FILE, "frames": [{**FRAME, "transform_matrix": np.diag([*diagonal, 1.0]).tolist()}]}
+
+
+def without(content: dict, *names: str) -> dict:
+    """The content less some keys."""
+    return {key: value for key, value in content.items() if key not in names}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", "is empty"),
+        ("{\n\n  nonsense", "invalid JSON at line 3"),
+        ("3", "not a camera file"),
+        ({"a": 1}, "not a camera file"),
+        ([{"a": 1}], "not a camera file"),
+        ([3], "damaged, or not a camera file"),
+        (without(FILE, "frames"), "not a camera file"),
+        ({**FILE, "frames": []}, "has no frames"),
+        ([], "has no frames"),
+        (pose(1, 1, 0), r"frame 0 \(images/0001.png\) has a singular pose"),
+        (pose(1, 2, 1), "frame 0 .* stretches"),
+        (pose(2, 2, 2), "frame 0 .* scaled by 2"),
+        (pose(-1, 1, 1), "frame 0 .* mirrors"),
+        (pose(math.nan, 1, 1), "frame 0 .* non-finite"),
+        ({**FILE, "frames": [{"file_path": "x"}]}, r"frame 0 \(x\) lacks transform_matrix"),
+        ({**FILE, "frames": [{**FRAME, "transform_matrix": [[1, 2], [3]]}]}, "frame 0 .* is malformed"),
+        ({**FILE, "frames": [FRAME, 7]}, "frame 1 is malformed"),
+        ({**FILE, "w": 0}, "frame 0 .* width is 0"),
+        ({**FILE, "h": 0}, "frame 0 .* height is 0"),
+        ({**FILE, "h": -4}, "frame 0 .* height is -4"),
+        ({**FILE, "w": 1e9}, "frame 0 .* width is 1000000000"),
+        ({**FILE, "fl_x": 0}, "frame 0 .* fx is 0"),
+        ({**FILE, "fl_x": None}, "frame 0 .* is malformed"),
+        (without(FILE, "fl_x"), "frame 0 .* no intrinsics"),
+        (without({**FILE, "camera_angle_x": 4.0}, "fl_x"), "frame 0 .* camera_angle_x 4.0"),
+        (without(FILE, "w"), "frame 0 .* no w and h"),
+        ({**FILE, "camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
+        ([{**INRIA, "width": 0}], r"frame 0 \(00001\) camera width is 0"),
+        ([INRIA, without(INRIA, "fx")], r"frame 1 \(00001\) lacks fx"),
+        ([{**INRIA, "rotation": np.zeros((3, 3)).tolist()}], "frame 0 .* singular"),
+    ],
+)
+def test_bad_camera_files(tmp_path: Path, content: object, expected: str) -> None:
+    """Every bad camera file is one line that names the file and what is wrong, of which frame."""
+    with pytest.raises(FormatError, match=expected) as raised:
+        load(tmp_path, content)
+    assert str(raised.value).startswith(str(tmp_path / "cameras.json") + ": ")
+    assert "\n" not in str(raised.value)
+
+
+def test_missing_camera_file(tmp_path: Path) -> None:
+    """A path that does not exist, and a folder, say so."""
+    with pytest.raises(FormatError, match="no such file"):
+        load_cameras(tmp_path / "none.json")
+    with pytest.raises(FormatError, match="is a folder"):
+        load_cameras(tmp_path)
