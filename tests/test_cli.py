@@ -1,0 +1,181 @@
+"""What the commands do when everything is right."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from cli_files import Workplace
+from lumisplat.cli import main
+from lumisplat.io.image import read_image
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def test_render_writes_a_picture_per_camera(work):
+    """Each frame of the camera file becomes a picture of its name and size, the same as the library renders."""
+    outcome = work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--device", "cpu")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert {path.name for path in work.path("out").iterdir()} == {"left.png", "right.png"}
+    frame = ls.render(
+        ls.Scene(splats=(ls.SplatInstance(ls.load(work.path("capture.ply"))),)),  # type: ignore[arg-type]
+        ls.load_cameras(work.path("cameras.json"))[0],
+        device="cpu",
+    )
+    expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    assert np.array_equal(read_image(work.path("out/left.png"))["srgb"], expected)
+
+
+def test_render_picks_frames_and_scales(work):
+    """--frame selects, and one given side keeps the aspect ratio."""
+    work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--frame", "right", "--width", "32")
+    assert {path.name for path in work.path("out").iterdir()} == {"right.png"}
+    assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
+
+
+def test_render_without_cameras_shows_the_scene(work):
+    """A capture alone gives one picture, in which there is something to see."""
+    assert work.run("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64").status == 0
+    picture = read_image(work.path("first.png"))["srgb"]
+    assert picture.shape == (64, 64, 3)
+    assert (picture > 0).any(axis=2).mean() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "corner"), [("white", (255, 255, 255)), ("#ff8000", (255, 128, 0)), ("0,0.2,1", (0, 51, 255))]
+)
+def test_background(work, text, corner):
+    """The background is the colour that was asked for, in every notation."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    assert work.run(*args, "--background", text).status == 0
+    assert tuple(read_image(work.path("a.png"))["srgb"][0, 0]) == corner
+
+
+def test_transparent_background(work):
+    """A transparent picture has an alpha channel: 0 beside the mesh, 1 on it."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    work.run(*args, "--background", "transparent")
+    alpha = read_image(work.path("a.png"))["srgb"][..., 3]
+    assert alpha[0, 0] == 0
+    assert alpha[24, 32] == 255
+
+
+def test_layers_beside_png(work):
+    """--aov writes a viewable picture for each layer beside the PNG."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    assert work.run(*args, "--aov", "depth,normal,instance_index,gaussian_index").status == 0
+    # The triangle faces the camera at z = 4: its normal is (0, 0, -1), and it holds no Gaussian.
+    assert tuple(read_image(work.path("a.normal.png"))["srgb"][24, 32]) == (128, 128, 0)
+    assert read_image(work.path("a.depth.png"))["srgb"][24, 32].any()
+    assert read_image(work.path("a.instance_index.png"))["srgb"][24, 32].any()
+    assert not read_image(work.path("a.gaussian_index.png"))["srgb"].any()
+    assert not read_image(work.path("a.depth.png"))["srgb"][0, 0].any()
+
+
+def test_layers_in_exr(work):
+    """--aov puts layers into the one EXR, and only those."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@out", "--format", "exr")
+    assert work.run(*args, "--aov", "depth").status == 0
+    channels = read_image(work.path("out/left.exr"))
+    assert set(channels) == {"R", "G", "B", "A", "depth.Z"}
+    assert channels["depth.Z"][24, 32] == pytest.approx(4.0, abs=1e-3)
+    assert np.isinf(channels["depth.Z"][0, 0])
+
+
+def test_stats(work):
+    """--stats names each stage and counts the Gaussians."""
+    outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
+    for word in ("project", "sort", "bin", "composite", "60", "tile pairs", "memory"):
+        assert word in outcome.out
+    assert "color" in read_image(work.path("a.npz"))
+
+
+def test_scene_of_several_files(work):
+    """Several files make one scene: the mesh hides nothing of the capture in front of it, and both are there."""
+    args = ("--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    assert work.run("render", "@capture.ply", "@mesh.obj", *args).status == 0
+    assert set(np.unique(read_image(work.path("a.npz"))["instance_index"])) >= {0, 1}
+
+
+def test_scene_file(work):
+    """A scene.toml places files relative to itself."""
+    work.path("scene.toml").write_text('[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, 4]\n')
+    args = ("--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz")
+    assert work.run("render", "@scene.toml", *args).status == 0
+    assert read_image(work.path("a.npz"))["depth"][24, 32] == pytest.approx(8.0, abs=1e-3)
+
+
+def test_info(work):
+    """Info says what is in captures, meshes and camera files."""
+    outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
+    assert outcome.status == 0
+    for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
+        assert text in outcome.out
+
+
+@pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])
+def test_convert(work, target):
+    """A converted capture holds the same Gaussians."""
+    outcome = work.run("convert", "@capture.ply", f"@{target}")
+    assert outcome.status == 0
+    assert "60 Gaussians" in outcome.out
+    before, after = ls.load(work.path("capture.ply")), ls.load(work.path(target))
+    assert isinstance(before, ls.Gaussians) and isinstance(after, ls.Gaussians)
+    assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
+
+
+def test_drop_invalid(work):
+    """--drop-invalid renders what is left of a capture with NaN in it."""
+    data = bytearray(work.path("capture.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32").status == 2
+    assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32", "--drop-invalid").status == 0
+
+
+def test_bench(work):
+    """Bench prints a row for loading, the first frame, steady frames and each stage."""
+    outcome = work.run("bench", "@capture.ply", "--width", "64", "--repeats", "2", "--device", "cpu")
+    assert outcome.status == 0
+    for word in ("load", "first frame", "median of 2", "composite", "peak"):
+        assert word in outcome.out
+
+
+def test_help_and_version(capsys):
+    """Without arguments there is help; it lists the commands, and each explains its options."""
+    assert main([]) == 0
+    listed = capsys.readouterr().out
+    for command in ("render", "info", "convert", "demo", "bench"):
+        assert command in listed
+        assert main([command, "--help"]) == 0
+        assert "--debug" in capsys.readouterr().out
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"lumisplat {ls.__version__}\n"
+
+
+def test_help_imports_nothing_heavy():
+    """Help must come at once: it imports neither Warp nor a file library nor NumPy."""
+    program = (
+        "import sys, lumisplat.cli; lumisplat.cli.main(['--help']);"
+        "print(sorted({'warp', 'numpy', 'gsply', 'numba', 'OpenEXR', 'PIL', 'rich.progress'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_console_script_is_silent_on_success(work):
+    """A process of its own prints one line and nothing on standard error, whatever Warp has to say."""
+    command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
+    assert (done.stdout, done.stderr) == (f"{Path('a.png')} (32 x 18)\n", "")

@@ -1,0 +1,141 @@
+"""A user's mistake: exit status 2, one line that names it, nothing left behind."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import warp as wp
+
+from cli_files import Workplace
+
+CAMERAS = ("--cameras", "@cameras.json")
+
+SINGULAR = [[0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """The folder, and in it what a command may stumble over."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("a_file").write_text("in the way of a folder")
+    place.path("empty.ply").write_bytes(b"")
+    place.path("short.ply").write_bytes(place.path("capture.ply").read_bytes()[:-7])
+    place.path("capture.xyz").write_text("0 0 0\n")
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    place.path("points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n0 0 0\n")
+    place.path("no_frames.json").write_text('{"frames": []}')
+    place.path("broken.json").write_text('{"frames": [')
+    place.write_cameras("zero_width.json", w=0)
+    place.write_cameras("singular.json", transform_matrix=SINGULAR)
+    place.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
+    place.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
+    return place
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (("render",), "no scene"),
+        (("render", "@missing.ply"), "missing.ply"),
+        (("render", "@capture.xyz"), "capture.xyz"),
+        (("render", "@empty.ply"), "empty.ply"),
+        (("render", "@short.ply"), "short.ply"),
+        (("render", "@points.ply"), "point cloud"),
+        (("render", "@typo.toml"), "scael"),
+        (("render", "@lost.toml"), "lost.ply"),
+        (("render", "@capture.ply", "--cameras", "@missing.json"), "missing.json"),
+        (("render", "@capture.ply", "--cameras", "@no_frames.json"), "no_frames.json"),
+        (("render", "@capture.ply", "--cameras", "@broken.json"), "broken.json"),
+        (("render", "@capture.ply", "--cameras", "@zero_width.json"), "zero_width.json"),
+        (("render", "@capture.ply", "--cameras", "@singular.json"), "singular.json"),
+        (("render", "@capture.ply", *CAMERAS, "--frame", "middle"), "no frame is named 'middle'"),
+        (("render", "@capture.ply", *CAMERAS, "--width", "0"), "width"),
+        (("render", "@capture.ply", "--height", "-3"), "height"),
+        (("render", "@capture.ply", "--device", "cuda:7"), "cuda:7"),
+        (("render", "@capture.ply", "--device", "tpu"), "tpu"),
+        (("render", "@capture.ply", "--background", "mauve"), "mauve"),
+        (("render", "@capture.ply", "--background", "0,0,7"), "background"),
+        (("render", "@capture.ply", "--background", "nan,0,0"), "background"),
+        (("render", "@capture.ply", "--aov", "depth,dept"), "'dept'"),
+        (("render", "@capture.ply", "--sh-degree", "4"), "sh_degree"),
+        (("info",), "no file"),
+        (("info", "@missing.ply"), "missing.ply"),
+        (("info", "@no_frames.json"), "no_frames.json"),
+        (("convert", "@missing.ply", "@out.spz"), "missing.ply"),
+        (("convert", "@capture.ply", "@out.xyz"), "out.xyz"),
+        (("convert", "@mesh.obj", "@out.ply"), "mesh.obj"),
+        (("convert", "@capture.ply", "@a_file/out.ply"), "a_file"),
+        (("bench", "@missing.ply"), "missing.ply"),
+        (("bench", "@capture.ply", "--repeats", "0"), "repeats"),
+        (("bench", "--device", "cuda:7"), "cuda:7"),
+        (("demo", "--device", "cuda:7"), "cuda:7"),
+    ],
+)
+def test_mistake_is_one_line(work, monkeypatch, args, named):
+    """Exit status 2, one line on standard error that names the culprit, no new file."""
+    monkeypatch.chdir(work.folder)
+    before = work.files()
+    outcome = work.run(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert named in outcome.err
+    assert work.files() == before
+
+
+@pytest.mark.parametrize(
+    ("output", "named"),
+    [
+        (("-o", "@a_file"), "a_file"),
+        (("-o", "@a_file/deeper"), "a_file"),
+        (("-o", "@out.png"), "2 frames"),
+        (("-o", "@out.png", "--frame", "left", "--format", "exr"), "--format"),
+        (("-o", "/proc/lumisplat"), "/proc/lumisplat"),
+        (("-o", "/proc/lumisplat.png", "--frame", "left"), "/proc/lumisplat.png"),
+    ],
+)
+def test_output_that_cannot_be_written(work, output, named):
+    """An output that cannot be written is named, and nothing appears."""
+    before = work.files()
+    outcome = work.run("render", "@capture.ply", *CAMERAS, *output)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert named in outcome.err
+    assert work.files() == before
+
+
+@pytest.mark.parametrize("args", [("render", "--widht", "5"), ("paint",), ("render", "x.ply", "--format", "gif")])
+def test_unknown_arguments(work, args):
+    """Arguments that do not parse are exit status 2 as well."""
+    outcome = work.run(*args)
+    assert outcome.status == 2
+    assert "Traceback" not in outcome.err
+
+
+def test_debug_shows_the_traceback(work):
+    """--debug adds the traceback, and the status stays 2."""
+    outcome = work.run("render", "@missing.ply", "--debug")
+    assert outcome.status == 2
+    assert "Traceback" in outcome.err
+
+
+def test_interrupt(work, monkeypatch):
+    """Ctrl-C is status 130 without a traceback."""
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lumisplat.load", interrupt)
+    outcome = work.run("info", "@capture.ply")
+    assert (outcome.status, outcome.err) == (130, "")
+
+
+def test_one_line_in_a_process_of_its_own(work):
+    """Seen from outside: the status is the process's, and native libraries add no line."""
+    command = [sys.executable, "-m", "lumisplat", "render", "short.ply", "-o", "out"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: short.ply: ")
+    assert done.stderr.count("\n") == 1
