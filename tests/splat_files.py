@@ -7,7 +7,6 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from lumisplat.scene.gaussians import Gaussians
 
 SAVED = ("capture.ply", "capture.compressed.ply", "capture.spz")
 FORMATS = (*SAVED, "ascii.ply", "big_endian.ply", "v1.spz", "v2.spz", "v3.spz", "bundle.sog", "linear.sog")
-SOG_FILES = ("means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels")
 
 
 def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -> Gaussians:
@@ -27,7 +25,7 @@ def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -
     sh = rng.uniform(-0.95, 0.95, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.6, 1.6, (count, 3))
     return Gaussians(
-        rng.normal(0.0, 1.5, (count, 3)) + (0.0, -1.0, 3.0),
+        (*rng.normal(0.0, 1.5, (count, 3)), 0.0, -1.0, 3.0),
         rng.normal(size=(count, 4)),
         np.exp(rng.uniform(-6.0, 0.0, (count, 3))),
         rng.uniform(0.02, 0.98, count),
@@ -192,6 +190,3 @@ def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
     for name, data in files.items():
         (folder / name).write_bytes(data)
     return folder
-
-
-Edit = Callable[[bytes], bytes]

@@ -25,7 +25,7 @@ def write(path: Path, names: list[str], rows: list[list[float]], comments: str =
 
 
 def test_values_by_hand(tmp_path: Path) -> None:
-    """exp of scales, sigmoid of the opacity, wxyz normalised, positions as they are."""
+    """Exponential of scales, sigmoid of the opacity, wxyz normalised, positions as they are."""
     one = ls.load(write(tmp_path / "one.ply", NAMES, [ROW]))
     np.testing.assert_array_equal(one.means, [[1, 2, 3]])
     np.testing.assert_allclose(one.scales, np.exp([[-1.0, -2.0, -3.0]]), rtol=1e-6)

@@ -167,14 +167,15 @@ def read_ply_rows(header: PlyHeader, element: PlyElement) -> Iterator[np.ndarray
 def _ascii_rows(header: PlyHeader, element: PlyElement, rows_before: int) -> Iterator[np.ndarray]:
     # A number takes at least two bytes, itself and what separates it; only the last may lack the second.
     _check_size(header, element, header.data_offset + 2 * element.count * len(element.properties) - 1)
-    rows = np.empty(0, dtype=header.dtype(element))
+    if element.count == 0:
+        return
     with parsing(header.path, "an ASCII PLY file"), Path(header.path).open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # no rows: reported below
         file.seek(header.data_offset)
-        if element.count:
-            rows = np.loadtxt(
-                file, rows.dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="ascii"
-            )
+        dtype = header.dtype(element)
+        rows = np.loadtxt(
+            file, dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="ascii"
+        )
     if len(rows) < element.count:
         _truncated(header, element, f"{len(rows):,} rows")
     yield rows
