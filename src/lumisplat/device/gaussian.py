@@ -69,7 +69,11 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     area = wp.cross(u, v)
     det_before = wp.dot(area, area)  # Lagrange's identity: the determinant without cancellation
     det = det_before + camera.dilation * (uu + vv + camera.dilation)
-    if not (det > DET_MIN and det < wp.inf):
+    if det <= DET_MIN:
+        return splat
+    if not det < wp.inf:
+        splat.log_opacity = 0.0
+        splat.along = wp.inf  # overflow: the caller counts it
         return splat
     if instance.antialiased != 0:
         opacity *= wp.sqrt(det_before / det)
