@@ -25,7 +25,7 @@ def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -
     sh = rng.uniform(-0.95, 0.95, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.6, 1.6, (count, 3))
     return Gaussians(
-        (*rng.normal(0.0, 1.5, (count, 3)), 0.0, -1.0, 3.0),
+        rng.normal(0.0, 1.5, (count, 3)) + np.array([0.0, -1.0, 3.0]),
         rng.normal(size=(count, 4)),
         np.exp(rng.uniform(-6.0, 0.0, (count, 3))),
         rng.uniform(0.02, 0.98, count),
