@@ -1,4 +1,7 @@
-"""Times one preset in a process of its own, so that memory and first use are the preset's: ``python -m bench.case NAME``."""
+"""Times one preset in a process of its own, so that memory and first use are the preset's.
+
+``python -m bench.case NAME`` prints one JSON object.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,8 @@ REPEATS = 20
 
 def main(name: str) -> None:
     """Prints one JSON object: milliseconds, counts and peak memory."""
-    from bench.presets import BIKER, PRESETS, synthetic
-
     import lumisplat as ls
+    from bench.presets import BIKER, PRESETS, synthetic
 
     preset = next(preset for preset in PRESETS if preset.name == name)
     with tempfile.TemporaryDirectory() as folder:

@@ -24,9 +24,9 @@ def main(name: str) -> None:
     if found:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
     import mitsuba as mi
-    from bench.presets import BIKER, PRESETS, synthetic
 
     import lumisplat as ls
+    from bench.presets import BIKER, PRESETS, synthetic
 
     mi.set_variant("llvm_ad_rgb")
     preset = next(preset for preset in PRESETS if preset.name == name)
@@ -41,7 +41,9 @@ def main(name: str) -> None:
     reference = mi.render(scene, spp=16).numpy()[..., :3]
     ours = ls.render(ls.Scene(splats=[gaussians]), preset.camera(), device="cpu").color
     psnr = -10.0 * np.log10(np.mean((np.clip(ours, 0, 1) - np.clip(reference, 0, 1)) ** 2))
-    print(json.dumps({"peer": f"mitsuba {mi.__version__}", "frame_ms": statistics.median(walls), "psnr_db": psnr}))
+    print(
+        json.dumps({"peer": f"mitsuba {mi.__version__}", "frame_ms": statistics.median(walls), "psnr_db": float(psnr)})
+    )
 
 
 def describe(mi, gaussians, camera) -> dict:

@@ -40,8 +40,9 @@ def write_document(path: Path, machine: dict, rows: list[dict]) -> None:
     psnr = ", ".join(f"{row['preset']} {row['peer']['psnr_db']:.1f} dB" for row in rows if "peer" in row)
     peer = next((row["peer"]["peer"] for row in rows if "peer" in row), "no peer")
     facts = [
-        f"Measured on {machine['date']} at revision `{machine['revision']}`: {machine['cpu']}, {machine['cores']} cores, "
-        f"Python {machine['python']}, Warp {machine['warp']}; peer {peer}. Command: `make bench`.",
+        f"Measured on {machine['date']} at revision `{machine['revision']}`: {machine['cpu']}, "
+        f"{machine['cores']} cores, Python {machine['python']}, Warp {machine['warp']}; peer {peer}. "
+        "Command: `make bench`.",
         "",
         *table(rows),
         "",

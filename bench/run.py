@@ -1,7 +1,7 @@
 """Runs the benchmarks: ``python -m bench.run [NAME...]``.
 
-Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the table
-of docs/benchmarks.md is written anew when all presets ran.
+Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the
+table of docs/benchmarks.md is written anew when all presets ran.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class Buffers:
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         try:
             array = wp.empty(size, dtype=dtype, device=self._device)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:  # Warp refuses sizes beyond its index range with the latter
             raise DeviceError(f"{self._device} cannot allocate {size:,} elements for '{name}': {error}") from None
         self._arrays[name] = array
         self.allocations += 1

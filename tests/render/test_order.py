@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -40,6 +42,15 @@ def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> No
     np.testing.assert_array_equal(result.order.numpy()[: len(expected)], expected)
     assert order.counts().visible == len(expected)
     assert order.counts().nonfinite == (keys == NONFINITE).sum()
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_all_visible_and_none_visible(parallel: bool) -> None:
+    """Nothing is lost at the ends: neither the last of all-visible items, nor a first of none."""
+    for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
+        order = make_order(parallel)
+        order.sort(wp.array(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
+        assert order.counts().visible == expected
 
 
 @pytest.mark.parametrize("parallel", [False, True])
@@ -83,7 +94,7 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
     visible = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
     expected = brute_force_lists(table, visible, tiles_x, tiles_x * tiles_y)
     starts, items = lists.starts.numpy(), lists.items.numpy()
-    assert [items[a:b].tolist() for a, b in zip(starts[:-1], starts[1:], strict=True)] == expected
+    assert [items[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
     assert order.counts().pairs == sum(map(len, expected))
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.constants import SORT_DIGIT_BITS_MAX
-from lumisplat.device.structs import ChunkData
+from lumisplat.device.structs import ChunkData, Rect
 from lumisplat.launcher import Launcher
 from lumisplat.render import order_kernels as kernels
 
@@ -107,11 +106,12 @@ class OrderChunked:
         )
         counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
-        run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts)
+        ordered = buffers.get("order.rects", Rect, grown(count))
+        run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, ordered)
         self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
         self._pairs[name] = total = int(starts.numpy()[-1])
         items = buffers.get(f"{name}.items", wp.int32, grown(total))
-        run(kernels.scatter_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, items)
+        run(kernels.scatter_tiles, chunks, chunks, count, tiles_x, depth_order.order, ordered, counts, items)
         return TileLists(starts, items)
 
     def counts(self) -> OrderCounts:
@@ -192,5 +192,5 @@ class OrderParallel:
 
 def grown(count: int) -> int:
     """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
-    step = 1 << max(10, int(np.ceil(np.log2(max(count, 1)))) - 2)
+    step = 1 << max(10, count.bit_length() - 3)
     return -(-count // step) * step

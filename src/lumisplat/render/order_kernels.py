@@ -8,6 +8,8 @@ Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair; the library
 capacities rather than counts, so that nothing is read back.
 """
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.device.structs import ChunkData, Rect
@@ -22,6 +24,23 @@ KEY_CULLED = wp.constant(wp.uint32(0xFFFFFFFF))
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
     """First item of a chunk."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
+
+
+@wp.func
+def first_not_below(values: wp.array(dtype=Any), count: int, limit: Any) -> int:
+    """Index of the first of ``count`` ascending values that is at least ``limit``; ``count`` if none is.
+
+    The library's ``lower_bound`` never returns its end.
+    """
+    low = int(0)
+    high = int(count)
+    while low < high:
+        middle = low + (high - low) // 2
+        if values[middle] < limit:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @wp.kernel
@@ -115,13 +134,15 @@ def count_tiles(
     order: wp.array(dtype=int),
     rects: wp.array(dtype=Rect),
     counts_out: wp.array2d(dtype=int),
+    ordered_rects_out: wp.array(dtype=Rect),
 ):
-    """How many of a chunk's items touch each tile."""
+    """How many of a chunk's items touch each tile; also lays the rectangles out in order, for ``scatter_tiles``."""
     chunk = start + wp.tid()
     for tile in range(counts_out.shape[1]):
         counts_out[chunk, tile] = 0
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         rect = rects[order[i]]
+        ordered_rects_out[i] = rect
         for y in range(int(rect.y0), int(rect.y1)):
             for x in range(int(rect.x0), int(rect.x1)):
                 tile = y * tiles_x + x
@@ -135,7 +156,7 @@ def scatter_tiles(
     count: int,
     tiles_x: int,
     order: wp.array(dtype=int),
-    rects: wp.array(dtype=Rect),
+    ordered_rects: wp.array(dtype=Rect),
     positions: wp.array2d(dtype=int),
     items_out: wp.array(dtype=int),
 ):
@@ -143,7 +164,7 @@ def scatter_tiles(
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         item = order[i]
-        rect = rects[item]
+        rect = ordered_rects[i]
         for y in range(int(rect.y0), int(rect.y1)):
             for x in range(int(rect.x0), int(rect.x1)):
                 tile = y * tiles_x + x
@@ -162,9 +183,9 @@ def fill_identity(start: int, order_out: wp.array(dtype=int)):
 @wp.kernel
 def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), counts_out: wp.array(dtype=int)):
     """Visible and non-finite items among sorted keys."""
-    visible = wp.lower_bound(sorted_keys, 0, count, KEY_NONFINITE)
+    visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
     counts_out[0] = visible
-    counts_out[1] = wp.lower_bound(sorted_keys, 0, count, KEY_CULLED) - visible
+    counts_out[1] = first_not_below(sorted_keys, count, KEY_CULLED) - visible
 
 
 @wp.kernel
@@ -211,4 +232,4 @@ def emit_pairs(
 def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array(dtype=int), starts_out: wp.array(dtype=int)):
     """First pair of each tile by binary search; one more element than tiles."""
     tile = start + wp.tid()
-    starts_out[tile] = wp.lower_bound(sorted_tiles, 0, capacity, tile)
+    starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

@@ -1,0 +1,57 @@
+"""Launches, bands, buffers: the machinery under every stage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.errors import DeviceError
+from lumisplat.launcher import Launcher, resolve_device
+from lumisplat.render import order_kernels
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+@pytest.mark.parametrize("bands", [None, 1, 7])
+def test_bands_cover_every_item_once(count: int, bands: int | None) -> None:
+    """However a launch is cut, each item is worked on exactly once."""
+    order = wp.array(np.full(count, -1, np.int32), dtype=wp.int32, device="cpu")
+    Launcher("cpu", threads=3).run_banded(order_kernels.fill_identity, count, order, bands=bands)
+    np.testing.assert_array_equal(order.numpy(), np.arange(count))
+
+
+def test_stages_accumulate_under_their_names() -> None:
+    """A stage entered twice is reported once, with both times."""
+    launcher = Launcher("cpu")
+    for _ in range(2):
+        with launcher.stage("work"):
+            pass
+    assert list(launcher.stage_ms) == ["work"]
+    assert launcher.stage_ms["work"] > 0.0
+
+
+@pytest.mark.parametrize("name", ["cuda:99", "tpu", "", "cpu:1"])
+def test_missing_device_is_named(name: str) -> None:
+    """A device that is not there is refused with a list of those that are."""
+    with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
+        resolve_device(name)
+
+
+def test_buffers_grow_and_never_shrink() -> None:
+    """Smaller requests reuse memory; only a larger one allocates."""
+    buffers = Buffers("cpu")
+    first = buffers.get("a", wp.float32, (4, 8))
+    assert first.shape == (4, 8)
+    assert buffers.get("a", wp.float32, 10).ptr == first.ptr
+    assert buffers.allocations == 1
+    buffers.get("a", wp.float32, 33)
+    assert buffers.allocations == 2
+    assert buffers.get("a", wp.float32, (4, 8)).shape == (4, 8)
+    assert buffers.allocations == 2
+
+
+def test_out_of_memory_is_a_device_error() -> None:
+    """An allocation that cannot succeed says which device and which buffer."""
+    with pytest.raises(DeviceError, match="'huge'"):
+        Buffers("cpu").get("huge", wp.float64, 2**55)
