@@ -51,7 +51,7 @@ def write_obj(folder: Path) -> Path:
     return folder / "quad.obj"
 
 
-def ply_text(order: str = "ascii") -> bytes:
+def ply_text(order: str = "ascii", quad_first: bool = True) -> bytes:
     """A coloured quad and a triangle, so that polygons differ in length, in any of the three encodings."""
     header = f"ply\nformat {order} 1.0\ncomment by hand\nelement vertex 4\n"
     header += "".join(f"property float {n}\n" for n in "xyz") + "".join(
@@ -59,7 +59,7 @@ def ply_text(order: str = "ascii") -> bytes:
     )
     header += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
     vertices = [(*map(float, p), 255, 188, 0) for p in QUAD]
-    faces = [(4, 0, 1, 2, 3), (3, 0, 1, 2)]
+    faces = [(4, 0, 1, 2, 3), (3, 0, 1, 2)][:: 1 if quad_first else -1]
     if order == "ascii":
         return (header + "\n".join(" ".join(map(str, row)) for row in vertices + faces) + "\n").encode()
     sign = "<" if "little" in order else ">"

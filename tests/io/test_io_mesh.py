@@ -95,12 +95,14 @@ def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> N
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str) -> None:
+@pytest.mark.parametrize("quad_first", [True, False])
+def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: bool) -> None:
     """Mixed polygons are fanned, and 8-bit sRGB colours decoded, in every encoding."""
-    (tmp_path / "a.ply").write_bytes(ply_text(order))
+    (tmp_path / "a.ply").write_bytes(ply_text(order, quad_first))
     mesh = read_one(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.positions, QUAD)
-    np.testing.assert_array_equal(mesh.indices, [(0, 1, 2), (0, 2, 3), (0, 1, 2)])
+    triangles = [(0, 1, 2), (0, 2, 3), (0, 1, 2)] if quad_first else [(0, 1, 2), (0, 1, 2), (0, 2, 3)]
+    np.testing.assert_array_equal(mesh.indices, triangles)
     np.testing.assert_allclose(mesh.colors, [(1.0, decode_srgb(188 / 255), 0.0)] * 4, atol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
