@@ -1,20 +1,20 @@
-"""What the tests of the renderer share: the devices, and drawing on them."""
+"""What the tests of the renderer share."""
 
 from __future__ import annotations
 
 import pytest
-import warp as wp
 
 import lumisplat as ls
+from ways import WAYS, renderer_of
 
 
-@pytest.fixture(params=["cpu", *(device.alias for device in wp.get_cuda_devices())])
-def device(request: pytest.FixtureRequest) -> str:
-    """The CPU always, and every GPU there is."""
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest) -> str:
+    """One way to compute a frame."""
     return request.param
 
 
 @pytest.fixture
-def renderer(device: str) -> ls.Renderer:
+def renderer(way: str) -> ls.Renderer:
     """A renderer with the default settings."""
-    return ls.create_renderer(device=device)
+    return renderer_of(way)

@@ -7,27 +7,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import warp as wp
 
 import lumisplat as ls
 import oracles
 from lumisplat.constants import SH_C0
 from scenes import front_camera, joined, one_gaussian, random_gaussians, rotation
+from ways import WAYS, renderer_of
 
 Draw = Callable[..., SimpleNamespace | ls.Frame]
 CENTRE = (24, 32)
 NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 
 
-@pytest.fixture(params=["twin", "cpu", *(device.alias for device in wp.get_cuda_devices())])
+@pytest.fixture(params=["twin", *WAYS])
 def draw(request: pytest.FixtureRequest) -> Draw:
-    """Draws Gaussians with the twin or on a device."""
+    """Draws Gaussians with the twin or in a way of the renderer."""
 
     def call(gaussians: ls.Gaussians, camera: ls.Camera, config: ls.RenderConfig | None = None) -> object:
         scene = ls.Scene([gaussians])
         if request.param == "twin":
             return SimpleNamespace(**oracles.render(scene, camera, config))
-        return ls.create_renderer(config, request.param).render(scene, camera)
+        return renderer_of(request.param, config).render(scene, camera)
 
     return call
 

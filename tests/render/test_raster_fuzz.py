@@ -11,6 +11,7 @@ import lumisplat as ls
 from compare import assert_close
 from lumisplat.errors import LumisplatError
 from scenes import front_camera, joined, one_gaussian, quad, random_gaussians, similarity
+from ways import renderer_of
 
 LARGEST = float(np.finfo(np.float32).max)
 SMALLEST = float(np.finfo(np.float32).smallest_subnormal)
@@ -95,7 +96,7 @@ def test_straddling_the_near_plane(renderer: ls.Renderer, distance: float) -> No
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 15), (15, 33), (2, 300), (300, 2)])
-def test_tile_edges(renderer: ls.Renderer, size: tuple[int, int]) -> None:
+def test_tile_edges(way: str, size: tuple[int, int]) -> None:
     """Gaussians centred on tile edges and corners, of any size, show the same alpha on every side."""
     width, height = size
     camera = front_camera(width, height, 1000.0, cx=0.0, cy=0.0)
@@ -104,7 +105,7 @@ def test_tile_edges(renderer: ls.Renderer, size: tuple[int, int]) -> None:
     count = len(means)
     dots = ls.Gaussians(means, [[1, 0, 0, 0]] * count, [[0.8] * 3] * count, [0.9] * count, np.zeros((count, 1, 3)))
     config = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
-    frame = ls.create_renderer(config, renderer.device).render(ls.Scene([dots]), camera)
+    frame = renderer_of(way, config).render(ls.Scene([dots]), camera)
     corner = 0.9 * np.exp(-0.5 * 0.5 / 0.64)
     for x, y in marks:
         around = frame.alpha[max(y - 1, 0) : y + 1, max(x - 1, 0) : x + 1]

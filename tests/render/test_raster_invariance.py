@@ -11,6 +11,7 @@ import lumisplat as ls
 import oracles
 from compare import assert_close, assert_close_outside_band
 from scenes import cases, front_camera, joined, octahedron, one_gaussian, quad, random_gaussians, similarity
+from ways import renderer_of
 
 IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
 Images = dict[str, np.ndarray]
@@ -89,14 +90,14 @@ def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussian
     assert_equal(renderer.render(ls.Scene([joined(visible, hidden)]), front_camera()), frame)
 
 
-def test_frames_repeat(renderer: ls.Renderer, device: str) -> None:
+def test_frames_repeat(renderer: ls.Renderer, way: str) -> None:
     """The same frame again, after another one, and from another renderer, is bit-equal."""
     scene, camera = full_scene(), front_camera()
     first = renderer.render(scene, camera)
     other = renderer.render(ls.Scene([random_gaussians(77)]), front_camera(90, 70))
     for _ in range(3):  # On CUDA the second frame is captured as a graph, and the third replays it.
         assert_equal(renderer.render(scene, camera), first)
-    assert_equal(ls.create_renderer(device=device).render(scene, camera), first)
+    assert_equal(renderer_of(way).render(scene, camera), first)
     assert other.color.shape == (70, 90, 3)
 
 
@@ -171,9 +172,9 @@ def test_colour_turns_with_the_object(renderer: ls.Renderer, degree: int) -> Non
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 1.0), None])
-def test_empty_views(device: str, background: tuple[float, float, float] | None) -> None:
+def test_empty_views(way: str, background: tuple[float, float, float] | None) -> None:
     """With nothing in sight there is only background: no alpha, no surface, no normal."""
-    renderer = ls.create_renderer(ls.RenderConfig(background=background), device)
+    renderer = renderer_of(way, ls.RenderConfig(background=background))
     behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
     for scene in (ls.Scene(), ls.Scene([behind]), ls.Scene([], [quad(-3.0)]), ls.Scene([behind], [quad(-3.0)])):
         frame = renderer.render(scene, front_camera(33, 17))
@@ -184,12 +185,11 @@ def test_empty_views(device: str, background: tuple[float, float, float] | None)
 
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
-def test_background_fills_the_rest(device: str, name: str) -> None:
+def test_background_fills_the_rest(way: str, name: str) -> None:
     """Over any background, a frame is the transparent one plus (1 - alpha) times it."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
-        ls.create_renderer(ls.RenderConfig(background=b), device).render(case.scene, case.camera)
-        for b in (None, (0.3, 0.9, 0.6))
+        renderer_of(way, ls.RenderConfig(background=b)).render(case.scene, case.camera) for b in (None, (0.3, 0.9, 0.6))
     )
     expected = bare.color + (1.0 - bare.alpha)[..., None] * np.float32([0.3, 0.9, 0.6])
     assert_close(over.color, expected, atol=1e-6)

@@ -9,6 +9,7 @@ import lumisplat as ls
 import oracles
 from compare import assert_close
 from scenes import front_camera, joined, one_gaussian, opposed_sheets, quad, random_gaussians, rotation
+from ways import renderer_of
 
 CENTRE = (24, 32)
 
@@ -37,11 +38,11 @@ def test_surface_is_where_opacity_adds_up(renderer: ls.Renderer) -> None:
 
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
-def test_threshold_is_a_setting(device: str, threshold: float, index: int) -> None:
+def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
     """The iso-opacity threshold chooses the layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
-    frame = ls.create_renderer(config, device).render(ls.Scene([joined(*layers)]), camera())
+    frame = renderer_of(way, config).render(ls.Scene([joined(*layers)]), camera())
     assert frame.gaussian_index[CENTRE] == index
 
 

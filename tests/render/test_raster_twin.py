@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import lumisplat as ls
 import oracles
 from compare import assert_close_outside_band
 from scenes import Case, cases
+from ways import renderer_of
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
-def test_frame_equals_twin(case: Case, device: str) -> None:
+def test_frame_equals_twin(case: Case, way: str) -> None:
     """Every image of a frame is the twin's to float32 precision, but where rounding may flip a decision.
 
     There, one splat more or less at alpha 1/255 may show in the colour, and any surface may be chosen; at an edge of a
     mesh or in a tie of depths, the colour may be anything.
     """
-    frame = ls.create_renderer(case.config, device).render(case.scene, case.camera)
+    frame = renderer_of(way, case.config).render(case.scene, case.camera)
     twin = oracles.render(case.scene, case.camera, case.config)
     band = twin["band"]
     for name, atol, band_atol in (
