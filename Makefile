@@ -34,7 +34,7 @@ format: $(DEV) ## format the code and fix what lint can
 	$(BIN)/ruff format .
 
 bench: $(BENCH) ## run the benchmarks against their peer
-	$(BIN)/python bench/run.py
+	$(BIN)/python -m bench.run
 
 docs: $(DOCS) ## build the documentation under docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
