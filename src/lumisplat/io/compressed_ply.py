@@ -18,7 +18,7 @@ from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
-from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_element, read_ply_header
+from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_element, read_ply_header, read_ply_rows
 from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
 from lumisplat.scene.gaussians import Gaussians
@@ -137,11 +137,14 @@ def _with_rest(header: PlyHeader, dc: Floats) -> Floats:
     sh[:, 0] = dc
     names = sh_property_names(sh.shape[1])[3:]
     _require(header, "sh", "u1", names)
-    rows = read_ply_element(header, element)
     values = (np.arange(256, dtype=np.float32) - 127.5) / 32.0
     values[[0, 255]] = (-4.0, 4.0)
-    for i, name in enumerate(names, start=3):
-        sh[:, i // 3, i % 3] = values[rows[name]]
+    start = 0
+    for rows in read_ply_rows(header, element):
+        block = sh[start : start + len(rows)].reshape(len(rows), -1)
+        for i, name in enumerate(names, start=3):
+            block[:, i] = values[rows[name]]
+        start += len(rows)
     return sh
 
 
