@@ -1,0 +1,38 @@
+"""Every kernel compiles for CUDA, on a machine without a GPU: Warp brings NVRTC along."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import lumisplat
+
+MODULES = [
+    module.name
+    for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")
+    if module.name.endswith("_kernels")
+]
+
+
+def test_kernel_modules_are_found() -> None:
+    """The list is not empty by accident."""
+    assert {"lumisplat.render.raster_kernels", "lumisplat.render.mesh_kernels"} <= {*MODULES}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
+    """NVRTC accepts a module for sm_86 and sm_90, and every kernel of it is in the result."""
+    module = importlib.import_module(name)
+    kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+    assert kernels, f"{name} has no kernels"
+    artifacts = wp.compile_aot_module(module, arch=[86, 90], module_dir=tmp_path, use_ptx=True)
+    assert len(artifacts) == 2
+    for artifact, architecture in zip(artifacts, (86, 90), strict=True):
+        code = artifact.read_text()
+        assert f".target sm_{architecture}" in code
+        for kernel in kernels:
+            assert f"{kernel.key}_" in code
