@@ -62,6 +62,9 @@ PROPERTY_NAMES = {
 MATERIALS = ("normals", "albedo", "roughness", "metallic")
 """The optional fields."""
 
+PROBLEMS_LISTED = 6
+"""Properties that an error about invalid values names, before it says "and more"."""
+
 
 def sh_property_names(coefficients: int) -> list[str]:
     """PLY properties of SH in the order of ``sh.reshape(N, -1)``: f_rest is channel-major in files, ours is not."""
@@ -91,17 +94,7 @@ def gaussians_from_columns(
         opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros where there are none
-    kept = slice(None)
-    invalid, problems = _invalid_rows(columns, scales)
-    if problems:
-        dropped = np.count_nonzero(invalid)
-        summary = f"{', '.join(problems)}, in {dropped:,} of {columns.count:,} Gaussians"
-        if not drop_invalid:
-            raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
-        if dropped == columns.count:
-            raise FormatError(path, f"{summary}: no valid Gaussian is left")
-        logger.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", ", ".join(problems))
-        kept = ~invalid
+    kept = _kept_rows(path, columns, scales, drop_invalid)
 
     def picked(values: Floats) -> FloatArray:
         return values[kept].astype(np.float32, copy=False)
@@ -120,6 +113,24 @@ def gaussians_from_columns(
         )
     except SceneError as error:
         raise FormatError(path, str(error)) from None
+
+
+def _kept_rows(
+    path: str | os.PathLike[str], columns: SplatColumns, scales: Floats, drop_invalid: bool
+) -> slice | npt.NDArray[np.bool_]:
+    """Selects the Gaussians to keep: all of them, or the valid ones if the others may be dropped."""
+    invalid, problems = _invalid_rows(columns, scales)
+    if not problems:
+        return slice(None)
+    dropped = np.count_nonzero(invalid)
+    listed = ", ".join(problems[:PROBLEMS_LISTED]) + (", and more" if len(problems) > PROBLEMS_LISTED else "")
+    summary = f"{listed}, in {dropped:,} of {columns.count:,} Gaussians"
+    if not drop_invalid:
+        raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
+    if dropped == columns.count:
+        raise FormatError(path, f"{summary}: no valid Gaussian is left")
+    logger.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", listed)
+    return ~invalid
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
