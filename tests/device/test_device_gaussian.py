@@ -1,0 +1,89 @@
+"""The functions of a Gaussian's projection, called from Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import oracles
+from lumisplat.config import RenderConfig
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
+from lumisplat.device.gaussian import alpha_from_log, gaussian_normal, projection_jacobian
+from lumisplat.device.structs import CameraData
+from lumisplat.render.device_scene import camera_table
+from scenes import front_camera
+
+unit = st.floats(-1.0, 1.0)
+rotations = st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def camera_data(**changes: object) -> CameraData:
+    """What kernels see of a camera."""
+    camera = front_camera(**changes)  # type: ignore[arg-type]
+    data = CameraData()
+    row = camera_table(camera, RenderConfig())[0]
+    for name in ("focal", "center", "jacobian_min", "jacobian_max"):
+        setattr(data, name, wp.vec2(*(float(value) for value in row[name])))
+    return data
+
+
+@given(st.floats(float(np.log(ALPHA_MIN)), 0.0))
+def test_alpha_is_the_exponential(log_alpha: float) -> None:
+    """Over its whole range the polynomial is exp to a millionth, and never above 0.99."""
+    expected = min(np.exp(np.float32(log_alpha), dtype=np.float64), ALPHA_MAX)
+    assert alpha_from_log(log_alpha) == pytest.approx(expected, rel=2e-6)
+
+
+def test_alpha_is_monotonic() -> None:
+    """More response is never less alpha."""
+    values = [alpha_from_log(float(x)) for x in np.linspace(np.log(ALPHA_MIN), 0.0, 2000)]
+    assert (np.diff(values) >= 0.0).all() and values[0] >= ALPHA_MIN * (1.0 - 1e-6)
+
+
+@settings(max_examples=50)
+@given(unit, unit, st.floats(0.05, 50.0))
+def test_jacobian_is_the_derivative(x: float, y: float, z: float) -> None:
+    """Inside the image, the Jacobian is that of the projection, by central differences."""
+    camera = front_camera()
+    point = np.array([0.5 * x * z, 0.35 * y * z, z])
+
+    def pixel(p: np.ndarray) -> np.ndarray:
+        return np.array([camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy])
+
+    step = 1e-5 * z
+    expected = np.stack([(pixel(point + d) - pixel(point - d)) / (2.0 * step) for d in step * np.eye(3)], axis=1)
+    actual = np.array(projection_jacobian(camera_data(), wp.vec3(*point))).reshape(2, 3)
+    np.testing.assert_allclose(actual, expected, atol=1e-4 * camera.fx / z)
+
+
+@pytest.mark.parametrize(
+    ("cx", "side", "limit"), [(32.0, 1, 0.5333), (32.0, -1, -0.5333), (10.0, 1, 0.9), (10.0, -1, -0.1667)]
+)
+def test_jacobian_is_clamped(cx: float, side: int, limit: float) -> None:
+    """Far outside it stops at the image's edge plus 0.3 half widths, measured from the principal point."""
+    margin = 0.3 * 0.5 * 64.0 / 60.0
+    jacobian = np.array(projection_jacobian(camera_data(cx=cx), wp.vec3(side * 90.0, 0.0, 2.0))).reshape(2, 3)
+    assert jacobian[0, 2] == pytest.approx(-30.0 * (limit + side * margin), rel=1e-3)
+    assert jacobian[0, 0] == pytest.approx(30.0)
+
+
+@settings(max_examples=60)
+@given(rotations, st.tuples(*[st.floats(-6.0, 2.0)] * 3), st.tuples(unit, unit, st.floats(0.2, 1.0)))
+def test_normal_is_that_of_the_max_density_plane(
+    quaternion: tuple[float, ...], log_scales: tuple[float, ...], to_eye: tuple[float, ...]
+) -> None:
+    """inverse(covariance) (eye - mean), normalised, on the viewer's side, for scales that span eight decades."""
+    q = np.array(quaternion) / np.linalg.norm(quaternion)
+    axes = oracles.rotation_from_quaternion(q[None])[0].astype(np.float32).astype(np.float64)
+    scales = np.exp(log_scales)
+    actual = np.array(gaussian_normal(wp.mat33(axes), wp.vec3(*scales), wp.vec3(*to_eye)))
+    expected = axes / scales**2 @ axes.T @ np.array(to_eye)
+    expected /= np.linalg.norm(expected)
+    assert actual @ to_eye > -1e-6
+    # Where to_eye all but lies in a thin Gaussian's plane, float32 cannot tell the direction.
+    local = np.abs(axes.T @ to_eye)
+    if local[scales.argmin()] > 1e-3:
+        np.testing.assert_allclose(actual, expected, atol=1e-3)

@@ -1,0 +1,68 @@
+"""Spherical harmonics on the device."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+import oracles
+from lumisplat.device.sh import sh_color
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def evaluate(
+    sh: wp.array(dtype=wp.vec3), degree: int, directions: wp.array(dtype=wp.vec3), colors_out: wp.array(dtype=wp.vec3)
+):
+    """Colour of one set of coefficients in many directions."""
+    i = wp.tid()
+    colors_out[i] = sh_color(sh, 0, degree, directions[i])
+
+
+def colors(sh: np.ndarray, degree: int, directions: np.ndarray) -> np.ndarray:
+    """What the device computes, shape (N, 3)."""
+    result = wp.empty(len(directions), dtype=wp.vec3, device="cpu")
+    arrays = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (sh, directions)]
+    wp.launch(evaluate, len(directions), inputs=[arrays[0], degree, arrays[1], result], device="cpu")
+    return result.numpy()
+
+
+def sphere() -> tuple[np.ndarray, np.ndarray]:
+    """Directions and weights that integrate polynomials up to degree 7 over the sphere exactly."""
+    z, weights = np.polynomial.legendre.leggauss(8)
+    phi = 2.0 * np.pi * np.arange(16) / 16.0
+    radius = np.sqrt(1.0 - z**2)
+    directions = np.stack(
+        np.broadcast_arrays(radius[:, None] * np.cos(phi), radius[:, None] * np.sin(phi), z[:, None]), -1
+    )
+    return directions, np.repeat(weights * 2.0 * np.pi / 16.0, 16)
+
+
+def device_basis() -> np.ndarray:
+    """The 16 functions at the sphere's directions, read off one-hot coefficients small enough to stay unclamped."""
+    directions, _ = sphere()
+    one_hot = 0.1 * np.eye(16)
+    return np.stack([colors(np.repeat(c[:, None], 3, axis=1), 3, directions)[:, 0] - 0.5 for c in one_hot], 1) / 0.1
+
+
+def test_basis_is_orthonormal() -> None:
+    """The integral of each pair of functions over the sphere is one or zero."""
+    basis, (_, weights) = device_basis(), sphere()
+    np.testing.assert_allclose(basis.T * weights @ basis, np.eye(16), atol=1e-5)
+
+
+def test_basis_is_the_papers() -> None:
+    """Order and signs are those of the twin, which writes out the constants."""
+    np.testing.assert_allclose(device_basis(), oracles.sh_basis(sphere()[0]), atol=2e-6)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_degree_cuts_the_sum(degree: int) -> None:
+    """Coefficients above the degree are not read."""
+    directions, _ = sphere()
+    sh = np.random.default_rng(0).normal(0.0, 0.1, (16, 3))
+    cut = np.where(np.arange(16)[:, None] < (degree + 1) ** 2, sh, 0.0)
+    expected = np.maximum(oracles.sh_basis(directions) @ cut + 0.5, 0.0)
+    np.testing.assert_allclose(colors(np.where(cut == 0.0, np.nan, sh), degree, directions), expected, atol=1e-5)

@@ -1,0 +1,116 @@
+"""Blending, rays and triangles, called from Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import oracles
+from lumisplat.device.color import encode_srgb
+from lumisplat.device.structs import CameraData, Pixel, Splat
+from lumisplat.device.surface import blend, pixel_ray
+from lumisplat.device.triangle import barycentric, setup_triangle
+from lumisplat.scene.color import encode_srgb as encode_srgb_host
+from scenes import front_camera
+
+unit = st.floats(-1.0, 1.0)
+points = st.tuples(unit, unit, st.floats(0.5, 3.0))
+
+
+def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> Pixel:
+    """A pixel after splats of those alphas, the i-th one of colour (i, 1, 0)."""
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = -1
+    for i, alpha in enumerate(alphas):
+        splat = Splat()
+        splat.color = wp.vec3(float(i), 1.0, 0.0)
+        splat.normal = wp.vec3(0.0, 0.0, 1.0)
+        if pixel.transmittance > 0.0:
+            pixel = blend(pixel, splat, i, alpha, transmittance_min, iso)
+    return pixel
+
+
+@given(st.lists(st.floats(0.0, 0.99), max_size=12))
+def test_blend_conserves_light(alphas: list[float]) -> None:
+    """Colour of weight one plus transmittance is one; the transmittance never falls to the minimum."""
+    pixel = blended(alphas)
+    assert pixel.color[1] + abs(pixel.transmittance) == pytest.approx(1.0, abs=1e-5)
+    assert pixel.normal[2] == pytest.approx(pixel.color[1], abs=1e-6)
+    assert abs(pixel.transmittance) > 1e-4
+
+
+@given(st.lists(st.floats(0.0, 0.99), max_size=12), st.floats(0.0, 1.0))
+def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
+    """The surface is the first accepted splat after which the transmittance is below the threshold."""
+    pixel = blended(alphas, iso=iso)
+    remaining, expected = np.float32(1.0), -1
+    for i, alpha in enumerate(alphas):
+        after = remaining - remaining * np.float32(alpha)
+        if after <= np.float32(1e-4):
+            break
+        if abs(after - iso) < 1e-6:
+            return  # Rounding may decide.
+        if after < iso and expected < 0:
+            expected = i
+        remaining = after
+    assert pixel.splat == expected
+
+
+def test_blend_stops_and_says_so() -> None:
+    """The splat that would cross the minimum is dropped, and the sign of the transmittance tells."""
+    pixel = blended([0.9, 0.9, 0.99, 0.5])
+    assert pixel.transmittance == pytest.approx(-0.01, rel=1e-4)
+    assert pixel.color[0] == pytest.approx(0.09, rel=1e-4)
+
+
+def test_rays_pass_through_pixel_centres() -> None:
+    """Rays have z = 1, and project back to the centre at +0.5."""
+    camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0)
+    data = CameraData()
+    data.focal, data.center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
+    rays = oracles.pixel_rays(camera)
+    for y, x in ((0, 0), (47, 63), (13, 5)):
+        np.testing.assert_allclose(np.array(pixel_ray(data, x, y)), rays[y, x], atol=1e-6)
+        assert rays[y, x, 0] * 50.0 + 20.3 == pytest.approx(x + 0.5)
+        assert rays[y, x, 1] * 75.0 + 31.7 == pytest.approx(y + 0.5)
+
+
+@settings(max_examples=60)
+@given(points, points, points, st.tuples(*[st.floats(0.02, 1.0)] * 3))
+def test_barycentric_coordinates_find_the_point(
+    v0: tuple[float, ...], v1: tuple[float, ...], v2: tuple[float, ...], mix: tuple[float, ...]
+) -> None:
+    """A ray aimed at a point of the triangle gives that point's coordinates and depth, either way it is wound."""
+    corners = np.array([v0, v1, v2])
+    if abs(np.linalg.det(corners)) < 1e-2:
+        return
+    weights = np.array(mix) / np.sum(mix)
+    point = weights @ corners
+    ray = wp.vec3(*(point / point[2]))
+    for order in ([0, 1, 2], [0, 2, 1]):
+        triangle = setup_triangle(*(wp.vec3(*corners[i]) for i in order))
+        edges = np.array([triangle.edge0, triangle.edge1, triangle.edge2]) @ np.array(ray)
+        assert (edges > 0.0).all()
+        assert triangle.volume / edges.sum() == pytest.approx(point[2], rel=1e-3)
+        np.testing.assert_allclose(np.array(barycentric(triangle, ray)), weights[order], atol=2e-3)
+
+
+@settings(max_examples=60)
+@given(points, points)
+def test_shared_edges_are_watertight(a: tuple[float, ...], b: tuple[float, ...]) -> None:
+    """Two triangles on either side of an edge compute the same edge function, but for its sign."""
+    apart = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
+    one = setup_triangle(apart[0], wp.vec3(*a), wp.vec3(*b))
+    two = setup_triangle(apart[1], wp.vec3(*b), wp.vec3(*a))
+    first, second = np.array(one.edge0), np.array(two.edge0)
+    assert np.array_equal(first, second) or np.array_equal(first, -second)
+
+
+@given(st.floats(0.0, 4.0))
+def test_device_encodes_as_the_host_does(value: float) -> None:
+    """One sRGB curve everywhere."""
+    assert encode_srgb(value) == pytest.approx(float(encode_srgb_host(np.float64(value))), abs=1e-5)
