@@ -1,0 +1,85 @@
+"""What a frame says and saves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+import scenes
+from lumisplat.io.image import read_image
+from lumisplat.scene.color import decode_srgb
+
+
+@pytest.fixture(scope="module")
+def frame() -> ls.Frame:
+    """Splats over a grey background, a mesh among them."""
+    scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
+    return ls.render(scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125)), device="cpu")
+
+
+def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
+    """A point at distance ``depth`` along a pixel's ray has view depth ``depth_z``."""
+    y, x = np.argwhere(np.isfinite(frame.depth))[0]
+    camera = frame.camera
+    ray = np.array([(x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy, 1.0])
+    point = ray / np.linalg.norm(ray) * frame.depth[y, x]
+    assert frame.depth_z[y, x] == pytest.approx(point[2], rel=1e-5)
+
+
+def test_premultiplied_takes_the_background_away(frame: ls.Frame) -> None:
+    """The same view without a background has the radiance that ``premultiplied`` recovers."""
+    scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
+    bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None), device="cpu")
+    np.testing.assert_allclose(frame.premultiplied(), bare.color, atol=1e-6)
+    np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
+
+
+def test_png_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> None:
+    """An unlit frame is written without tone mapping: its display-referred values, rounded to 8 bits."""
+    frame.save(tmp_path / "a.png")
+    expected = np.floor(np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"], expected)
+
+
+def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
+    """Without a background the PNG has an alpha channel and colours that are not darkened by it."""
+    scene = ls.Scene([scenes.one_gaussian(opacity=0.5, color=(0.8, 0.4, 0.2))])
+    frame = ls.render(scene, scenes.front_camera(31, 31), ls.RenderConfig(background=None), device="cpu")
+    frame.save(tmp_path / "a.png")
+    center = frame.alpha[15, 15]
+    assert center == pytest.approx(0.5, abs=0.01)
+    saved = read_image(tmp_path / "a.png")["srgb"][15, 15]
+    np.testing.assert_allclose(saved / 255.0, (0.8, 0.4, 0.2, center), atol=0.5 / 255.0)
+
+
+def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> None:
+    """One part holds linear premultiplied RGBA and every AOV, bit for bit, under the names that Nuke reads."""
+    frame.save(tmp_path / "a.exr")
+    channels = read_image(tmp_path / "a.exr")
+    index = {"index.gaussian", "index.instance"}
+    assert channels.keys() == {"R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"} | index
+    np.testing.assert_array_equal(channels["A"], frame.alpha)
+    np.testing.assert_array_equal(channels["depth.Z"], frame.depth)
+    np.testing.assert_array_equal(channels["normal.Y"], frame.normal[..., 1])
+    expected = decode_srgb(frame.straight()) * frame.alpha[..., None]
+    np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
+
+
+def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
+    """Arrays come back as they were."""
+    frame.save(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as saved:
+        for name, array in frame.arrays().items():
+            np.testing.assert_array_equal(saved[name], array)
+
+
+def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
+    """The message says what there is to choose from, and nothing is written."""
+    with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):
+        frame.save(tmp_path / "a.jpg")
+    with pytest.raises(ls.ConfigError, match="expected one of depth, normal, index"):
+        frame.layers(["shadow"])
+    assert not list(tmp_path.iterdir())
