@@ -34,9 +34,8 @@ def sphere() -> tuple[np.ndarray, np.ndarray]:
     z, weights = np.polynomial.legendre.leggauss(8)
     phi = 2.0 * np.pi * np.arange(16) / 16.0
     radius = np.sqrt(1.0 - z**2)
-    directions = np.stack(
-        np.broadcast_arrays(radius[:, None] * np.cos(phi), radius[:, None] * np.sin(phi), z[:, None]), -1
-    )
+    ring = np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    directions = np.stack([np.append(r * point, height) for r, height in zip(radius, z, strict=True) for point in ring])
     return directions, np.repeat(weights * 2.0 * np.pi / 16.0, 16)
 
 
