@@ -20,3 +20,13 @@ autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+
+
+def keep_colons(app, what, name, obj, options, lines):
+    """Napoleon reads "a: b" in the first line of an attribute's docstring as type and text; ours are sentences."""
+    if what in ("attribute", "property"):
+        lines.insert(0, "")
+
+
+def setup(app):
+    app.connect("autodoc-process-docstring", keep_colons, priority=400)

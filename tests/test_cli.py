@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,31 @@ def test_info(work):
     assert outcome.status == 0
     for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
         assert text in outcome.out
+
+
+def test_info_shows_text_as_it_is(work):
+    """What a file or its name says is not taken for markup or terminal commands."""
+    gaussians = ls.load(work.path("capture.ply"))
+    assert isinstance(gaussians, ls.Gaussians)
+    ls.save(work.path("[bold].ply"), replace(gaussians, comments=("[/red] :cat: \x1b[2J",)))
+    outcome = work.run("info", "@[bold].ply")
+    assert outcome.status == 0
+    assert "[bold].ply" in outcome.out.replace("\n", "")
+    assert "[/red] :cat: ?[2J" in outcome.out
+
+
+def test_demo(work, monkeypatch):
+    """Demo writes a picture for each of its cameras, and on request its capture and cameras, which render."""
+    gaussians = ls.load(work.path("capture.ply"))
+    monkeypatch.setattr(ls, "demo_scene", lambda: ls.Scene(splats=(ls.SplatInstance(gaussians),)))
+    monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
+    assert work.run("demo", "-o", "@demo", "--save-assets", "--width", "32").status == 0
+    names = {"left.png", "right.png", "demo.ply", "transforms.json"}
+    assert {path.name for path in work.path("demo").iterdir()} == names
+    args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frame", "left", "--width", "32")
+    assert work.run(*args, "-o", "@again.png").status == 0
+    first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
+    assert np.abs(first.astype(int) - again).max() <= 1
 
 
 @pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])

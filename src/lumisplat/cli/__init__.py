@@ -5,6 +5,7 @@ A front end on the public names of the package. A user's mistake ends as one lin
 
 from __future__ import annotations
 
+import io
 import sys
 import traceback
 from collections.abc import Sequence
@@ -47,6 +48,9 @@ def main(args: Sequence[str] | None = None) -> int:
         Exit status: 0, 2 after a user's mistake, 130 when interrupted.
     """
     args = list(sys.argv[1:] if args is None else args)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a file name that the terminal cannot show must not end a command
     if args == ["--version"]:
         print(f"lumisplat {ls.__version__}")
         return 0

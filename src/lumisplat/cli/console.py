@@ -16,7 +16,7 @@ def progress_bars() -> Iterator[Report]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks = {}
 
@@ -47,7 +47,7 @@ def quiet_warp() -> None:
 
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
-    """Prints name and value pairs."""
+    """Prints name and value pairs. Text of files is shown as it is: no markup, no control characters."""
     from rich.console import Console
     from rich.table import Table
 
@@ -55,8 +55,8 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     table.add_column(style="cyan", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        table.add_row(name, value)
-    Console(highlight=False).print(table)
+        table.add_row(name, "".join(char if char.isprintable() or char == "\n" else "?" for char in value))
+    Console(highlight=False, markup=False, emoji=False).print(table)
 
 
 def byte_size(count: float) -> str:

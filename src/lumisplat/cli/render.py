@@ -66,6 +66,7 @@ class Render(DeviceCommand):
             scene = load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
             shots = plan_shots(self._sized(cameras, scene), self.frame, self.output, self.format)
             make_folder(shots[0].path.parent)
+            report("rendering", 0.0)
             for done, shot in enumerate(shots, start=1):
                 frame = renderer.render(scene, shot.camera)
                 save_frame(frame, shot.path, layers)
