@@ -22,11 +22,21 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 
 
-def keep_colons(app, what, name, obj, options, lines):
-    """Napoleon reads "a: b" in the first line of an attribute's docstring as type and text; ours are sentences."""
+# Napoleon takes "a: b" at the start of an attribute's docstring for a type and a text; ours are sentences. So attributes
+# are put aside before it runs (at the default priority of 500), and put back after.
+_sentences: dict[str, list[str]] = {}
+
+
+def put_aside(app, what, name, obj, options, lines):
     if what in ("attribute", "property"):
-        lines.insert(0, "")
+        _sentences[name] = list(lines)
+
+
+def put_back(app, what, name, obj, options, lines):
+    if name in _sentences:
+        lines[:] = _sentences.pop(name)
 
 
 def setup(app):
-    app.connect("autodoc-process-docstring", keep_colons, priority=400)
+    app.connect("autodoc-process-docstring", put_aside, priority=400)
+    app.connect("autodoc-process-docstring", put_back, priority=600)
