@@ -22,7 +22,7 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 
 
-# Napoleon takes "a: b" at the start of an attribute's docstring for a type and a text; ours are sentences. So attributes
+# Napoleon takes "a: b" at the start of an attribute's docstring for a type and a text; ours are sentences. Attributes
 # are put aside before it runs (at the default priority of 500), and put back after.
 _sentences: dict[str, list[str]] = {}
 
