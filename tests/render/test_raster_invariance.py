@@ -204,3 +204,27 @@ def test_assets_are_told_apart(renderer: ls.Renderer) -> None:
     for value in np.linspace(0.1, 0.9, 9):
         shown = mean_color(lambda v: ls.Scene([one_gaussian(opacity=0.99, scale=1.0, color=(v, v, v))]), value)
         assert shown == pytest.approx(0.99 * value, abs=1e-2)
+
+
+def test_buffers_settle(renderer: ls.Renderer) -> None:
+    """After its first frame a renderer allocates nothing more for frames of that size, nor for smaller ones."""
+    scene = full_scene()
+    renderer.render(scene, front_camera(90, 70))
+    settled = renderer._buffers.allocations
+    for size in ((90, 70), (90, 70), (64, 48), (90, 70)):
+        renderer.render(scene, front_camera(*size))
+    assert renderer._buffers.allocations == settled
+
+
+def test_lists_grow_as_needed(renderer: ls.Renderer) -> None:
+    """Splats that all cover every tile outgrow the first guess of the lists; nothing is lost, at once or later."""
+    layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))
+    means = np.column_stack([layers.means[:, :2], np.random.default_rng(0).permutation(np.linspace(2.5, 5.5, 600))])
+    faint = ls.Gaussians(means, layers.rotations_wxyz, layers.scales, np.full(600, 0.01), layers.sh)
+    camera = front_camera(150, 90, 140.0)
+    frame = renderer.render(ls.Scene([faint]), camera)
+    assert frame.stats is not None and frame.stats.pair_count > 50 * frame.stats.visible_count
+    twin = oracles.render(ls.Scene([faint]), camera)
+    assert_close_outside_band(frame.color, twin["color"], twin["tie"], atol=1e-3, name="color")
+    renderer.render(ls.Scene([one_gaussian()]), front_camera())
+    assert_equal(renderer.render(ls.Scene([faint]), camera), frame)
