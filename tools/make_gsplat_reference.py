@@ -8,8 +8,8 @@ stop at a transmittance of 1e-4. It shares no code with Lumisplat or its float64
 
 Needs an environment of its own::
 
-    python3 -m venv reference && reference/bin/pip install torch==2.13.0 gsply
-    reference/bin/pip install --no-deps gsplat==1.5.3 -e .
+    python3 -m venv reference && reference/bin/pip install torch==2.13.0 -e .
+    reference/bin/pip install --no-deps gsplat==1.5.3
     reference/bin/python tools/make_gsplat_reference.py --data ../shared/data
 """
 
