@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -46,9 +47,25 @@ class Buffers:
         self._views[(name, shape)] = view
         return view
 
-    def capacity(self, name: str) -> int:
-        """Elements held under ``name``, 0 before the first request."""
-        return self._arrays[name].size if name in self._arrays else 0
+    def split(self, name: str, fields: Sequence[tuple[str, Any, int]], count: int) -> tuple[Any, dict[str, Any]]:
+        """Several arrays of ``count`` elements in one block of memory, so that one copy downloads them all.
+
+        Args:
+            name: Of the block.
+            fields: Name, dtype and size in 32-bit words of each array's elements.
+            count: Elements of each array.
+
+        Returns:
+            The block as float32, field after field, and the arrays by name.
+        """
+        block = self.get(name, wp.float32, count * sum(words for _, _, words in fields))
+        arrays, first = {}, 0
+        for field, dtype, words in fields:
+            arrays[field] = wp.array(
+                ptr=block.ptr + 4 * first, dtype=dtype, shape=count, device=self._device, copy=False
+            )
+            first += count * words
+        return block, arrays
 
     @property
     def bytes(self) -> int:

@@ -42,6 +42,11 @@ SH_DEGREE_MAX = 3
 SH_C0 = 0.28209479177387814
 """Y_00 = 1 / (2 sqrt(pi))."""
 
+# --- Placement ---
+
+TRANSFORM_MAX = 1e18
+"""Largest entry of a transform and of its inverse: squares of it still fit into float32."""
+
 # --- Work decomposition ---
 
 TILE_PX = 16

@@ -26,6 +26,13 @@ def test_base_colour_is_encoded(renderer: ls.Renderer) -> None:
     assert (frame.alpha == 1.0).all() and (frame.instance_index == 0).all() and (frame.gaussian_index == -1).all()
 
 
+def test_texture_needs_uvs(renderer: ls.Renderer) -> None:
+    """A texture without coordinates to look it up with changes nothing."""
+    material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), base_color_texture=np.zeros((2, 2, 3), np.uint8))
+    frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=material)]), front_camera())
+    assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
+
+
 def test_depth_of_a_tilted_plane(renderer: ls.Renderer) -> None:
     """Depth is exact at every pixel centre of a steep plane, and its normal is the plane's."""
     frame = renderer.render(ls.Scene([], [quad(9.0, 6.0, tilt=1.3)]), front_camera())

@@ -114,7 +114,7 @@ class DeviceScene:
             material = instance.mesh.material
             row["base_color"] = material.base_color
             texture = material.base_color_texture
-            if texture is not None:
+            if texture is not None and instance.mesh.uvs is not None:
                 row["texture_first"] = self._texture_first[id(texture)]
                 row["texture_height"], row["texture_width"] = texture.shape[:2]
             triangle_first += instance.mesh.face_count

@@ -8,11 +8,12 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
-from lumisplat.device.structs import MeshHits, Rect, Splat, SurfaceData
+from lumisplat.device.structs import MeshHits, Rect, Splat
 from lumisplat.launcher import Launcher
 from lumisplat.render import raster_kernels as kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.order import DepthOrder, OrderChunked, OrderParallel, TileLists
+from lumisplat.render.surface import Surface
 from lumisplat.scene.camera import Camera
 
 
@@ -47,31 +48,16 @@ class SplatRaster:
         tiles_x, tiles_y = tile_grid(camera)
         return self._order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
 
-    def composite(
-        self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits
-    ) -> SurfaceData:
+    def composite(self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits) -> Surface:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
         tiles_x, tiles_y = tile_grid(camera)
-        surface = self._surface(camera.width * camera.height)
-        inputs = (scene.camera, scene.instances, splats, lists.starts, lists.items, hits, surface)
+        surface = Surface.of(self._buffers, camera.width * camera.height)
+        inputs = (scene.camera, scene.instances, splats, lists.starts, lists.items, hits, surface.data)
         if self._launcher.is_parallel:
             self._launcher.run(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
         else:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(kernels.composite_tiles, tiles_x * tiles_y, *inputs, bands=bands)
-        return surface
-
-    def _surface(self, pixels: int) -> SurfaceData:
-        surface = SurfaceData()
-        for name, dtype in (
-            ("color", wp.vec3),
-            ("alpha", wp.float32),
-            ("depth", wp.float32),
-            ("normal", wp.vec3),
-            ("gaussian", wp.int32),
-            ("instance", wp.int32),
-        ):
-            setattr(surface, name, self._buffers.get(f"surface.{name}", dtype, pixels))
         return surface
 
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
-from lumisplat.device.structs import SurfaceData
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.render import mesh_kernels, order_kernels, raster_kernels
@@ -15,6 +12,7 @@ from lumisplat.render.frame import Frame, FrameStats
 from lumisplat.render.mesh import MeshRaster
 from lumisplat.render.order import OrderChunked, OrderParallel
 from lumisplat.render.raster import SplatRaster
+from lumisplat.render.surface import Surface
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -61,17 +59,17 @@ class Renderer:
         while self._order.overflowed():
             surface = self._draw(camera)
         with self._launcher.stage("download"):
-            return self._download(surface, scene, camera)
+            return self._frame(surface, scene, camera)
 
-    def _draw(self, camera: Camera) -> SurfaceData:
-        drawn: list[SurfaceData] = []
+    def _draw(self, camera: Camera) -> Surface:
+        drawn: list[Surface] = []
         key = (camera.width, camera.height, self._scene.version, self._buffers.allocations)
         self._launcher.replay("frame", key, lambda: drawn.append(self._passes(camera)))
         if drawn:
             self._surface = drawn[0]
         return self._surface
 
-    def _passes(self, camera: Camera) -> SurfaceData:
+    def _passes(self, camera: Camera) -> Surface:
         stage = self._launcher.stage
         with stage("mesh"):
             hits = self._meshes.draw(self._scene, camera)
@@ -84,20 +82,16 @@ class Renderer:
         with stage("composite"):
             return self._splats.composite(self._scene, camera, splats, lists, hits)
 
-    def _download(self, surface: SurfaceData, scene: Scene, camera: Camera) -> Frame:
-        shape = (camera.height, camera.width)
+    def _frame(self, surface: Surface, scene: Scene, camera: Camera) -> Frame:
+        images = surface.download(camera.height, camera.width)
         counts = self._order.counts()
-
-        def image(name: str, *channels: int) -> np.ndarray:
-            return np.array(getattr(surface, name).numpy()).reshape(*shape, *channels)
-
         return Frame(
-            color=image("color", 3),
-            alpha=image("alpha"),
-            depth=image("depth"),
-            normal=image("normal", 3),
-            gaussian_index=image("gaussian"),
-            instance_index=image("instance"),
+            color=images["color"],
+            alpha=images["alpha"],
+            depth=images["depth"],
+            normal=images["normal"],
+            gaussian_index=images["gaussian"],
+            instance_index=images["instance"],
             camera=camera,
             background=self.config.background,
             stats=FrameStats(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import TRANSFORM_MAX
 from lumisplat.errors import SceneError
 
 FloatArray = npt.NDArray[np.float32]
@@ -49,7 +50,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     """Returns a read-only float64 affine transform, the identity for ``None``.
 
     Raises:
-        SceneError: Not 4x4, not finite, the last row is not (0, 0, 0, 1), or singular.
+        SceneError: Not 4x4, not finite, the last row is not (0, 0, 0, 1), singular, or out of float32's reach.
     """
     matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
     if matrix.shape != (4, 4):
@@ -61,5 +62,8 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     scale = np.linalg.norm(matrix[:3, :3])
     if scale == 0.0 or abs(np.linalg.det(matrix[:3, :3] / scale)) < 1e-9:
         raise SceneError(f"{name} is singular")
+    # Kernels take the matrix and its inverse in float32.
+    if max(np.abs(matrix).max(), np.abs(np.linalg.inv(matrix)).max()) > TRANSFORM_MAX:
+        raise SceneError(f"{name} scales or moves by more than {TRANSFORM_MAX:g}, or by as much in its inverse")
     matrix.flags.writeable = False
     return matrix

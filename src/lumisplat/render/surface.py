@@ -1,0 +1,53 @@
+"""The surface buffers of a frame: where primary visibility ends and everything that shades begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.device.structs import SurfaceData
+
+FIELDS = (
+    ("color", wp.vec3, 3),
+    ("alpha", wp.float32, 1),
+    ("depth", wp.float32, 1),
+    ("normal", wp.vec3, 3),
+    ("gaussian", wp.int32, 1),
+    ("instance", wp.int32, 1),
+)
+"""Arrays of ``SurfaceData``: name, element, 32-bit words an element."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Surface arrays, one after another in one block of device memory."""
+
+    data: SurfaceData
+    """What kernels take."""
+    block: Any
+    """The memory, as float32."""
+
+    @classmethod
+    def of(cls, buffers: Buffers, pixels: int) -> Surface:
+        """The surface buffers of an image of that many pixels."""
+        block, arrays = buffers.split("surface", FIELDS, pixels)
+        data = SurfaceData()
+        for name, array in arrays.items():
+            setattr(data, name, array)
+        return cls(data, block)
+
+    def download(self, height: int, width: int) -> dict[str, np.ndarray]:
+        """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
+        words = np.array(self.block.numpy())
+        images, first = {}, 0
+        for name, dtype, channels in FIELDS:
+            image = words[first : first + height * width * channels]
+            images[name] = image.reshape((height, width) if channels == 1 else (height, width, channels))
+            if dtype is wp.int32:
+                images[name] = images[name].view(np.int32)
+            first += image.size
+        return images
