@@ -29,8 +29,8 @@ CLOSED: dict[str, tuple[Callable[[], Mesh], int, float | None, float | None]] = 
     "rounded box": (lambda: shapes.rounded_box((1.0, 0.8, 1.2), 0.1), 2, BOX_VOLUME, BOX_AREA),
     "cone": (lambda: shapes_swept.lathe(CONE), 2, np.pi * 0.25 / 3, np.pi * (0.25 + 0.5 * 1.25**0.5)),
     "column": (lambda: shapes_swept.fluted([(0, 1), (0.2, 1), (0.3, 0), (0, 0)], 16, 0.1), 2, None, None),
-    "torus knot": (lambda: shapes_swept.torus_knot(), 0, None, None),
-    "gem": (lambda: shapes_swept.gem(), 2, None, None),
+    "torus knot": (shapes_swept.torus_knot, 0, None, None),
+    "gem": (shapes_swept.gem, 2, None, None),
 }
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.scene.arrays import FloatArray, IntArray
+from lumisplat.scene.arrays import FloatArray
 
 _Indices = npt.NDArray[np.integer]
 
@@ -20,13 +20,13 @@ _RADIUS_STEPS_MAX = 100
 class Pairs(NamedTuple):
     """Neighbours closer than some radius: row k pairs point ``first[k]`` with point ``second[k]``."""
 
-    first: IntArray
-    second: IntArray
+    first: _Indices
+    second: _Indices
     distance: FloatArray
 
     def where(self, rows: npt.NDArray[np.bool_]) -> Pairs:
         """The pairs that a mask selects."""
-        return Pairs(*(column[rows] for column in self))
+        return Pairs(self.first[rows], self.second[rows], self.distance[rows])
 
 
 class _Grid(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -97,6 +98,27 @@ class Gaussians:
         names = ("means", "rotations_wxyz", "scales", "opacities", "sh", "normals", "albedo", "roughness", "metallic")
         picked = {name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None}
         return replace(self, **picked)
+
+
+def merged(sets: Sequence[Gaussians]) -> Gaussians:
+    """One set out of several in the same space, in order; optional arrays are kept where all sets have them.
+
+    SH of lower degree is padded with zeros. ``antialiased`` and comments are the first set's.
+
+    Raises:
+        SceneError: There is no set, or some are antialiased and some not.
+    """
+    if not sets:
+        raise SceneError("zero Gaussian sets: there is nothing to merge")
+    if len({one.antialiased for one in sets}) > 1:
+        raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
+    coefficients = max(one.sh.shape[1] for one in sets)
+    padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
+    arrays: dict[str, npt.NDArray[np.floating] | None] = {"sh": np.concatenate(padded)}
+    for name in ("means", "rotations_wxyz", "scales", "opacities", "normals", "albedo", "roughness", "metallic"):
+        columns = [getattr(one, name) for one in sets]
+        arrays[name] = None if any(column is None for column in columns) else np.concatenate(columns)
+    return replace(sets[0], **arrays)
 
 
 def _refuse(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:

@@ -98,7 +98,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     albedo = _base_colors(mesh, points)
     material = mesh.material
     return Gaussians(
-        means=points.positions,
+        means=points.positions.astype(np.float32),
         rotations_wxyz=_quaternions(axes),
         scales=np.concatenate([wide, thin], axis=1),
         opacities=np.full(count, _OPACITY),

@@ -42,7 +42,8 @@ def grid_surface(points: npt.ArrayLike, *, wrap_rows: bool = False, wrap_columns
     solid = np.linalg.norm(areas, axis=1) > 1e-12 * np.ptp(flat, axis=0).max() ** 2
     normals = _grid_normals(points, quads, areas, wrap_rows, wrap_columns)
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
-    return Mesh(flat, quads[solid], normals, np.stack([u, v], axis=-1).reshape(-1, 2))
+    uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return Mesh(flat.astype(np.float32), quads[solid], normals, uvs.astype(np.float32))
 
 
 def _grid_normals(
@@ -162,7 +163,7 @@ def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
         a, b, c = triangles.T
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         triangles = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
-    return Mesh(radius * points, triangles, points)
+    return Mesh((radius * points).astype(np.float32), triangles, points)
 
 
 def torus(major: float = 1.0, minor: float = 0.3, *, rows: int = 48, columns: int = 96) -> Mesh:
@@ -174,13 +175,20 @@ def torus(major: float = 1.0, minor: float = 0.3, *, rows: int = 48, columns: in
     return grid_surface(close_seams(points, rows=True, columns=True), wrap_rows=True, wrap_columns=True)
 
 
-def rounded_box(size: tuple[float, float, float], radius: float, *, segments: int = 6) -> Mesh:
+def rounded_box(
+    size: tuple[float, float, float],
+    radius: float,
+    *,
+    segments: int = 6,
+    flat_segments: tuple[int, int, int] = (1, 1, 1),
+) -> Mesh:
     """A box with edges and corners rounded by ``radius``; each side has its own uvs from 0 to 1.
 
     Args:
         size: Full extents along x, y, z.
         radius: Rounding, above 0 and at most half of the smallest extent.
         segments: Grid cells across half of each rounded edge.
+        flat_segments: Grid cells along x, y and z between the roundings.
 
     Raises:
         SceneError: The radius does not fit into the size.
@@ -193,13 +201,18 @@ def rounded_box(size: tuple[float, float, float], radius: float, *, segments: in
     sides = []
     for axis in range(3):
         right, up = (axis + 1) % 3, (axis + 2) % 3
-        lines = [np.concatenate([-inner[k] - bulge[::-1], inner[k] + bulge]) for k in (right, up)]
+        lines = [_box_line(inner[k], bulge, flat_segments[k]) for k in (right, up)]
         for sign in (-1.0, 1.0):
             cube = np.empty((lines[1].size, lines[0].size, 3))
             cube[..., axis] = sign * half[axis]
             cube[..., right], cube[..., up] = np.meshgrid(sign * lines[0], lines[1][::-1])
             sides.append(_rounded_side(cube, inner, radius))
     return joined(sides)
+
+
+def _box_line(inner: float, bulge: _Floats, flat_segments: int) -> _Floats:
+    flat = np.linspace(-inner, inner, flat_segments + 1)
+    return np.concatenate([-inner - bulge[:0:-1], flat, inner + bulge[1:]])
 
 
 def _rounded_side(cube: _Floats, inner: _Floats, radius: float) -> Mesh:

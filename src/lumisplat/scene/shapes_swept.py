@@ -119,23 +119,37 @@ def torus_knot(
 
 
 def spiral_shell(
-    *, turns: float = 3.2, growth: float = 0.19, radius: float = 1.0, columns: int = 220, rows: int = 32
+    *,
+    turns: float = 3.5,
+    growth: float = 0.125,
+    section: float = 0.42,
+    rise: float = 0.0,
+    ribs: int = 26,
+    radius: float = 1.0,
+    columns: int = 480,
+    rows: int = 32,
 ) -> Mesh:
-    """A snail's shell: a tube that grows exponentially as it winds around and down the y axis (Moseley 1838).
+    """A shell: a ribbed tube that grows exponentially as it winds around the y axis (Moseley 1838), closed at its ends.
 
     Args:
         turns: Number of whorls.
         growth: Logarithm of the growth per radian.
+        section: Radius of the tube over its distance from the axis; whorls touch from ``tanh(pi * growth)`` on.
+        rise: Drop of the tube over its distance from the axis: 0 an ammonite, above 1 a snail.
+        ribs: Ribs per whorl.
         radius: Distance of the last whorl's centre from the axis.
         columns: Grid cells along the tube.
         rows: Grid cells around it.
     """
     angle = np.linspace(-2.0 * np.pi * turns, 0.0, columns + 1)
+    # The first and last ring appear twice, for a sharp rim, and then once more shrunk to a point.
+    angle = np.concatenate([angle[[0, 0]], angle, angle[[-1, -1]]])
+    swelling = 1.0 + 0.06 * np.cos(ribs * angle)
+    swelling[[0, -1]] = 0.0
     size = radius * np.exp(growth * angle)
     around = np.linspace(0.0, -2.0 * np.pi, rows + 1)[:, None]
-    ribs = 1.0 + 0.035 * np.cos(18.0 * angle)
-    out = size * (1.0 + 0.72 * np.cos(around) * ribs)
-    height = size * (-1.35 + 0.78 * np.sin(around) * ribs)
+    out = size * (1.0 + section * swelling * np.cos(around))
+    height = size * (section * swelling * np.sin(around) - rise)
     points = np.stack([out * np.sin(angle), height, out * np.cos(angle)], axis=-1)
     return grid_surface(close_seams(points, rows=True), wrap_rows=True)
 
@@ -174,7 +188,8 @@ def faceted(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
     corners = np.asarray(points, dtype=np.float64)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Mesh(corners.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), np.repeat(normals, 3, axis=0))
+    order = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    return Mesh(corners.reshape(-1, 3).astype(np.float32), order, np.repeat(normals, 3, axis=0))
 
 
 def _transported(tangents: _Floats) -> _Floats:
