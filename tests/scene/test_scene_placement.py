@@ -74,3 +74,10 @@ def test_bounds_are_in_the_world() -> None:
     np.testing.assert_allclose(high, np.maximum(points.max(axis=0), [1.0, 1.0, 5.0]), atol=1e-6)
     with pytest.raises(ls.SceneError, match="empty"):
         ls.Scene().bounds()
+
+
+@pytest.mark.parametrize("matrix", [np.diag([1e-20, 1e-20, 1e-20, 1.0]), np.diag([1e20, 1e20, 1e20, 1.0])])
+def test_transforms_beyond_float32_are_refused(matrix: np.ndarray) -> None:
+    """A scale that kernels could not hold, or not invert, is an error and not an infinity."""
+    with pytest.raises(ls.SceneError, match="scales or moves by more"):
+        ls.MeshInstance(quad(1.0), matrix)
