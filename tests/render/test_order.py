@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import warp as wp
 
+import lumisplat as ls
+import scenes
 from lumisplat.buffers import Buffers
 from lumisplat.device.structs import Rect
 from lumisplat.launcher import Launcher
@@ -102,3 +105,37 @@ def test_grown_leaves_room_without_doubling() -> None:
     """Capacities hold the count and waste at most a quarter, or 1024 elements."""
     for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
         assert count <= grown(count) <= max(1.25 * count + 1, count + 1024)
+
+
+class GraphLauncher(Launcher):
+    """Pretends to be CUDA as far as graphs go: under a known key, lists have the room they had when it was new."""
+
+    order: OrderParallel
+    draws = 0
+
+    def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
+        """Runs the work, with the capacities of its first run under this key."""
+        self.draws += 1
+        assert self.draws < 9, "a stale graph is replayed for ever"
+        now = self.order._capacity
+        self.order._capacity = self._graphs.setdefault(key, (key, now.copy()))[1]
+        work()
+        captured, self.order._capacity = self.order._capacity, now
+        now |= {name: room for name, room in captured.items() if name not in now}
+
+
+def test_overflow_draws_the_frame_again_with_more_room() -> None:
+    """A camera that comes so close that splats cover more tiles than there is room for: no stale graph is replayed."""
+    scene = ls.Scene([scenes.random_gaussians(4, count=200)])
+    launcher = GraphLauncher("cpu", parallel=True)
+    renderer = ls.Renderer(ls.RenderConfig(), launcher)
+    launcher.order = renderer._order
+    for offset in (-30.0, -30.0, 1.5):
+        pose = np.eye(4)
+        pose[2, 3] = -offset
+        camera = scenes.front_camera(400, 300, 300.0, camera_from_world=pose)
+        frame = renderer.render(scene, camera)
+    assert frame.stats is not None and frame.stats.pair_count > 1024
+    assert launcher.draws == 4
+    expected = ls.render(scene, camera, device="cpu")
+    np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)

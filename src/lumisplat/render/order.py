@@ -56,6 +56,8 @@ class OrderChunked:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._visible, self._nonfinite, self._pairs = 0, 0, {}
+        self.growth = 0
+        """How often an overflow made lists larger; never, as counts are known in time."""
 
     def sort(self, keys: Any) -> DepthOrder:
         """Orders the visible items by key: a radix sort whose first pass also drops the culled ones."""
@@ -135,6 +137,8 @@ class OrderParallel:
         self._launcher, self._buffers = launcher, buffers
         self._capacity: dict[str, int] = {}
         self._totals: dict[str, Any] = {}
+        self.growth = 0
+        """How often an overflow made lists larger: a graph captured before is stale."""
         self._key_counts = buffers.get("order.key_counts", wp.int32, 2)
         self._key_counts.zero_()
 
@@ -186,6 +190,7 @@ class OrderParallel:
             needed = int(total.numpy()[0])
             if needed > self._capacity[name]:
                 self._capacity[name] = grown(needed)
+                self.growth += 1
                 cut = True
         return cut
 

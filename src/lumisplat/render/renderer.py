@@ -63,7 +63,7 @@ class Renderer:
 
     def _draw(self, camera: Camera) -> Surface:
         drawn: list[Surface] = []
-        key = (camera.width, camera.height, self._scene.version, self._buffers.allocations)
+        key = (camera.width, camera.height, self._scene.version, self._buffers.allocations, self._order.growth)
         self._launcher.replay("frame", key, lambda: drawn.append(self._passes(camera)))
         if drawn:
             self._surface = drawn[0]
