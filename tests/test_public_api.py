@@ -64,7 +64,6 @@ def test_static_types_agree() -> None:
         ("SceneError", ValueError),
         ("FormatError", ls.SceneError),
         ("DeviceError", RuntimeError),
-        ("MissingExtraError", ImportError),
     ],
 )
 def test_errors_form_a_tree(error: str, builtin: type) -> None:

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         DeviceError,
         FormatError,
         LumisplatError,
-        MissingExtraError,
         SceneError,
     )
     from lumisplat.io import load, load_cameras, save
@@ -41,7 +40,6 @@ _HOME = {
     "MaterialPbr": "scene.materials",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
-    "MissingExtraError": "errors",
     "Pipeline": "config",
     "RasterConfig": "config",
     "RenderConfig": "config",
@@ -71,7 +69,6 @@ __all__ = [
     "MaterialPbr",
     "Mesh",
     "MeshInstance",
-    "MissingExtraError",
     "Pipeline",
     "RasterConfig",
     "RenderConfig",

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
 
 from lumisplat.errors import DeviceError
+
+
+def physical_memory() -> int:
+    """Memory of this machine, bytes; boundless where the system does not tell."""
+    if not hasattr(os, "sysconf"):
+        return sys.maxsize
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 class Buffers:
@@ -75,6 +84,12 @@ class Buffers:
     def _allocate(self, name: str, dtype: Any, size: int) -> Any:
         self._arrays.pop(name, None)  # freed before its successor is made: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
+        needed = size * wp.types.type_size_in_bytes(dtype)
+        if self._device == "cpu" and self.bytes + needed > physical_memory():
+            # The system would promise the memory, and end the process once it is written.
+            raise DeviceError(
+                f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
+            )
         try:
             array = wp.empty(size, dtype=dtype, device=self._device)
         except (RuntimeError, ValueError) as error:  # Warp refuses sizes beyond its index range with the latter

@@ -4,8 +4,7 @@ LumisplatError
 ├── ConfigError        a bad setting (also a ValueError)
 ├── SceneError         bad data: shape, NaN, empty (also a ValueError)
 │   └── FormatError    a file we cannot read or write: names the path
-├── DeviceError        a missing device, out of memory, a failed launch
-└── MissingExtraError  an optional library is absent: prints the pip line
+└── DeviceError        a missing device, out of memory, a failed launch
 
 Messages say what, where, what was expected and what to do, in one line.
 """
@@ -44,18 +43,6 @@ class FormatError(SceneError):
 
 class DeviceError(LumisplatError, RuntimeError):
     """A compute device is missing, out of memory or failed."""
-
-
-class MissingExtraError(LumisplatError, ImportError):
-    """An optional dependency is not installed.
-
-    Args:
-        feature: What needs it, e.g. ``"reading OBJ meshes"``.
-        extra: The extra that installs it, e.g. ``"mesh"``.
-    """
-
-    def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f'{feature} needs an optional library: pip install "lumisplat[{extra}]"')
 
 
 def check_shapes(**named: tuple[np.ndarray | None, str]) -> dict[str, int]:

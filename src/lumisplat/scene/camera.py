@@ -113,7 +113,7 @@ class Camera:
     @property
     def world_from_camera(self) -> npt.NDArray[np.float64]:
         """Inverse pose, shape (4, 4)."""
-        return np.linalg.inv(self.camera_from_world)
+        return np.asarray(np.linalg.inv(self.camera_from_world), dtype=np.float64)
 
     @property
     def eye(self) -> npt.NDArray[np.float64]:
@@ -130,10 +130,9 @@ class Camera:
         if width is None and height is None:
             return self
         if width is None:
-            width = max(1, round(self.width * height / self.height))  # type: ignore[operator]
+            assert height is not None
+            width = max(1, round(self.width * height / self.height))
         if height is None:
             height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
-        return replace(
-            self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y
-        )
+        return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)

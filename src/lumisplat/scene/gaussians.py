@@ -70,7 +70,7 @@ class Gaussians:
             raise SceneError("zero Gaussians: there is nothing to render")
         if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
             raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
-        _refuse("scales", "not positive", (self.scales <= 0.0).any(axis=1))
+        _refuse("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
             if values is not None:

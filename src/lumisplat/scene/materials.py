@@ -45,6 +45,8 @@ class MaterialPbr:
         if self.base_color_texture is not None:
             texture = np.ascontiguousarray(self.base_color_texture).view()
             if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
-                raise SceneError(f"base_color_texture is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
+                raise SceneError(
+                    f"base_color_texture is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)"
+                )
             texture.flags.writeable = False
             object.__setattr__(self, "base_color_texture", texture)
