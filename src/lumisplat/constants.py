@@ -47,6 +47,14 @@ SH_C0 = 0.28209479177387814
 TRANSFORM_MAX = 1e18
 """Largest entry of a transform and of its inverse: squares of it still fit into float32."""
 
+# --- Limits of 32-bit indices ---
+
+IMAGE_PIXELS_MAX = 200_000_000
+"""Pixels of a frame: its surface buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
+
+ITEMS_MAX = 2**31 - 1
+"""Gaussians, or triangles, of a scene."""
+
 # --- Work decomposition ---
 
 TILE_PX = 16

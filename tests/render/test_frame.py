@@ -76,6 +76,12 @@ def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
             np.testing.assert_array_equal(saved[name], array)
 
 
+def test_image_beyond_the_indices_is_refused() -> None:
+    """An image too large for 32-bit indices is an error before anything is allocated."""
+    with pytest.raises(ls.SceneError, match="at most 200,000,000 pixels"):
+        ls.render(ls.Scene(), scenes.front_camera(65536, 65536), device="cpu")
+
+
 def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
     """The message says what there is to choose from, and nothing is written."""
     with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
+from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.render import mesh_kernels, order_kernels, raster_kernels
@@ -48,10 +49,14 @@ class Renderer:
 
         Raises:
             DeviceError: The device is out of memory.
-            SceneError: The scene holds more Gaussians than 32-bit indices reach.
+            SceneError: The scene or the image is larger than 32-bit indices reach.
         """
-        if max(scene.gaussian_count, scene.face_count) >= 2**31:
-            raise SceneError("a scene holds at most 2,147,483,647 Gaussians and as many triangles")
+        if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
+            raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+        if camera.width * camera.height > IMAGE_PIXELS_MAX:
+            raise SceneError(
+                f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
+            )
         self._launcher.stage_ms = {}
         with self._launcher.stage("sync"):
             self._scene.sync(scene, camera, self.config)
