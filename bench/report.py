@@ -46,6 +46,10 @@ def write_document(path: Path, machine: dict, rows: list[dict]) -> None:
         "",
         *table(rows),
         "",
+        "Whole processes, interpreter included: "
+        + ", ".join(f"`{name}` {value:.0f} ms" for name, value in machine["command_ms"].items())
+        + ".",
+        "",
         f"Agreement with the peer's 16-sample image (another method: rays, not EWA), PSNR: {psnr}.",
     ]
     path.write_text(before + MARK + "\n" + "\n".join(facts) + "\n" + MARK + after)

@@ -10,12 +10,14 @@ import datetime
 import json
 import os
 import platform
+import statistics
 import subprocess
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 
-from bench.presets import PRESETS, Preset
+from bench.presets import BIKER, PRESETS, Preset
 from bench.report import print_table, write_document
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,7 +38,7 @@ def main(names: list[str]) -> None:
             continue
         print(f"{preset.name} ...", flush=True)
         rows.append(run(preset))
-    machine = describe_machine()
+    machine = describe_machine() | {"command_ms": command_times()}
     results = ROOT / "bench" / "results"
     results.mkdir(exist_ok=True)
     with (results / f"{machine['revision']}.jsonl").open("a") as file:
@@ -59,6 +61,22 @@ def run(preset: Preset) -> dict:
             reason = (error.stderr or "").strip().splitlines()
             print(f"  peer skipped: {reason[-1] if reason else error}", flush=True)
     return row
+
+
+def command_times() -> dict[str, float]:
+    """Medians of whole processes, interpreter included: the help page, and loading the biker."""
+    commands = {"lumisplat --help": [sys.executable, "-m", "lumisplat", "--help"]}
+    if BIKER.is_file():
+        load = f"import lumisplat; lumisplat.load({str(BIKER)!r})"
+        commands[f"loading {BIKER.name}"] = [sys.executable, "-c", load]
+    return {name: statistics.median(process_ms(command) for _ in range(5)) for name, command in commands.items()}
+
+
+def process_ms(command: list[str]) -> float:
+    """Wall time of one process, milliseconds."""
+    begun = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True)
+    return 1e3 * (time.perf_counter() - begun)
 
 
 def child(module: str, name: str) -> dict:
