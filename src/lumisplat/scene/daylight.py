@@ -67,6 +67,8 @@ def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight
     for direction in _hemisphere(light.sky_directions):
         cosine = normals @ direction
         facing = np.flatnonzero(cosine > 0.0)
+        if not facing.size:
+            continue
         lit[facing] += cosine[facing] * _visibility(casters, start[facing], direction, light.texel, blur=1)
         weight += np.maximum(cosine, 0.0)
     # Surfaces that face down see no sky at all, and the floor well.

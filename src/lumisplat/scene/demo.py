@@ -47,13 +47,14 @@ def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
         World y up, metres, floor at y = 0.
     """
     report = progress or (lambda step, share: None)
+    report("building the demo scene", 0.0)
     rng = np.random.default_rng(7)
     parts = _captured(rng)
     sets = []
     for seed, (mesh, spacing) in enumerate(parts):
-        report("sampling the demo scene", seed / len(parts))
+        report("building the demo scene", 0.1 + 0.7 * seed / len(parts))
         sets.append(gaussians_from_mesh(mesh, math.ceil(_area(mesh) / spacing**2), seed=seed))
-    report("lighting the demo scene", 0.9)
+    report("lighting the demo scene", 0.8)
     meshes = [demo_room.woodwork(), demo_objects.ball(rng), demo_objects.knot(), demo_objects.jewel()]
     capture, meshes = _in_daylight(merged(sets), meshes)
     garden = gaussians_from_mesh(demo_room.garden(), 4_000)

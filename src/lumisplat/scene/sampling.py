@@ -32,7 +32,7 @@ _COVERED_ALPHA = 0.95
 _FACING_COSINE = -0.5
 _EDGE_ROW = (0.2, 0.45)
 _SEARCH_SPACINGS = 0.86
-_AXIS_COSINE = 0.7
+_AXIS_COSINE = 0.97
 
 _Floats = npt.NDArray[np.floating]
 
@@ -209,12 +209,15 @@ def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spa
         return limits
     near = cross_pairs(positions, creases.positions, 2.5 * spacing)
     step = creases.positions[near.second] - positions[near.first]
+    reach = np.abs(np.einsum("ij,ijk->ik", step, axes[near.first, :, :2]))
+    along = np.abs(np.einsum("ij,ijk->ik", creases.directions[near.second], axes[near.first, :, :2]))
     for axis in (0, 1):
-        reach = np.abs(np.einsum("ij,ij->i", step, axes[near.first, :, axis]))
-        turned = np.abs(np.einsum("ij,ij->i", creases.directions[near.second], axes[near.first, :, axis])) < 0.5
-        ahead = turned & (reach > 0.7 * near.distance)
-        np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead])
-    return np.maximum(limits, 0.25 * spacing)
+        sideways = reach[:, 1 - axis]
+        ahead = (along[:, axis] < 0.5) & (sideways < np.maximum(reach[:, axis], 0.5 * spacing))
+        np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead, axis])
+    # The row along the edge reaches up to it; the ones behind keep further away, for their edge is already covered.
+    row = _EDGE_ROW[1] * spacing
+    return np.clip(limits, 0.25 * spacing, np.maximum(row, 0.75 * limits))
 
 
 def _grown_scales(
