@@ -25,7 +25,7 @@ class SplatInstance:
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
     """Similarity transform, shape (4, 4); None: the identity."""
-    name: str = ""
+    name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         matrix = matrix_4x4("world_from_object", self.world_from_object)
@@ -54,7 +54,7 @@ class MeshInstance:
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: the identity."""
-    name: str = ""
+    name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
