@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.quaternions import rotation_matrix
 from lumisplat.io.source import PathLike, read_bytes
 from lumisplat.scene.arrays import float_array
 from lumisplat.scene.gaussians import Gaussians
@@ -59,8 +60,8 @@ def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Sc
                 found = "a mesh" if kind == "splats" else "a capture"
                 raise FormatError(path, f"{kind}[{index}]: {entry['path']} is {found}, list it under the other heading")
             name = entry.get("name", "")
-            splats += [SplatInstance(i.gaussians, world_from_entry @ i.transform, name or i.name) for i in scene.splats]
-            meshes += [MeshInstance(i.mesh, world_from_entry @ i.transform, name or i.name) for i in scene.meshes]
+            splats += [SplatInstance(i.gaussians, world_from_entry @ i.transform, name=name or i.name) for i in scene.splats]
+            meshes += [MeshInstance(i.mesh, world_from_entry @ i.transform, name=name or i.name) for i in scene.meshes]
     return Scene(splats=tuple(splats), meshes=tuple(meshes))
 
 
@@ -91,26 +92,15 @@ def _check_keys(entry: dict) -> None:
 
 
 def _transform(entry: dict) -> npt.NDArray[np.float64]:
-    position = float_array("position", entry.get("position", (0.0, 0.0, 0.0))).astype(np.float64)
-    wxyz = float_array("rotation_wxyz", entry.get("rotation_wxyz", (1.0, 0.0, 0.0, 0.0))).astype(np.float64)
+    position = float_array("position", entry.get("position", (0.0, 0.0, 0.0)))
+    wxyz = float_array("rotation_wxyz", entry.get("rotation_wxyz", (1.0, 0.0, 0.0, 0.0)))
     scale = entry.get("scale", 1.0)
     if position.shape != (3,) or wxyz.shape != (4,):
         raise SceneError("position takes three numbers, rotation_wxyz four")
     if not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
         raise SceneError(f"scale is {scale}, expected one positive number")
-    length = np.linalg.norm(wxyz)
-    if length == 0.0:
-        raise SceneError("rotation_wxyz has zero length")
-    w, x, y, z = wxyz / length
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
     matrix = np.eye(4)
-    matrix[:3, :3] = scale * rotation
+    matrix[:3, :3] = scale * rotation_matrix(wxyz)
     matrix[:3, 3] = position
     return matrix
 
