@@ -156,6 +156,24 @@ def test_moving_everything_together(renderer: ls.Renderer) -> None:
         assert_close_outside_band(undone, getattr(expected, name), twin["band"], atol=1e-3, name=name)
 
 
+def test_renderer_follows_every_rearrangement(way: str) -> None:
+    """One renderer shows what a new one shows when the same assets change places, count, order or company."""
+    first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
+    ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
+    left, right = similarity(offset=(-0.7, 0.0, 4.0)), similarity((0.0, 1.0, 0.0), 1.0, 0.8, (0.8, 0.2, 4.4))
+    warm = renderer_of(way)
+    for splats, meshes in (
+        ([(first, left), (second, right)], [(ball, left), (wall, right)]),
+        ([(second, left), (first, right)], [(wall, left), (ball, right)]),
+        ([(first, left), (second, right), (first, right)], [(ball, right), (ball, left)]),
+        ([(second, right)], []),
+        ([], [(wall, left)]),
+        ([(first, left), (second, right)], [(ball, left), (wall, right)]),
+    ):
+        scene = ls.Scene([ls.SplatInstance(*s) for s in splats], [ls.MeshInstance(*m) for m in meshes])
+        assert_equal(warm.render(scene, front_camera()), renderer_of(way).render(scene, front_camera()))
+
+
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_colour_turns_with_the_object(renderer: ls.Renderer, degree: int) -> None:
     """An instance turned by R before a fixed camera shows the object's colours as the camera turned by R^-1 does."""

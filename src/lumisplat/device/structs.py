@@ -202,8 +202,8 @@ class MeshInstanceData:
     """Linear."""
     face_first: int
     """First face in MeshData."""
-    triangle_first: int
-    """First triangle among those of all instances."""
+    first: int
+    """Index of the instance's first triangle among all of the scene's."""
     has_normals: int
     texture_first: int
     texture_width: int

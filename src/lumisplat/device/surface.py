@@ -1,5 +1,7 @@
 """From a blended pixel to the surface that the rest of the frame works on."""
 
+from typing import Any
+
 import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
@@ -38,13 +40,13 @@ def blend(pixel: Pixel, splat: Splat, splat_index: int, alpha: float, transmitta
 
 
 @wp.func
-def instance_of(instances: wp.array(dtype=InstanceData), gaussian: int) -> int:
-    """The instance that holds a Gaussian: the last one that starts at or before it."""
+def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
+    """The instance that holds a Gaussian or triangle: the last one that starts at or before it."""
     low = int(0)
     high = instances.shape[0]
     while high - low > 1:
         middle = (low + high) // 2
-        if instances[middle].first <= gaussian:
+        if instances[middle].first <= item:
             low = middle
         else:
             high = middle

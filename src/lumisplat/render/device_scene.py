@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,21 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 
+@dataclass(frozen=True, slots=True)
+class SplatAsset:
+    """A Gaussian set on the device, and where it is placed."""
+
+    gaussians: Gaussians
+    data: GaussianData
+    instance_ids: Any
+    """Indices of its splat instances, on the device."""
+
+    @property
+    def placed_count(self) -> int:
+        """Gaussians over all of its instances."""
+        return self.gaussians.count * self.instance_ids.shape[0]
+
+
 class DeviceScene:
     """Device copies of a scene's assets, and the per-frame tables that place them.
 
@@ -26,107 +42,109 @@ class DeviceScene:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._gaussians: dict[int, tuple[Gaussians, GaussianData]] = {}
-        self._meshes: tuple[Mesh, ...] = ()
+        self._structure: tuple[list[int], list[int]] | None = None
+        self._meshes: dict[int, Mesh] = {}
+        self._face_first: dict[int, int] = {}
         self._texture_first: dict[int, int] = {}
         self.version = 0
-        """Changes whenever device arrays did, so that captured graphs can tell."""
-        self.gaussians: list[GaussianData] = []
-        """One entry a splat instance; instances of one asset share it."""
+        """Changes whenever device arrays or what they stand for did, so that captured graphs can tell."""
+        self.assets: list[SplatAsset] = []
         self.mesh_data = MeshData()
-        self.face_counts: list[int] = []
-        """Triangles of each mesh instance."""
-        self.gaussian_counts: list[int] = []
-        """Gaussians of each splat instance."""
+        self.gaussian_count = 0
+        """Gaussians over all instances."""
+        self.triangle_count = 0
+        """Triangles over all instances."""
         self.camera: Any = wp.zeros(1, dtype=CameraData, device=device)
-        self.instances: Any = wp.zeros(0, dtype=InstanceData, device=device)
-        self.mesh_instances: Any = wp.zeros(0, dtype=MeshInstanceData, device=device)
+        self.instances: Any = None
+        """Poses of the splat instances."""
+        self.mesh_instances: Any = None
+        """Poses and materials of the mesh instances."""
 
     def sync(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
         """Uploads the assets that are new, drops those no longer used, and writes poses and camera."""
-        self._sync_gaussians(scene)
-        self._sync_meshes(scene)
-        self._place_splats(scene, camera, config)
-        self._place_meshes(scene, camera)
+        structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
+        if structure != self._structure:
+            self._upload(scene)
+            self._structure = structure
         self.camera.assign(camera_table(camera, config))
+        if scene.splats:
+            self.instances.assign(splat_table(scene, camera, config))
+        if scene.meshes:
+            self.mesh_instances.assign(self._mesh_table(scene, camera))
 
     @property
     def bytes(self) -> int:
         """Memory of the assets, bytes."""
-        arrays = [a for _, d in self._gaussians.values() for a in (d.means, d.rotations, d.scales, d.opacities, d.sh)]
+        data = [asset.data for asset in self.assets]
+        arrays = [array for d in data for array in (d.means, d.rotations, d.scales, d.opacities, d.sh)]
         if self._meshes:
             m = self.mesh_data
             arrays += [m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels]
         return sum(array.capacity for array in arrays)
 
-    def _sync_gaussians(self, scene: Scene) -> None:
-        wanted = {id(instance.gaussians): instance.gaussians for instance in scene.splats}
-        if wanted.keys() != self._gaussians.keys():
-            self._gaussians = {key: held for key, held in self._gaussians.items() if key in wanted}
-            for key in wanted.keys() - self._gaussians.keys():
-                self._gaussians[key] = (wanted[key], upload_gaussians(wanted[key], self._device))
-            self.version += 1
-        self.gaussians = [self._gaussians[id(instance.gaussians)][1] for instance in scene.splats]
-        self.gaussian_counts = [instance.gaussians.count for instance in scene.splats]
-
-    def _sync_meshes(self, scene: Scene) -> None:
-        meshes = tuple({id(instance.mesh): instance.mesh for instance in scene.meshes}.values())
-        if [id(mesh) for mesh in meshes] != [id(mesh) for mesh in self._meshes]:
+    def _upload(self, scene: Scene) -> None:
+        # The old assets keep their objects alive until the new ones are compared: an id is never that of a dead one.
+        held = {id(asset.gaussians): asset.data for asset in self.assets}
+        placements: dict[int, list[int]] = {}
+        for number, instance in enumerate(scene.splats):
+            placements.setdefault(id(instance.gaussians), []).append(number)
+        assets = []
+        for key, numbers in placements.items():
+            gaussians = scene.splats[numbers[0]].gaussians
+            data = held[key] if key in held else upload_gaussians(gaussians, self._device)
+            ids = wp.array(numbers, dtype=wp.int32, device=self._device)
+            assets.append(SplatAsset(gaussians, data, ids))
+        self.assets = assets
+        meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
+        if list(meshes) != list(self._meshes):
             self._meshes = meshes
-            self.mesh_data, self._texture_first = upload_meshes(meshes, self._device)
-            self.version += 1
-        self.face_counts = [instance.mesh.face_count for instance in scene.meshes]
+            self._face_first = first_of({key: mesh.face_count for key, mesh in meshes.items()})
+            self.mesh_data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
+        self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
+        self.instances = wp.zeros(len(scene.splats), dtype=InstanceData, device=self._device)
+        self.mesh_instances = wp.zeros(len(scene.meshes), dtype=MeshInstanceData, device=self._device)
+        self.version += 1
 
-    def _place_splats(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
-        table = np.zeros(len(scene.splats), dtype=table_dtype(InstanceData))
-        first = 0
-        for row, instance in zip(_rows(table), scene.splats, strict=True):
-            camera_from_object = camera.camera_from_world @ instance.transform
-            row["camera_from_object"] = camera_from_object[:3, :3]
-            row["camera_from_object_offset"] = camera_from_object[:3, 3]
-            row["world_from_object"] = instance.transform[:3, :3] / instance.scale
-            row["eye"] = (np.linalg.inv(instance.transform) @ [*camera.eye, 1.0])[:3]
-            row["first"] = first
-            mode = config.raster.antialiasing
-            row["antialiased"] = mode is Antialiasing.ON or (
-                mode is Antialiasing.AUTO and instance.gaussians.antialiased
-            )
-            first += instance.gaussians.count
-        self.instances = self._write(self.instances, InstanceData, table)
-
-    def _place_meshes(self, scene: Scene, camera: Camera) -> None:
-        face_first = {}
-        total = 0
-        for mesh in self._meshes:
-            face_first[id(mesh)] = total
-            total += mesh.face_count
+    def _mesh_table(self, scene: Scene, camera: Camera) -> np.ndarray:
+        transforms = np.array([instance.transform for instance in scene.meshes])
+        camera_from_object = camera.camera_from_world @ transforms
+        normal_matrices = np.linalg.inv(transforms[:, :3, :3]).transpose(0, 2, 1)
         table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
-        triangle_first = 0
-        for row, instance in zip(_rows(table), scene.meshes, strict=True):
-            camera_from_object = camera.camera_from_world @ instance.transform
-            row["camera_from_object"] = camera_from_object[:3, :3]
-            row["camera_from_object_offset"] = camera_from_object[:3, 3]
-            normal_matrix = np.linalg.inv(instance.transform[:3, :3]).T
-            row["world_from_object_normal"] = normal_matrix / np.abs(normal_matrix).max()
-            row["face_first"] = face_first[id(instance.mesh)]
-            row["triangle_first"] = triangle_first
-            row["has_normals"] = instance.mesh.normals is not None
-            material = instance.mesh.material
-            row["base_color"] = material.base_color
-            texture = material.base_color_texture
-            if texture is not None and instance.mesh.uvs is not None:
+        table["camera_from_object"] = camera_from_object[:, :3, :3]
+        table["camera_from_object_offset"] = camera_from_object[:, :3, 3]
+        table["world_from_object_normal"] = normal_matrices / np.abs(normal_matrices).max(axis=(1, 2), keepdims=True)
+        table["first"] = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes[:-1])])
+        for i, instance in enumerate(scene.meshes):
+            mesh, row = instance.mesh, table[i : i + 1]
+            row["face_first"] = self._face_first[id(mesh)]
+            row["has_normals"] = mesh.normals is not None
+            row["base_color"] = mesh.material.base_color
+            texture = mesh.material.base_color_texture
+            if texture is not None and mesh.uvs is not None:
                 row["texture_first"] = self._texture_first[id(texture)]
                 row["texture_height"], row["texture_width"] = texture.shape[:2]
-            triangle_first += instance.mesh.face_count
-        self.mesh_instances = self._write(self.mesh_instances, MeshInstanceData, table)
+        return table
 
-    def _write(self, held: Any, dtype: Any, table: np.ndarray) -> Any:
-        if held.shape[0] != len(table):
-            held = wp.zeros(len(table), dtype=dtype, device=self._device)
-            self.version += 1
-        if len(table):
-            held.assign(table)
-        return held
+
+def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarray:
+    """The rows that place a scene's splat instances in a frame."""
+    transforms = np.array([instance.transform for instance in scene.splats])
+    camera_from_object = camera.camera_from_world @ transforms
+    table = np.zeros(len(scene.splats), dtype=table_dtype(InstanceData))
+    table["camera_from_object"] = camera_from_object[:, :3, :3]
+    table["camera_from_object_offset"] = camera_from_object[:, :3, 3]
+    table["world_from_object"] = transforms[:, :3, :3] / np.cbrt(np.linalg.det(transforms[:, :3, :3]))[:, None, None]
+    table["eye"] = (np.linalg.inv(transforms) @ [*camera.eye, 1.0])[:, :3]
+    table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
+    forced = config.raster.antialiasing is Antialiasing.ON
+    by_file = config.raster.antialiasing is Antialiasing.AUTO
+    table["antialiased"] = [forced or (by_file and instance.gaussians.antialiased) for instance in scene.splats]
+    return table
+
+
+def first_of(counts: dict[int, int]) -> dict[int, int]:
+    """Where each entry starts when all are laid end to end."""
+    return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
 def table_dtype(struct: Any) -> np.dtype:
@@ -136,8 +154,7 @@ def table_dtype(struct: Any) -> np.dtype:
 
 def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the frame's camera and settings from."""
-    table = np.zeros(1, dtype=table_dtype(CameraData))
-    row = _rows(table)[0]
+    row = table = np.zeros(1, dtype=table_dtype(CameraData))
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
     center = np.array([camera.cx, camera.cy])
     margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
@@ -182,13 +199,14 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
         return np.concatenate([np.full(shape, default, np.float32) if a is None else a for a, shape in filler])
 
     textures = {id(t): t for t in (mesh.material.base_color_texture for mesh in meshes) if t is not None}
-    texels, texture_first, count = [np.zeros(1, np.uint32)], {}, 1
-    for key, texture in textures.items():
+    texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
+    for texture in textures.values():
         rgba = np.full((*texture.shape[:2], 4), 255, np.uint8)
         rgba[..., : texture.shape[2]] = texture
-        texture_first[key] = count
         texels.append(rgba.reshape(-1).view("<u4"))
-        count += texels[-1].size
+    texture_first = {
+        key: 1 + first for key, first in first_of({k: t[..., 0].size for k, t in textures.items()}).items()
+    }
     data.positions = wp.array(attribute("positions", 0.0, 3), dtype=wp.vec3, device=device)
     data.normals = wp.array(attribute("normals", 0.0, 3), dtype=wp.vec3, device=device)
     data.uvs = wp.array(attribute("uvs", 0.0, 2), dtype=wp.vec2, device=device)
@@ -199,10 +217,6 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
         decode_srgb(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device
     )
     return data, texture_first
-
-
-def _rows(table: np.ndarray) -> list[Any]:
-    return [table[i] for i in range(len(table))]
 
 
 def _shared(values: np.ndarray, dtype: Any, device: str) -> Any:

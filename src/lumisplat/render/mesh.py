@@ -33,7 +33,7 @@ class MeshRaster:
         pixels = camera.width * camera.height
         hits = MeshHits()
         hits.depth_z = self._buffers.get("mesh.depth", wp.float32, pixels)
-        if not scene.face_counts:
+        if not scene.triangle_count:
             hits.depth_z.fill_(float("inf"))
             for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
                 setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, 1))
@@ -54,19 +54,16 @@ class MeshRaster:
         self._launcher.run_banded(
             kernels.shade_hits,
             pixels,
-            *(scene.camera, scene.mesh_instances, len(scene.gaussians), scene.mesh_data, triangles, winners, hits),
+            *(scene.camera, scene.mesh_instances, scene.instances.shape[0], scene.mesh_data, triangles, winners, hits),
         )
         return hits
 
     def _project(self, scene: DeviceScene) -> tuple[Any, Any]:
-        total = sum(scene.face_counts)
-        triangles = self._buffers.get("mesh.triangles", Triangle, total)
-        rects = self._buffers.get("mesh.rects", Rect, total)
-        for which, faces in enumerate(scene.face_counts):
-            self._launcher.run_banded(
-                kernels.project_triangles,
-                faces,
-                *(which, len(scene.gaussians) + which, scene.camera, scene.mesh_instances, scene.mesh_data),
-                *(triangles, rects),
-            )
+        triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)
+        rects = self._buffers.get("mesh.rects", Rect, scene.triangle_count)
+        self._launcher.run_banded(
+            kernels.project_triangles,
+            scene.triangle_count,
+            *(scene.instances.shape[0], scene.camera, scene.mesh_instances, scene.mesh_data, triangles, rects),
+        )
         return triangles, rects

@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.constants import TILE_PX
 from lumisplat.device.color import encode_srgb_color, sample_texture
 from lumisplat.device.structs import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
-from lumisplat.device.surface import pixel_ray
+from lumisplat.device.surface import instance_of, pixel_ray
 from lumisplat.device.triangle import barycentric, setup_triangle, triangle_box
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
@@ -25,25 +25,26 @@ TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
 @wp.kernel
 def project_triangles(
     start: int,
-    which: int,
-    instance_id: int,
+    splat_instance_count: int,
     camera: wp.array(dtype=CameraData),
     instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
     triangles_out: wp.array(dtype=Triangle),
     rects_out: wp.array(dtype=Rect),
 ):
-    """Sets up the triangles of mesh instance ``which``, known to the scene as ``instance_id``."""
-    face = start + wp.tid()
+    """Sets up the triangles of all mesh instances, which the scene counts after its splat instances."""
+    i = start + wp.tid()
     view = camera[0]
+    which = instance_of(instances, i)
     instance = instances[which]
+    face = i - instance.first
     corners = meshes.indices[instance.face_first + face]
     v0 = instance.camera_from_object * meshes.positions[corners[0]] + instance.camera_from_object_offset
     v1 = instance.camera_from_object * meshes.positions[corners[1]] + instance.camera_from_object_offset
     v2 = instance.camera_from_object * meshes.positions[corners[2]] + instance.camera_from_object_offset
     triangle = setup_triangle(v0, v1, v2)
     triangle.face = instance.face_first + face
-    triangle.instance = instance_id
+    triangle.instance = splat_instance_count + which
     rect = Rect()
     if triangle.volume > 0.0 and triangle.volume < wp.inf and wp.max(v0[2], wp.max(v1[2], v2[2])) > view.near:
         box = triangle_box(view, v0, v1, v2)
@@ -57,8 +58,8 @@ def project_triangles(
             rect.y0 = wp.int16(int(y0) // TILE)
             rect.x1 = wp.int16((int(x1) - 1) // TILE + 1)
             rect.y1 = wp.int16((int(y1) - 1) // TILE + 1)
-    triangles_out[instance.triangle_first + face] = triangle
-    rects_out[instance.triangle_first + face] = rect
+    triangles_out[i] = triangle
+    rects_out[i] = rect
 
 
 @wp.kernel

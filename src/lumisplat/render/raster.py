@@ -31,15 +31,14 @@ class SplatRaster:
 
     def project(self, scene: DeviceScene) -> tuple[Any, Any, Any]:
         """Splats, depth keys and tile rectangles of all Gaussians of the scene."""
-        total = sum(scene.gaussian_counts)
-        splats = self._buffers.get("raster.splats", Splat, total)
-        keys = self._buffers.get("raster.keys", wp.uint32, total)
-        rects = self._buffers.get("raster.rects", Rect, total)
-        for which, (gaussians, count) in enumerate(zip(scene.gaussians, scene.gaussian_counts, strict=True)):
+        splats = self._buffers.get("raster.splats", Splat, scene.gaussian_count)
+        keys = self._buffers.get("raster.keys", wp.uint32, scene.gaussian_count)
+        rects = self._buffers.get("raster.rects", Rect, scene.gaussian_count)
+        for asset in scene.assets:
             self._launcher.run_banded(
                 kernels.project_splats,
-                count,
-                *(which, scene.camera, scene.instances, gaussians, splats, keys, rects),
+                asset.placed_count,
+                *(scene.camera, scene.instances, asset.instance_ids, asset.data, splats, keys, rects),
             )
         return splats, keys, rects
 

@@ -1,6 +1,6 @@
 """Projection and compositing of splats.
 
-``project_splats``: one item is one Gaussian of one instance; writes its splat, depth key and tile rectangle.
+``project_splats``: one item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
 ``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
 the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
 one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
@@ -74,18 +74,19 @@ def tile_range(camera: CameraData, splat: Splat) -> Rect:
 @wp.kernel
 def project_splats(
     start: int,
-    which: int,
     camera: wp.array(dtype=CameraData),
     instances: wp.array(dtype=InstanceData),
+    instance_ids: wp.array(dtype=int),
     gaussians: GaussianData,
     splats_out: wp.array(dtype=Splat),
     keys_out: wp.array(dtype=wp.uint32),
     rects_out: wp.array(dtype=Rect),
 ):
-    """Projects the Gaussians of instance ``which``; the bits of a positive float sort as the float does."""
+    """Projects the instances of one asset; the bits of a positive float sort as the float does."""
     i = start + wp.tid()
     view = camera[0]
-    splat = project_gaussian(view, instances[which], gaussians, i)
+    count = gaussians.means.shape[0]
+    splat = project_gaussian(view, instances[instance_ids[i // count]], gaussians, i % count)
     key = KEY_CULLED
     rect = Rect()
     if splat.log_opacity > -wp.inf:
