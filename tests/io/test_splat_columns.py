@@ -53,7 +53,7 @@ def test_invalid_values_are_counted_by_property() -> None:
 
 def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
     """drop_invalid leaves out exactly the bad rows, and logs how many."""
-    with caplog.at_level(logging.WARNING, logger="lumisplat.io"):
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
         kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
     np.testing.assert_array_equal(kept.means, stored().means[[0, 2, 4, 6, 7, 9]])
     assert "dropped 4 Gaussians" in caplog.text

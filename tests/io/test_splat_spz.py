@@ -15,11 +15,10 @@ import lumisplat as ls
 from lumisplat.errors import FormatError
 from lumisplat.io.axes import mirrored
 from lumisplat.io.columns import columns_from_gaussians
-from lumisplat.io.spz import RDF_FROM_COORDINATES, position_bits
+from lumisplat.io.spz import position_bits
 from splat_files import capture, legacy_spz
 
 COORDINATES = 0xADBE0003
-AXES = ["LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"]
 
 
 def v4(path: Path, flags: int, extensions: bytes) -> Path:
@@ -64,16 +63,24 @@ def test_antialiased_flag_of_old_versions(tmp_path: Path, version: int, flag: in
     assert ls.load(tmp_path / "a.spz").antialiased is bool(flag)
 
 
-@pytest.mark.parametrize(("index", "axes"), list(enumerate(AXES, start=1)))
-def test_signs_of_named_axes(index: int, axes: str) -> None:
-    """A letter that differs from R, D, F is a flipped axis."""
-    assert RDF_FROM_COORDINATES[index] == tuple(1 if a == b else -1 for a, b in zip(axes, "RDF", strict=True))
-
-
 @pytest.mark.parametrize("container", ["v2", "v4"])
-def test_axes_extension(tmp_path: Path, container: str) -> None:
-    """A file that says it holds our axes is not mirrored; unknown records before the statement are stepped over."""
-    record = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack("<III", COORDINATES, 4, AXES.index("RDF") + 1)
+@pytest.mark.parametrize(
+    ("number", "signs"),
+    [
+        (0, (1, -1, -1)),
+        (1, (-1, 1, -1)),
+        (2, (1, 1, -1)),
+        (3, (-1, -1, -1)),
+        (4, (1, -1, -1)),
+        (5, (-1, 1, 1)),
+        (6, (1, 1, 1)),
+        (7, (-1, -1, 1)),
+        (8, (1, -1, 1)),
+    ],
+)
+def test_axes_extension(tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]) -> None:
+    """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, RUB is the default; unknown records are stepped over."""
+    record = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack("<III", COORDINATES, 4, number)
     path = tmp_path / "axes.spz"
     if container == "v4":
         v4(path, flags=2, extensions=b"")
@@ -83,7 +90,7 @@ def test_axes_extension(tmp_path: Path, container: str) -> None:
         path.write_bytes(legacy_spz(capture(20), 2))
         mirrored_means = ls.load(path).means
         path.write_bytes(legacy_spz(capture(20), 2, flags=2, extensions=record))
-    np.testing.assert_array_equal(ls.load(path).means, mirrored_means * (1, -1, -1))
+    np.testing.assert_array_equal(ls.load(path).means, mirrored_means * (1, -1, -1) * signs)
 
 
 def test_exchanged_axes_are_refused(tmp_path: Path) -> None:
@@ -110,6 +117,19 @@ def test_small_and_large_scenes(tmp_path: Path, size: float) -> None:
     means = base.means / np.abs(base.means).max() * size
     ls.save(tmp_path / "a.spz", ls.Gaussians(means, base.rotations_wxyz, base.scales, base.opacities, base.sh))
     np.testing.assert_allclose(ls.load(tmp_path / "a.spz").means, means, rtol=0, atol=size * 2**-16)
+
+
+def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Scales end at e^-10 and e^5.94, SH at -1 and 1; Gaussians that are widened are counted in a log line."""
+    base = capture(4)
+    scales, sh = base.scales.copy(), base.sh.copy()
+    scales[0], scales[1, 2], scales[2] = 1e-7, 4.4e-5, 1e4
+    sh[3, 1:] = 5.0
+    ls.save(tmp_path / "a.spz", ls.Gaussians(base.means, base.rotations_wxyz, scales, base.opacities, sh))
+    loaded = ls.load(tmp_path / "a.spz")
+    np.testing.assert_allclose(np.log(loaded.scales)[[0, 2]], [[-10] * 3, [255 / 16 - 10] * 3], rtol=1e-6)
+    np.testing.assert_allclose(loaded.sh[3, 1:], 1.0, atol=1 / 128)
+    assert ["a.spz: 2 Gaussians are thinner than 4.5e-05" in r.message for r in caplog.records] == [True]
 
 
 def test_positions_beyond_the_format(tmp_path: Path) -> None:

@@ -9,10 +9,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lumisplat.errors import FormatError
+from lumisplat.io.source import PathLike
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: PathLike) -> Iterator[Path]:
     """Gives a temporary path beside ``path`` to write to, and renames it when the block succeeds.
 
     Missing parent folders are created. If the block raises, the temporary file is removed and whatever was at

@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from lumisplat.constants import LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.source import PathLike
 from lumisplat.scene.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
 
-logger = logging.getLogger("lumisplat.io")
+_log = logging.getLogger("lumisplat")
 
 Floats = npt.NDArray[np.floating]
 
@@ -73,9 +74,7 @@ def sh_property_names(coefficients: int) -> list[str]:
     return names + [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
 
 
-def gaussians_from_columns(
-    path: str | os.PathLike[str], columns: SplatColumns, *, drop_invalid: bool = False
-) -> Gaussians:
+def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
     """Applies exp and sigmoid, and refuses or drops what cannot be rendered.
 
     Args:
@@ -116,7 +115,7 @@ def gaussians_from_columns(
 
 
 def _kept_rows(
-    path: str | os.PathLike[str], columns: SplatColumns, scales: Floats, drop_invalid: bool
+    path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
     """Selects the Gaussians to keep: all of them, or the valid ones if the others may be dropped."""
     invalid, problems = _invalid_rows(columns, scales)
@@ -129,7 +128,7 @@ def _kept_rows(
         raise FormatError(path, f"{summary}; --drop-invalid (drop_invalid=True) drops them")
     if dropped == columns.count:
         raise FormatError(path, f"{summary}: no valid Gaussian is left")
-    logger.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", listed)
+    _log.warning("%s: dropped %s Gaussians: %s", os.fspath(path), f"{dropped:,}", listed)
     return ~invalid
 
 
@@ -178,8 +177,8 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
     )
 
 
-def warn_lost_materials(path: str | os.PathLike[str], kind: str, gaussians: Gaussians) -> None:
+def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
     """Logs a warning about normals and materials, for formats that cannot hold them."""
     lost = [name for name in MATERIALS if getattr(gaussians, name) is not None]
     if lost:
-        logger.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
+        _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-
 from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX
 from lumisplat.errors import FormatError
+from lumisplat.io.source import PathLike
 
 
-def check_expansion(path: str | os.PathLike[str], what: str, decoded_bytes: int, stored_bytes: int) -> None:
+def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuses a file that claims far more content than its size can hold.
 
     Args:
@@ -28,7 +27,7 @@ def check_expansion(path: str | os.PathLike[str], what: str, decoded_bytes: int,
         )
 
 
-def check_gaussian_count(path: str | os.PathLike[str], count: int, sh_coefficients: int, stored_bytes: int) -> None:
+def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, stored_bytes: int) -> None:
     """Refuses a compressed capture whose header claims no Gaussians, or absurdly many.
 
     Args:

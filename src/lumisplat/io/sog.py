@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import json
 import lzma
-import os
 import warnings
 import zipfile
 import zlib
@@ -28,9 +27,8 @@ from lumisplat.errors import FormatError
 from lumisplat.io.columns import Floats, SplatColumns
 from lumisplat.io.limits import check_expansion, check_gaussian_count
 from lumisplat.io.quaternions import unpack_smallest_three
-from lumisplat.io.source import parsing, read_bytes
+from lumisplat.io.source import PathLike, parsing, read_bytes
 
-PathLike = str | os.PathLike[str]
 Bytes = npt.NDArray[np.uint8]
 Meta = dict[str, Any]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import zlib
 
 import numpy as np
@@ -12,7 +11,8 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.columns import Floats, SplatColumns
 from lumisplat.io.quaternions import unpack_smallest_three
-from lumisplat.io.spz import HEADER_LEGACY, SpzHeader, parse_header
+from lumisplat.io.source import PathLike
+from lumisplat.io.spz_header import HEADER, SpzHeader, parse_spz_header
 
 COLOR_SCALE = 0.15
 """Colour byte = 255 (0.5 + 0.15 DC): wider than 0..1, so that no coefficient is clipped."""
@@ -23,7 +23,7 @@ GZIP_WINDOW = 16 + zlib.MAX_WBITS
 Bytes = npt.NDArray[np.uint8]
 
 
-def read_legacy(path: str | os.PathLike[str], data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
+def read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
     """Decodes a gzip container.
 
     Args:
@@ -36,20 +36,20 @@ def read_legacy(path: str | os.PathLike[str], data: bytes) -> tuple[SpzHeader, S
     Raises:
         FormatError: Damaged or truncated.
     """
-    header = parse_header(path, _inflate(path, data, HEADER_LEGACY.size), range(1, 4), len(data))
+    header = parse_spz_header(path, _inflate(path, data, HEADER.size), range(1, 4), len(data))
     size = sum(header.section_sizes)
     # No more is inflated than the header justifies, however long the stream goes on.
-    content = _inflate(path, data, HEADER_LEGACY.size + size + EXTENSION_BYTES_MAX)
-    if len(content) < HEADER_LEGACY.size + size:
+    content = _inflate(path, data, HEADER.size + size + EXTENSION_BYTES_MAX)
+    if len(content) < HEADER.size + size:
         raise FormatError(
-            path, f"truncated: {header.count:,} Gaussians take {size:,} bytes, {len(content) - 16:,} are there"
+            path, f"truncated: {header.count:,} Gaussians take {size:,} bytes, {len(content) - HEADER.size:,} are there"
         )
-    ends = np.cumsum((HEADER_LEGACY.size, *header.section_sizes))
+    ends = np.cumsum((HEADER.size, *header.section_sizes))
     sections = [np.frombuffer(content, np.uint8)[a:b] for a, b in itertools.pairwise(ends)]
     return header, _decode(header, sections), content[ends[-1] :]
 
 
-def _inflate(path: str | os.PathLike[str], data: bytes, size: int) -> bytes:
+def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
     """The first ``size`` bytes of a gzip stream, or all of them where it is shorter."""
     try:
         return zlib.decompressobj(GZIP_WINDOW).decompress(data, size)
