@@ -152,6 +152,7 @@ def without(content: dict, *names: str) -> dict:
         (without({**FILE, "camera_angle_x": 4.0}, "fl_x"), "frame 0 .* camera_angle_x 4.0"),
         (without(FILE, "w"), "frame 0 .* no w and h"),
         ({**FILE, "camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
+        ({**FILE, "is_fisheye": True}, "camera_model 'OPENCV_FISHEYE'"),
         ([{**INRIA, "width": 0}], r"frame 0 \(00001\) camera width is 0"),
         ([INRIA, without(INRIA, "fx")], r"frame 1 \(00001\) lacks fx"),
         ([{**INRIA, "rotation": np.zeros((3, 3)).tolist()}], "frame 0 .* singular"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 from pathlib import Path
 
@@ -163,6 +164,38 @@ def test_material_extensions_and_defaults(tmp_path: Path) -> None:
     first, second = read(tmp_path, gltf).meshes
     assert (first.mesh.material.ior, first.mesh.material.specular) == (1.33, 0.4)
     assert second.mesh.material.base_color == (1.0, 1.0, 1.0)
+
+
+def test_unread_materials_are_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A metallic-roughness texture gives a line with its material; transparency one for the whole file; else none."""
+    gltf = quad_gltf()
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        read(tmp_path, gltf)
+        assert not caplog.records
+        gltf.json["materials"][0]["pbrMetallicRoughness"] = {"metallicRoughnessTexture": {"index": 0}}
+        gltf.json["materials"][0]["alphaMode"] = "MASK"
+        gltf.add("materials", name="leaf", alphaMode="BLEND")
+        assert one(read(tmp_path, gltf)).mesh.material.metallic == 1.0
+    metal, transparent = (record.message for record in caplog.records)
+    assert "metallicRoughnessTexture of materials[0] 'painted' is not read: metallic 1.0 and roughness 1.0" in metal
+    assert "2 transparent materials are drawn opaque (first materials[0] 'painted')" in transparent
+
+
+def test_texture_is_opaque(tmp_path: Path) -> None:
+    """An alpha channel that is not used does not reach the scene."""
+    gltf = quad_gltf()
+    rgba = np.dstack([TEXELS, np.full((2, 2), 7, np.uint8)])
+    gltf.json["images"][0]["bufferView"] = gltf.view(png_bytes(rgba))
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
+
+
+def test_texture_without_coordinates_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A texture whose set of coordinates the primitive lacks is dropped with a log line."""
+    gltf = quad_gltf()
+    del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert one(read(tmp_path, gltf)).mesh.material.base_color_texture is None
+    assert ["the texture of 'painted' is left out" in record.message for record in caplog.records] == [True]
 
 
 def test_skin_poses_the_mesh_once(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from mesh_files import OBJ, QUAD, QUAD_TRIANGLES, QUAD_UVS, TEXELS, ply_text, png_bytes, stl_bytes, stl_text, write_obj
 
+import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.mesh import read_mesh
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
@@ -19,7 +19,7 @@ from lumisplat.scene.scene import Scene
 
 def read_one(path: Path) -> Mesh:
     """The only mesh of a file."""
-    mesh = read_mesh(path)
+    mesh = ls.load(path)
     assert isinstance(mesh, Mesh)
     return mesh
 
@@ -45,7 +45,7 @@ def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
     """Each material becomes a mesh instance with only the vertices that it uses."""
     write_obj(tmp_path)
     (tmp_path / "two.obj").write_text(OBJ + "usemtl plain\nf 1 2 3\nusemtl painted\nf 1/1/1 2/2/1 3/3/1\n")
-    scene = read_mesh(tmp_path / "two.obj")
+    scene = ls.load(tmp_path / "two.obj")
     assert isinstance(scene, Scene)
     assert [(i.name, i.mesh.vertex_count, i.mesh.face_count) for i in scene.meshes] == [
         ("painted", 4, 3),
@@ -71,9 +71,11 @@ def test_obj_relative_indices_comments_and_continuations(tmp_path: Path) -> None
 
 
 def test_obj_vertex_colors(tmp_path: Path) -> None:
-    """Six numbers in a vertex line are a position and a colour."""
-    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
-    np.testing.assert_array_equal(read_one(tmp_path / "a.obj").colors, np.eye(3))
+    """Six numbers in a vertex line are a position and an sRGB colour, which nothing else darkens."""
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    mesh = read_one(tmp_path / "a.obj")
+    np.testing.assert_allclose(mesh.colors, np.diag([1.0, decode_srgb(0.5), 1.0]), rtol=1e-6)
+    assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
 
 def test_obj_without_its_library_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -91,7 +93,25 @@ def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> N
     texture = tmp_path / "quad texture.png"
     texture.unlink() if damage == "missing" else texture.write_bytes(png_bytes()[:40])
     with pytest.raises(FormatError, match=r"quad texture\.png: (no such file|is corrupt)"):
-        read_mesh(path)
+        ls.load(path)
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply"])
+def test_texture_without_coordinates_is_left_out(
+    tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A texture that nothing can place is dropped with one log line, and the mesh keeps its colour."""
+    path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
+    if extension == "obj":
+        path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")
+    else:
+        (tmp_path / "t.png").write_bytes(png_bytes())
+        path.write_bytes(ply_text().replace(b"comment by hand", b"comment TextureFile t.png"))
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = read_one(path).material
+    assert material.base_color_texture is None
+    assert material.base_color == ((0.5, 0.25, 1.0) if extension == "obj" else (1.0, 1.0, 1.0))
+    assert [str(path) in r.message and "no texture coordinates" in r.message for r in caplog.records] == [True]
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])

@@ -59,7 +59,8 @@ def test_instances_are_placed(folder):
         ("[[splats]]\npath = 'capture.ply'\nposition = [nan, 0, 0]", "position"),
         ("[[splats]]\npath = 'capture.ply'\nscale = 0", "scale is 0"),
         ("[[splats]]\npath = 'capture.ply'\nscale = inf", "scale is inf"),
-        ("[[splats]]\npath = 'capture.ply'\nrotation_wxyz = [0, 0, 0, 0]", "zero length"),
+        ("[[splats]]\npath = 'capture.ply'\nrotation_wxyz = [0, 0, 0, 0]", r"splats\[0\]: .* zero length"),
+        ("[[splats]]\npath = 'capture.ply'\nscale = 1e30", r"splats\[0\]: world_from_object scales"),
     ],
 )
 def test_bad_scene_files(folder, text, problem):

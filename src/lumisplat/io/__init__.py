@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumisplat.errors import FormatError
+from lumisplat.io.source import PathLike
 
 if TYPE_CHECKING:
     from lumisplat.io.columns import SplatColumns
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["load", "load_cameras", "save"]
 
-PathLike = str | os.PathLike[str]
 Progress = Callable[[float], None]
 
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
@@ -30,21 +29,26 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
 
     Args:
         path: A Gaussian capture (PLY, compressed PLY, SPZ, SOG bundle, SOG folder or its ``meta.json``), a mesh (OBJ,
-            STL, PLY with faces) or a scene (glTF, GLB, a
-            ``scene.toml`` that names other files).
+            STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log how many,
             instead of refusing the file.
         progress: Called with the fraction done, 0..1; the last call has 1.
 
     Returns:
-        ``Gaussians`` for a capture, ``Mesh`` or ``Scene`` for the others. Arrays are read-only.
+        ``Gaussians`` for a capture; ``Mesh`` for a mesh, or ``Scene`` where it has several materials; ``Scene`` for the
+        others. Arrays are read-only. Axes are those of the usual Gaussian PLY for captures (SPZ is mirrored to them),
+        those of the file for meshes.
 
     Raises:
         FormatError: The file is missing, unknown, damaged, truncated, empty of Gaussians, holds invalid values, or
             claims more than memory holds. The message names it.
     """
+    from lumisplat.io.columns import SplatColumns, gaussians_from_columns
+
     try:
-        loaded = _load(path, drop_invalid, progress)
+        loaded = _read(Path(path), drop_invalid, progress)
+        if isinstance(loaded, SplatColumns):
+            loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     except MemoryError:
@@ -54,77 +58,68 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
     return loaded
 
 
-def _load(path: PathLike, drop_invalid: bool, progress: Progress | None) -> Gaussians | Mesh | Scene:
-    extension = _check_exists(Path(path))
-    if extension in (".obj", ".stl"):
-        return _read_mesh(path)
-    if extension in (".glb", ".gltf"):
-        from lumisplat.io.gltf import read_gltf
+def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatColumns | Mesh | Scene:
+    match _extension(path):
+        case ".ply":
+            return _read_ply(path, progress)
+        case ".toml":
+            from lumisplat.io.scene_file import read_scene_file
 
-        return read_gltf(path)
-    if extension == ".toml":
-        from lumisplat.io.scene_file import read_scene_file
-
-        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
-    if extension == ".ply":
-        columns = _read_ply(path, progress)
-        if columns is None:
-            return _read_mesh(path)
-    elif extension == ".spz":
-        from lumisplat.io.spz import read_spz
-
-        columns = read_spz(path)
-    else:
-        from lumisplat.io.sog import read_sog
-
-        columns = read_sog(path)
-    from lumisplat.io.columns import gaussians_from_columns
-
-    return gaussians_from_columns(path, columns, drop_invalid=drop_invalid)
+            return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
+        case ".spz":
+            from lumisplat.io.spz import read_spz as read
+        case ".sog":
+            from lumisplat.io.sog import read_sog as read
+        case ".obj":
+            from lumisplat.io.mesh_obj import read_obj as read
+        case ".stl":
+            from lumisplat.io.mesh_stl import read_stl as read
+        case ".glb" | ".gltf":
+            from lumisplat.io.gltf import read_gltf as read
+        case _:
+            raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
+    return read(path)
 
 
-def _check_exists(path: Path) -> str:
-    """The extension that selects the reader, ``.sog`` for a SOG folder or its meta.json."""
+def _extension(path: Path) -> str:
+    """The extension of an existing file, ``.sog`` for a SOG folder or its meta.json."""
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
         raise FormatError(path, "is a folder without a meta.json, expected a SOG folder or a file")
     if not path.exists():
         raise FormatError(path, "no such file")
-    extension = ".sog" if path.name == "meta.json" else path.suffix.lower()
-    if extension not in READABLE.split(", "):
-        raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
-    return extension
+    return ".sog" if path.name == "meta.json" else path.suffix.lower()
 
 
-def _read_ply(path: PathLike, progress: Progress | None) -> SplatColumns | None:
-    """The Gaussians of a PLY file of either kind, or None if it holds a mesh."""
+def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:
     from lumisplat.io.compressed_ply import is_compressed_header, read_compressed_ply
     from lumisplat.io.ply import read_ply_header
     from lumisplat.io.splat_ply import is_gaussian_element, read_splat_ply
 
     header = read_ply_header(path)
     if is_compressed_header(header):
-        return read_compressed_ply(path, header)
+        return read_compressed_ply(header)
     vertex, face = header.element("vertex"), header.element("face")
     if face is not None and face.count and not (vertex and is_gaussian_element(vertex)):
-        return None
-    return read_splat_ply(path, header, progress)
+        from lumisplat.io.mesh_ply import read_ply_mesh
 
-
-def _read_mesh(path: PathLike) -> Mesh | Scene:
-    from lumisplat.io.mesh import read_mesh
-
-    return read_mesh(path)
+        return read_ply_mesh(header)
+    return read_splat_ply(header, progress)
 
 
 def save(path: PathLike, gaussians: Gaussians) -> None:
     """Saves a capture; the extension chooses the format. The file appears complete or not at all.
 
+    The lossy formats clamp what they cannot hold. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the thin
+    axis of Gaussians made from a mesh may be below, which is logged), SH above degree 0 to -1..1. Compressed PLY:
+    scales to e^-20..e^20, SH above degree 0 to -4..4.
+
     Args:
-        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian, reordered) or ``.spz`` (version 4).
+        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian and 9, 24 or 45 for SH; reordered) or
+            ``.spz`` (version 4).
         gaussians: What to save. Only ``.ply`` keeps normals and materials; the others log what they leave out.
 
     Raises:

@@ -114,7 +114,7 @@ def _decoded(path: Path, index: int, entry: Any, decode: Any) -> Camera:
 
 
 def _check_camera_model(path: Path, content: Mapping[str, Any]) -> None:
-    model = content.get("camera_model", "OPENCV")
+    model = "OPENCV_FISHEYE" if content.get("is_fisheye") else content.get("camera_model", "OPENCV")
     if model not in _PINHOLE_MODELS:
         raise FormatError(path, f"has camera_model {model!r}, expected one of {', '.join(_PINHOLE_MODELS)}")
     frames = [frame for frame in content["frames"] if isinstance(frame, dict)]

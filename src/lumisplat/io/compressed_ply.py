@@ -8,7 +8,6 @@ rotation as smallest three (2+10+10+10, wxyz), colour and opacity as 8 bits each
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 
 import numpy as np
@@ -18,8 +17,9 @@ from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
-from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_element, read_ply_header, read_ply_rows
+from lumisplat.io.ply import PlyHeader, ply_header_bytes, read_ply_element, read_ply_rows
 from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
+from lumisplat.io.source import PathLike
 from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
 from lumisplat.scene.gaussians import Gaussians
 
@@ -45,28 +45,27 @@ def is_compressed_header(header: PlyHeader) -> bool:
     return vertex is not None and "packed_position" in vertex.names
 
 
-def read_compressed_ply(path: str | os.PathLike[str], header: PlyHeader | None = None) -> SplatColumns:
+def read_compressed_ply(header: PlyHeader) -> SplatColumns:
     """Reads a compressed PLY.
 
     Args:
-        path: The file.
-        header: Its header, if it is known already.
+        header: Of the file.
 
     Raises:
         FormatError: A property is missing, element counts do not fit, or the file is truncated.
     """
-    header = header or read_ply_header(path)
     _require(header, "chunk", "f4", POSITION_RANGE + SCALE_RANGE)
     _require(header, "vertex", "u4", PACKED)
-    chunk, vertex = (read_ply_element(header, _element(header, name)) for name in ("chunk", "vertex"))
+    chunk, vertex = (read_ply_element(header, header.required(name)) for name in ("chunk", "vertex"))
     count = len(vertex)
     if len(chunk) != -(-count // CHUNK):
-        raise FormatError(path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {-(-count // CHUNK):,}")
+        expected = -(-count // CHUNK)
+        raise FormatError(header.path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {expected:,}")
     position, rotation, scale, color = (vertex[name].astype(np.uint32, copy=False) for name in PACKED)
     colors = unpack_bits(color, BITS_COLOR)
     kept = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     rgb = colors[:, :3]
-    if "min_r" in _element(header, "chunk").names:
+    if "min_r" in header.required("chunk").names:
         _require(header, "chunk", "f4", COLOR_RANGE)
         rgb = _spread(rgb, chunk, COLOR_RANGE)
     return SplatColumns(
@@ -81,15 +80,8 @@ def read_compressed_ply(path: str | os.PathLike[str], header: PlyHeader | None =
     )
 
 
-def _element(header: PlyHeader, name: str) -> PlyElement:
-    element = header.element(name)
-    if element is None:
-        raise FormatError(header.path, f"is not a complete compressed capture: no element {name}")
-    return element
-
-
 def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str]) -> None:
-    types = dict(_element(header, name).properties)
+    types = {prop.name: prop.code for prop in header.required(name).properties}
     wrong = [prop for prop in properties if types.get(prop) != code]
     if wrong:
         raise FormatError(header.path, f"is not a compressed capture: {name} has no {', '.join(wrong)} of type {code}")
@@ -148,7 +140,7 @@ def _with_rest(header: PlyHeader, dc: Floats) -> Floats:
     return sh
 
 
-def write_compressed_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Writes a compressed PLY.
 
     Gaussians are sorted along a Morton curve, as PlayCanvas does: neighbours share a chunk, its ranges are tight, and

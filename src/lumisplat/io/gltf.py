@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf_file import GltfFile
-from lumisplat.io.gltf_material import GltfMaterials
+from lumisplat.io.gltf_material import GltfMaterials, warn_unread
 from lumisplat.io.gltf_mesh import Skin, read_primitives
+from lumisplat.io.quaternions import rotation_matrix
 from lumisplat.io.source import PathLike, parsing
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene
@@ -28,7 +29,8 @@ def read_gltf(path: PathLike) -> Scene:
     """Reads the default scene: every triangle mesh with its node's transform.
 
     Skinned meshes come in their rest pose, morph targets at their default weights. Cameras, lights and animations are
-    left out. Axes are taken as they are (glTF: y up, +z towards the viewer).
+    left out; so are textures other than the base colour's, and transparency, with log lines. Axes are taken as they are
+    (glTF: y up, +z towards the viewer).
 
     Raises:
         FormatError: The file, or something that it names, is missing, malformed, truncated or needs an extension that
@@ -38,6 +40,7 @@ def read_gltf(path: PathLike) -> Scene:
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         _check_extensions(file)
+        warn_unread(file)
         meshes = tuple(_place_meshes(file))
         if not meshes:
             raise FormatError(path, "has no triangle mesh in its scene")
@@ -148,17 +151,11 @@ def _local_transform(file: GltfFile, node: pygltflib.Node, index: int) -> npt.ND
             raise FormatError(file.path, f"nodes[{index}] has a matrix of {matrix.size} numbers, expected 16")
         return matrix.reshape(4, 4).T  # stored by columns
     matrix = np.eye(4)
-    x, y, z, w = np.array(node.rotation or (0.0, 0.0, 0.0, 1.0), dtype=np.float64)
-    length2 = x * x + y * y + z * z + w * w
-    if not 0.0 < length2 < np.inf:
-        raise FormatError(file.path, f"nodes[{index}] has rotation {node.rotation}, expected a unit quaternion")
-    rotation = np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
-    matrix[:3, :3] = rotation / length2 * np.array(node.scale or (1.0, 1.0, 1.0), dtype=np.float64)
+    x, y, z, w = node.rotation or (0.0, 0.0, 0.0, 1.0)
+    try:
+        rotation = rotation_matrix((w, x, y, z))
+    except SceneError as error:
+        raise FormatError(file.path, f"nodes[{index}] has rotation {node.rotation}: {error}") from None
+    matrix[:3, :3] = rotation * np.array(node.scale or (1.0, 1.0, 1.0), dtype=np.float64)
     matrix[:3, 3] = node.translation or (0.0, 0.0, 0.0)
     return matrix

@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import FormatError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.image import decode_texture
 from lumisplat.scene.materials import MaterialPbr
 
 if TYPE_CHECKING:
     import pygltflib
+
+
+_log = logging.getLogger("lumisplat")
+
+
+def warn_unread(file: GltfFile) -> None:
+    """Logs what of the file's materials is not read: one line per metallic-roughness texture, one on transparency."""
+    materials = file.model.materials or []
+    for index, material in enumerate(materials):
+        pbr = material.pbrMetallicRoughness
+        if getattr(pbr, "metallicRoughnessTexture", None) is not None:
+            _log.warning(
+                "%s: the metallicRoughnessTexture of %s is not read: metallic %s and roughness %s everywhere",
+                file.path,
+                _label(index, material),
+                _or(getattr(pbr, "metallicFactor", None), 1.0),
+                _or(getattr(pbr, "roughnessFactor", None), 1.0),
+            )
+    transparent = [_label(index, m) for index, m in enumerate(materials) if m.alphaMode in ("MASK", "BLEND")]
+    if transparent:
+        first = transparent[0]
+        _log.warning("%s: %d transparent materials are drawn opaque (first %s)", file.path, len(transparent), first)
+
+
+def _label(index: int, material: pygltflib.Material) -> str:
+    return f"materials[{index}]" + (f" {material.name!r}" if material.name else "")
 
 
 class GltfMaterials:
@@ -42,8 +68,6 @@ class GltfMaterials:
         pbr = material.pbrMetallicRoughness
         texture = getattr(pbr, "baseColorTexture", None)
         texels = self._texture(texture.index, material.name) if texture is not None else None
-        if texels is not None and (material.alphaMode or "OPAQUE") == "OPAQUE":
-            texels = texels[:, :, :3]
         extensions = material.extensions or {}
         return MaterialPbr(
             base_color=tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3],
@@ -69,15 +93,17 @@ class GltfMaterials:
             else:
                 data = file.resource(image.uri, label)
                 label = image.uri if not image.uri.startswith("data:") else label
-            self._textures[source] = decode_texture(data, file.path, label)
+            self._textures[source] = decode_texture(data, file.path, label)[:, :, :3]
         return self._textures[source]
 
 
 def base_color_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -> npt.NDArray[np.float32] | None:
     """The texture coordinates that the base colour texture uses, its KHR_texture_transform applied, shape (V, 2).
 
+    None where the primitive lacks them.
+
     Raises:
-        FormatError: The material asks for a set that the primitive lacks, or the transform is malformed.
+        FormatError: The set or the transform is malformed.
     """
     texture = None
     if primitive.material is not None:
@@ -87,8 +113,6 @@ def base_color_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -
     uv_set = transform.get("texCoord", (texture.texCoord if texture else None) or 0)
     accessor = getattr(primitive.attributes, f"TEXCOORD_{uv_set}", None)
     if accessor is None:
-        if texture is not None:
-            raise FormatError(file.path, f"{where} has a texture but no TEXCOORD_{uv_set}")
         return None
     uvs = file.floats(accessor, "VEC2", f"{where} TEXCOORD_{uv_set}")
     return transformed_uvs(uvs, transform) if transform else uvs

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_material import GltfMaterials, base_color_uvs
-from lumisplat.io.mesh_arrays import unit_normals
+from lumisplat.io.mesh_arrays import unit_normals, without_loose_texture
 from lumisplat.scene.arrays import index_array
 from lumisplat.scene.mesh import Mesh
 
@@ -84,7 +84,7 @@ def _mesh(primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials,
         positions = _transformed(matrices, positions)
         normals = None if normals is None else _transformed_normals(matrices, normals)
     indices = index_array(f"{primitive.where} indices", _triangles(primitive, len(positions)), len(positions))
-    return Mesh(
+    textured = Mesh(
         positions,
         indices,
         normals=None if normals is None else unit_normals(normals, positions, indices),
@@ -93,6 +93,7 @@ def _mesh(primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials,
         colors=None if colors is None else np.clip(colors[:, :3], 0.0, 1.0),
         name=mesh.name or "",
     )
+    return without_loose_texture(primitive.file.path, textured)
 
 
 def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64]:

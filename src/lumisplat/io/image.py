@@ -100,7 +100,7 @@ def read_image(path: PathLike) -> dict[str, npt.NDArray]:
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".png":
-        return {"srgb": decode_texture(read_bytes(path), path, os.fspath(path))}
+        return {"srgb": read_texture(path)}
     if suffix == ".exr":
         return _read_exr(path)
     if suffix == ".npz":
@@ -109,13 +109,26 @@ def read_image(path: PathLike) -> dict[str, npt.NDArray]:
     raise FormatError(path, "is not a .png, .exr or .npz image")
 
 
-def decode_texture(data: bytes, path: PathLike, label: str) -> npt.NDArray[np.uint8]:
+def read_texture(path: PathLike, *, wanted_by: PathLike | None = None) -> npt.NDArray[np.uint8]:
+    """Reads an image file; see `decode_texture`.
+
+    Args:
+        path: What to read.
+        wanted_by: The file that refers to it, named in the error.
+
+    Raises:
+        FormatError: The image is missing, corrupt, or absurdly large.
+    """
+    return decode_texture(read_bytes(path, wanted_by=wanted_by), path)
+
+
+def decode_texture(data: bytes, path: PathLike, label: str = "") -> npt.NDArray[np.uint8]:
     """Decodes PNG, JPEG, WebP or whatever else Pillow reads.
 
     Args:
         data: The encoded image.
         path: The file to name in errors.
-        label: Which image of that file, to name in errors.
+        label: Which image inside that file, to name in errors; empty: the file itself.
 
     Returns:
         sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) where the image has transparency; row 0 on top.
@@ -125,7 +138,7 @@ def decode_texture(data: bytes, path: PathLike, label: str) -> npt.NDArray[np.ui
     """
     from PIL import Image
 
-    where = "" if label == os.fspath(path) else f"texture {label} "
+    where = label and f"texture {label} "
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -1,11 +1,19 @@
-"""Array steps that the mesh formats share: polygons to triangles, faces' corners to vertices, unit normals."""
+"""What the mesh formats share: polygons to triangles, texture axes, unit normals, textures that nothing can place."""
 
 from __future__ import annotations
+
+import logging
+import os
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.io.source import PathLike
 from lumisplat.scene.arrays import index_array
+from lumisplat.scene.mesh import Mesh
+
+_log = logging.getLogger("lumisplat")
 
 
 def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
@@ -58,3 +66,12 @@ def unit_normals(
         smooth[np.linalg.norm(smooth, axis=1) == 0.0] = (0.0, 0.0, 1.0)
         normals[missing] = smooth[missing]
     return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+
+
+def without_loose_texture(path: PathLike, mesh: Mesh) -> Mesh:
+    """The mesh; without its texture, and a log line that says so, if it has no texture coordinates to place it."""
+    if mesh.material.base_color_texture is None or mesh.uvs is not None:
+        return mesh
+    name = mesh.material.name or mesh.name
+    _log.warning("%s: the texture of %r is left out: there are no texture coordinates for it", os.fspath(path), name)
+    return replace(mesh, material=replace(mesh.material, base_color_texture=None))

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import logging
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.image import decode_texture
-from lumisplat.io.mesh_arrays import fan_triangles, flip_v, unit_normals
-from lumisplat.io.source import read_bytes
+from lumisplat.io.image import read_texture
+from lumisplat.io.mesh_arrays import fan_triangles, flip_v, unit_normals, without_loose_texture
+from lumisplat.io.source import parsing, read_bytes
 from lumisplat.scene.arrays import index_array
+from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene
 
 _log = logging.getLogger("lumisplat")
 
@@ -41,15 +42,24 @@ class _ObjFile:
     libraries: list[str] = field(default_factory=list)
 
 
-def read_obj(path: Path) -> list[Mesh]:
-    """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials: one mesh per material.
+def read_obj(path: Path) -> Mesh | Scene:
+    """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
 
-    `Kd` is taken as linear, as Blender writes it; `map_Kd` as sRGB; `Pr` and `Pm` as roughness and metallic. A missing
-    material library leaves the default material, with a log line.
+    `Kd` is taken as linear, `map_Kd` and vertex colours as sRGB, as Blender writes and reads them; `Pr` and `Pm` are
+    roughness and metallic. A missing material library leaves the default material, with a log line.
+
+    Returns:
+        A mesh; a scene of one mesh per material where there are several.
 
     Raises:
         FormatError: Something in the file or in a file it names is missing or malformed; names the line.
     """
+    with parsing(path, "an OBJ file"):
+        meshes = _read(path)
+        return meshes[0] if len(meshes) == 1 else Scene(meshes=tuple(MeshInstance(m, name=m.name) for m in meshes))
+
+
+def _read(path: Path) -> list[Mesh]:
     listing = _parse_obj(path, read_bytes(path).decode("utf-8", errors="replace"))
     if not listing.faces_from_material:
         kind = "points only" if listing.positions else "no vertex and no face: is it an OBJ file?"
@@ -61,7 +71,7 @@ def read_obj(path: Path) -> list[Mesh]:
         else:
             _log.warning("%s: material library %s is missing, the default material is used", path, library)
     return [
-        _mesh(listing, faces, materials.get(name, MaterialPbr(name=name)))
+        without_loose_texture(path, _mesh(listing, faces, name, materials.get(name)))
         for name, faces in listing.faces_from_material.items()
     ]
 
@@ -118,7 +128,7 @@ def _index(text: str, what: str, count: int) -> int:
     return index
 
 
-def _mesh(listing: _ObjFile, faces: _Faces, material: MaterialPbr) -> Mesh:
+def _mesh(listing: _ObjFile, faces: _Faces, name: str, material: MaterialPbr | None) -> Mesh:
     """Corners that share position, uv and normal become one vertex; vertices keep the order of the file."""
     corners = np.array(faces.corners, dtype=np.int64).reshape(-1, 3)
     key = (corners[:, 0] * (len(listing.uvs) + 1) + corners[:, 1] + 1) * (len(listing.normals) + 1) + corners[:, 2] + 1
@@ -128,7 +138,9 @@ def _mesh(listing: _ObjFile, faces: _Faces, material: MaterialPbr) -> Mesh:
     indices = index_array("indices", triangles, len(first_corner))
     listed = [listing.positions[i] for i in position_index]
     positions = np.array([v[:3] for v in listed]).astype(np.float32)
-    colored = all(len(v) >= 6 for v in listed)
+    colors = np.clip([v[3:6] for v in listed], 0.0, 1.0) if all(len(v) >= 6 for v in listed) else None
+    if material is None:
+        material = MaterialPbr(name=name) if colors is None else MaterialPbr(name=name, base_color=(1.0, 1.0, 1.0))
     uvs = np.array(listing.uvs).reshape(-1, 2)
     normals = np.array(listing.normals).reshape(-1, 3)
     return Mesh(
@@ -137,8 +149,8 @@ def _mesh(listing: _ObjFile, faces: _Faces, material: MaterialPbr) -> Mesh:
         normals=unit_normals(normals[normal_index], positions, indices) if (normal_index >= 0).all() else None,
         uvs=flip_v(uvs[uv_index]) if (uv_index >= 0).all() else None,
         material=material,
-        colors=np.clip([v[3:6] for v in listed], 0.0, 1.0).astype(np.float32) if colored else None,
-        name=material.name,
+        colors=None if colors is None else decode_srgb(colors),
+        name=name,
     )
 
 
@@ -154,7 +166,8 @@ def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
             elif keyword == "Kd" and not argument.startswith(("spectral", "xyz")):
                 current["base_color"] = tuple(np.clip((_numbers(argument, 1) * 3)[:3], 0.0, 1.0))
             elif keyword == "map_Kd":
-                current["base_color_texture"] = _read_texture(path, argument)
+                texture = path.parent / _without_options(argument).replace("\\", "/")
+                current["base_color_texture"] = read_texture(texture, wanted_by=path)
             elif keyword in ("Pr", "Pm"):
                 value = min(max(_numbers(argument, 1)[0], 0.0), 1.0)
                 current["roughness" if keyword == "Pr" else "metallic"] = value
@@ -163,11 +176,6 @@ def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
         except ValueError as error:
             raise FormatError(path, f"line {number}: {error} in {line.strip()[:60]!r}") from None
     return {name: MaterialPbr(**values) for name, values in settings.items()}
-
-
-def _read_texture(mtl_path: Path, argument: str) -> np.ndarray:
-    texture_path = mtl_path.parent / _without_options(argument).replace("\\", "/")
-    return decode_texture(read_bytes(texture_path, wanted_by=mtl_path), texture_path, os.fspath(texture_path))
 
 
 def _without_options(argument: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.source import read_bytes
+from lumisplat.io.source import parsing, read_bytes
 from lumisplat.scene.mesh import Mesh
 
 _HEADER_BYTES = 84
@@ -25,17 +25,20 @@ def read_stl(path: Path) -> Mesh:
     Raises:
         FormatError: The file is truncated or no STL.
     """
-    data = read_bytes(path)
+    with parsing(path, "an STL file"):
+        corners = _corners(path, read_bytes(path))
+        return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), name=path.stem)
+
+
+def _corners(path: Path, data: bytes) -> np.ndarray:
     count = int.from_bytes(data[80:_HEADER_BYTES], "little") if len(data) >= _HEADER_BYTES else 0
     expected = _HEADER_BYTES + count * _TRIANGLE.itemsize
     # The length decides, not the word "solid": binary files start with it, too.
     if len(data) >= _HEADER_BYTES and len(data) == expected:
-        corners = np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
-    elif data.lstrip()[:5].lower() == b"solid" and _LOOP.search(data):
-        corners = _ascii_corners(path, data)
-    else:
-        raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
-    return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), name=path.stem)
+        return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
+    if data.lstrip()[:5].lower() == b"solid" and _LOOP.search(data):
+        return _ascii_corners(path, data)
+    raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
 
 def _ascii_corners(path: Path, data: bytes) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""PLY: the header, and the rows of an element as NumPy structured arrays.
+"""PLY: the header, and the rows of an element as NumPy structured arrays. `ply_lists` reads rows that differ in length.
 
 Format: Greg Turk, "The PLY Polygon File Format" (1994).
 """
@@ -12,11 +12,12 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.source import parsing
+from lumisplat.io.source import PathLike, parsing
 
 HEADER_BYTES_MAX = 2**20
 """A header is sought within this many bytes of the start."""
@@ -35,23 +36,28 @@ SCALAR_TYPES = {
 
 
 @dataclass(frozen=True, slots=True)
+class PlyProperty:
+    """One number of each row, or a list of them."""
+
+    name: str
+    code: str
+    """NumPy type code, of the items where it is a list."""
+    count_code: str = ""
+    """NumPy type code of the number of items; empty: not a list."""
+
+
+@dataclass(frozen=True, slots=True)
 class PlyElement:
     """One element of a header."""
 
     name: str
     count: int
-    properties: tuple[tuple[str, str], ...]
-    """(name, NumPy type code) in file order; the code of a list property is ``"list"``."""
+    properties: tuple[PlyProperty, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Property names in file order."""
-        return tuple(name for name, _ in self.properties)
-
-    @property
-    def has_lists(self) -> bool:
-        """Rows differ in length: they cannot be read as a structured array."""
-        return any(code == "list" for _, code in self.properties)
+        return tuple(prop.name for prop in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,24 +78,48 @@ class PlyHeader:
         """The element of that name, if there is one."""
         return next((element for element in self.elements if element.name == name), None)
 
+    def required(self, name: str) -> PlyElement:
+        """The element of that name.
+
+        Raises:
+            FormatError: There is none.
+        """
+        element = self.element(name)
+        if element is None:
+            raise FormatError(self.path, f"the PLY file has no element {name}")
+        return element
+
     def dtype(self, element: PlyElement) -> np.dtype:
-        """Structured type of one row, packed, in the byte order of the file."""
-        order = ENCODINGS[self.encoding]
-        return np.dtype([(name, order + code) for name, code in element.properties])
+        """Structured type of one row, packed, in the byte order of the file.
+
+        Raises:
+            FormatError: Rows have lists, and no fixed length.
+        """
+        if any(prop.count_code for prop in element.properties):
+            raise FormatError(self.path, f"PLY element {element.name} has list properties, expected plain numbers")
+        return np.dtype([(prop.name, ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
+
+    def start(self, element: PlyElement) -> tuple[int, int]:
+        """Where the rows of an element begin: the byte in a binary file, and the number of rows before.
+
+        Raises:
+            FormatError: An element before it has list properties.
+        """
+        before = list(itertools.takewhile(lambda other: other is not element, self.elements))
+        size = sum(other.count * self.dtype(other).itemsize for other in before)
+        return self.data_offset + size, sum(other.count for other in before)
 
 
-def read_ply_header(path: str | os.PathLike[str]) -> PlyHeader:
+def read_ply_header(path: PathLike) -> PlyHeader:
     """Parses the header of a PLY file; no row is read.
 
     Raises:
-        FormatError: The file cannot be read, is no PLY file, or its header is damaged.
+        FormatError: The file is no PLY file, or its header is damaged.
+        OSError: The file cannot be read.
     """
-    try:
-        with Path(path).open("rb") as file:
-            head = file.read(HEADER_BYTES_MAX)
-            size = os.fstat(file.fileno()).st_size
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
+    with Path(path).open("rb") as file:
+        head = file.read(HEADER_BYTES_MAX)
+        size = os.fstat(file.fileno()).st_size
     if not re.match(rb"ply\s", head):
         raise FormatError(path, "is not a PLY file: it does not begin with 'ply'")
     end = re.search(rb"^end_header[ \t]*\r?\n", head, re.MULTILINE)
@@ -101,28 +131,28 @@ def read_ply_header(path: str | os.PathLike[str]) -> PlyHeader:
     return PlyHeader(os.fspath(path), encoding, comments, elements, end.end(), size)
 
 
-def _parse_lines(path: str | os.PathLike[str], lines: list[str]) -> tuple[str, tuple[str, ...], tuple[PlyElement, ...]]:
+def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...], tuple[PlyElement, ...]]:
     encoding = ""
     comments: list[str] = []
-    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    elements: list[tuple[str, int, list[PlyProperty]]] = []
     for line in lines:
-        keyword, *words = line.split()
-        if keyword in ("comment", "obj_info"):
-            comments.append(line[len(keyword) :].strip())
-        elif keyword == "format" and words and words[0] in ENCODINGS:
-            encoding = words[0]
-        elif keyword == "element" and len(words) == 2 and words[1].isdecimal():
-            elements.append((words[0], int(words[1]), []))
-        elif keyword == "property" and elements and len(words) == 2 and words[0] in SCALAR_TYPES:
-            elements[-1][2].append((words[1], SCALAR_TYPES[words[0]]))
-        elif keyword == "property" and elements and len(words) == 4 and words[0] == "list":
-            elements[-1][2].append((words[3], "list"))
-        else:
-            raise FormatError(path, f"unexpected PLY header line {line[:80]!r}")
+        match line.split():
+            case ["comment" | "obj_info" as keyword, *_]:
+                comments.append(line[len(keyword) :].strip())
+            case ["format", name, *_] if name in ENCODINGS:
+                encoding = name
+            case ["element", name, count] if count.isdecimal():
+                elements.append((name, int(count), []))
+            case ["property", kind, name] if elements and kind in SCALAR_TYPES:
+                elements[-1][2].append(PlyProperty(name, SCALAR_TYPES[kind]))
+            case ["property", "list", count, kind, name] if elements and {count, kind} <= SCALAR_TYPES.keys():
+                elements[-1][2].append(PlyProperty(name, SCALAR_TYPES[kind], SCALAR_TYPES[count]))
+            case _:
+                raise FormatError(path, f"unexpected PLY header line {line[:80]!r}")
     if not encoding:
         raise FormatError(path, "the PLY header has no 'format' line")
     for name, _, properties in elements:
-        if len({prop for prop, _ in properties}) < len(properties):
+        if len({prop.name for prop in properties}) < len(properties):
             raise FormatError(path, f"the PLY header lists a property of {name} twice")
     return encoding, tuple(comments), tuple(PlyElement(name, n, tuple(props)) for name, n, props in elements)
 
@@ -140,31 +170,25 @@ def read_ply_rows(header: PlyHeader, element: PlyElement) -> Iterator[np.ndarray
     Raises:
         FormatError: The header promises more rows than the file holds (found before anything is allocated), or the
             rows do not parse.
+        OSError: The file cannot be read.
     """
-    before = list(itertools.takewhile(lambda other: other is not element, header.elements))
-    for other in [*before, element]:
-        if other.has_lists:
-            raise FormatError(header.path, f"PLY element {other.name} has list properties, expected plain numbers")
-    if header.encoding == "ascii":
-        yield from _ascii_rows(header, element, sum(other.count for other in before))
-        return
     dtype = header.dtype(element)
-    start = header.data_offset + sum(other.count * header.dtype(other).itemsize for other in before)
+    start, rows_before = header.start(element)
+    if header.encoding == "ascii":
+        yield from _ascii_rows(header, element, dtype, rows_before)
+        return
     _check_size(header, element, start + element.count * dtype.itemsize)
-    try:
-        with Path(header.path).open("rb") as file:
-            file.seek(start)
-            step = max(1, BLOCK_BYTES // max(1, dtype.itemsize))
-            for first in range(0, element.count, step):
-                rows = np.fromfile(file, dtype, min(step, element.count - first))
-                if len(rows) < min(step, element.count - first):
-                    raise FormatError(header.path, "the file became shorter while it was read")
-                yield rows
-    except OSError as error:
-        raise FormatError(header.path, f"cannot be read: {error.strerror or error}") from None
+    with Path(header.path).open("rb") as file:
+        file.seek(start)
+        step = max(1, BLOCK_BYTES // max(1, dtype.itemsize))
+        for first in range(0, element.count, step):
+            rows = np.fromfile(file, dtype, min(step, element.count - first))
+            if len(rows) < min(step, element.count - first):
+                raise FormatError(header.path, "the file became shorter while it was read")
+            yield rows
 
 
-def _ascii_rows(header: PlyHeader, element: PlyElement, rows_before: int) -> Iterator[np.ndarray]:
+def _ascii_rows(header: PlyHeader, element: PlyElement, dtype: np.dtype, rows_before: int) -> Iterator[np.ndarray]:
     # A number takes at least two bytes, itself and what separates it; only the last may lack the second.
     _check_size(header, element, header.data_offset + 2 * element.count * len(element.properties) - 1)
     if element.count == 0:
@@ -172,12 +196,11 @@ def _ascii_rows(header: PlyHeader, element: PlyElement, rows_before: int) -> Ite
     with parsing(header.path, "an ASCII PLY file"), Path(header.path).open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # no rows: reported below
         file.seek(header.data_offset)
-        dtype = header.dtype(element)
         rows = np.loadtxt(
             file, dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="ascii"
         )
     if len(rows) < element.count:
-        _truncated(header, element, f"{len(rows):,} rows")
+        refuse_truncated(header, element, f"{len(rows):,}")
     yield rows
 
 
@@ -189,10 +212,11 @@ def read_ply_element(header: PlyHeader, element: PlyElement) -> np.ndarray:
 
 def _check_size(header: PlyHeader, element: PlyElement, needed: int) -> None:
     if needed > header.file_size:
-        _truncated(header, element, f"{header.file_size:,} bytes where at least {needed:,} are needed")
+        refuse_truncated(header, element, f"{header.file_size:,} bytes where at least {needed:,} are needed")
 
 
-def _truncated(header: PlyHeader, element: PlyElement, found: str) -> None:
+def refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoReturn:
+    """Raises the FormatError of a file that holds only ``found`` of an element."""
     raise FormatError(
         header.path, f"truncated: the header promises {element.count:,} rows of {element.name}, the file holds {found}"
     )

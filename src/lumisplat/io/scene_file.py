@@ -42,26 +42,24 @@ def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Sc
         FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
     """
     document = _document(path)
-    assets: dict[Path, Gaussians | Mesh | Scene] = {}
+    assets: dict[Path, Scene] = {}
     splats: list[SplatInstance] = []
     meshes: list[MeshInstance] = []
     for kind in ("splats", "meshes"):
         for index, entry in enumerate(document.get(kind, ())):
             try:
                 _check_keys(entry)
-                file = Path(path).parent / entry["path"]
                 world_from_entry = _transform(entry)
-            except (SceneError, TypeError) as error:
+                file = Path(path).parent / entry["path"]
+                if file not in assets:
+                    assets[file] = _as_scene(load(file))
+                placed = _placed(assets[file], world_from_entry, entry, kind)
+            except FormatError:
+                raise
+            except SceneError as error:
                 raise FormatError(path, f"{kind}[{index}]: {error}") from None
-            if file not in assets:
-                assets[file] = load(file)
-            scene = _as_scene(assets[file])
-            if (scene.splats and kind == "meshes") or (scene.meshes and kind == "splats"):
-                found = "a mesh" if kind == "splats" else "a capture"
-                raise FormatError(path, f"{kind}[{index}]: {entry['path']} is {found}, list it under the other heading")
-            name = entry.get("name", "")
-            splats += [SplatInstance(i.gaussians, world_from_entry @ i.transform, name=name or i.name) for i in scene.splats]
-            meshes += [MeshInstance(i.mesh, world_from_entry @ i.transform, name=name or i.name) for i in scene.meshes]
+            splats += placed.splats
+            meshes += placed.meshes
     return Scene(splats=tuple(splats), meshes=tuple(meshes))
 
 
@@ -89,6 +87,20 @@ def _check_keys(entry: dict) -> None:
         raise SceneError("path (needed) and name are strings")
     if entry["path"].lower().endswith(".toml"):
         raise SceneError(f"{entry['path']} is a scene file itself: list its captures and meshes here instead")
+
+
+def _placed(scene: Scene, world_from_entry: npt.NDArray[np.float64], entry: dict, kind: str) -> Scene:
+    """The scene of an entry's file, moved to where the entry says."""
+    if (scene.splats and kind == "meshes") or (scene.meshes and kind == "splats"):
+        found = "a mesh" if kind == "splats" else "a capture"
+        raise SceneError(f"{entry['path']} is {found}, list it under the other heading")
+    name = entry.get("name", "")
+    return Scene(
+        splats=tuple(
+            SplatInstance(i.gaussians, world_from_entry @ i.transform, name=name or i.name) for i in scene.splats
+        ),
+        meshes=tuple(MeshInstance(i.mesh, world_from_entry @ i.transform, name=name or i.name) for i in scene.meshes),
+    )
 
 
 def _transform(entry: dict) -> npt.NDArray[np.float64]:

@@ -7,7 +7,6 @@ Rec.709), roughness and metallic, 0..1, and use nx, ny, nz, which INRIA fills wi
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
 
@@ -17,7 +16,8 @@ from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.columns import MATERIALS, PROPERTY_NAMES, SplatColumns, columns_from_gaussians, sh_property_names
-from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_header, read_ply_rows
+from lumisplat.io.ply import PlyElement, PlyHeader, ply_header_bytes, read_ply_rows
+from lumisplat.io.source import PathLike
 from lumisplat.scene.gaussians import Gaussians
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
@@ -51,24 +51,20 @@ def is_gaussian_element(vertex: PlyElement) -> bool:
     return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
 
 
-def read_splat_ply(
-    path: str | os.PathLike[str], header: PlyHeader | None = None, progress: Callable[[float], None] | None = None
-) -> SplatColumns:
+def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None = None) -> SplatColumns:
     """Reads an uncompressed Gaussian PLY.
 
     Args:
-        path: The file.
-        header: Its header, if it is known already.
+        header: Of the file.
         progress: Called with the fraction read, 0..1.
 
     Raises:
         FormatError: Not a Gaussian capture, a property is missing, or the file is truncated.
     """
-    header = header or read_ply_header(path)
     vertex = header.element("vertex")
     if vertex is None or not is_gaussian_element(vertex):
-        raise FormatError(path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
-    coefficients = _check_properties(path, vertex)
+        raise FormatError(header.path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
+    coefficients = _check_properties(header.path, vertex)
     columns: SplatColumns | None = None
     start = 0
     for rows in read_ply_rows(header, vertex):
@@ -81,11 +77,11 @@ def read_splat_ply(
         if progress:
             progress(start / vertex.count)
     if columns is None:
-        raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+        raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
     return columns
 
 
-def _check_properties(path: str | os.PathLike[str], vertex: PlyElement) -> int:
+def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     """Number of SH coefficients per channel, once every required property is there."""
     rest = sum(name.startswith("f_rest_") for name in vertex.names)
     degree = {3 * ((n + 1) ** 2 - 1): n for n in range(8)}.get(rest)
@@ -135,7 +131,7 @@ def _targets(columns: SplatColumns) -> list[tuple[str, np.ndarray]]:
     return targets
 
 
-def write_splat_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Writes an uncompressed Gaussian PLY, little endian, float32, as INRIA's trainer does.
 
     Raises:
