@@ -121,6 +121,7 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "2 0 1\n", "a point cloud of 3 points, not a mesh"),
         (PLY_HEAD.format(10**12) + PLY_FACE.format(1), "promises 1,000,000,000,000 rows of vertex"),
         (PLY_HEAD.format(3) + PLY_FACE.format(10**12) + TRIANGLE + "3 0 1 2\n", "rows of face, the file holds 1"),
+        (PLY_HEAD.format(3) + PLY_FACE.format(10**18).replace("list uchar ", "") + TRIANGLE, "the file holds 0"),
         (PLY_HEAD.format(-1) + "end_header\n", "unexpected PLY header line 'element vertex -1'"),
         (PLY_HEAD.format(1).replace("float x", "quaternion x") + "end_header\n0 0 0\n", "property quaternion x"),
         (PLY_HEAD.format(3) + PLY_FACE.format(1).replace("int v", "quad v"), "property list uchar quad vertex_indices"),
@@ -142,6 +143,15 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
 def test_bad_ply(tmp_path: Path, text: str, expected: str) -> None:
     """Counts larger than the file, unknown types and bad indices are refused before anything is allocated."""
     refuses(tmp_path / "a.ply", text.encode(), expected)
+
+
+@pytest.mark.parametrize("properties", ["", "property int material\n"])
+def test_binary_faces_without_lists(tmp_path: Path, properties: str) -> None:
+    """Faces without a list, however many, are refused at once."""
+    header = (
+        PLY_HEAD.format(3).replace("ascii", "binary_little_endian") + f"element face {10**18}\n{properties}end_header\n"
+    )
+    refuses(tmp_path / "a.ply", header.encode() + bytes(60), "the file holds 6|not a mesh: no polygons")
 
 
 def test_stl_with_a_wrong_count(tmp_path: Path) -> None:

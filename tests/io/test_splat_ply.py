@@ -115,6 +115,16 @@ def test_other_elements_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(ls.load(path).means, [[1, 2, 3]])
 
 
+def test_other_elements_of_text_are_skipped(tmp_path: Path) -> None:
+    """The same for a text file, in which rows are lines."""
+    header = ply_header(1, NAMES, "ascii").replace(
+        b"element vertex", b"element camera 2\nproperty double t\nelement vertex"
+    )
+    rows = "\n".join(["7", "8", " ".join(map(str, ROW)), "9 9 9"])
+    (tmp_path / "extra.ply").write_bytes(header + rows.encode())
+    np.testing.assert_array_equal(ls.load(tmp_path / "extra.ply").means, [[1, 2, 3]])
+
+
 @pytest.mark.parametrize(
     ("names", "message"),
     [

@@ -142,7 +142,16 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def load_cameras(path: PathLike) -> list[Camera]:
-    """Loads cameras; see `lumisplat.io.cameras.load_cameras`."""
+    """Loads the cameras of a capture, in the file's order; each has a unique ``name``, its image's.
+
+    Args:
+        path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
+            ``camera_angle_x``; image sizes are looked up where the file gives none) or INRIA's ``cameras.json``
+            (OpenCV; the principal point is the centre). Lens distortion is ignored with a log line.
+
+    Raises:
+        FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
+    """
     from lumisplat.io import cameras
 
     return cameras.load_cameras(path)

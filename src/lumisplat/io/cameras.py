@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,16 +37,7 @@ _DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def load_cameras(path: PathLike) -> list[Camera]:
-    """Reads the cameras of a capture, in the file's order; each has a unique ``name``, its image's.
-
-    Args:
-        path: `transforms.json` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
-            `camera_angle_x`, for which image sizes are looked up where the file gives none) or INRIA's
-            `cameras.json` (OpenCV; the principal point is the centre). Lens distortion is ignored with a log line.
-
-    Raises:
-        FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
-    """
+    """See `lumisplat.io.load_cameras`."""
     path = Path(path)
     with parsing(path, "a camera file"):
         try:
@@ -96,7 +87,7 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
         Path(temporary).write_text(text + "\n", encoding="utf-8")
 
 
-def _decoded(path: Path, index: int, entry: Any, decode: Any) -> Camera:
+def _decoded(path: Path, index: int, entry: Any, decode: Callable[[Any], Camera]) -> Camera:
     """Decodes one entry; whatever is wrong with it is said about that frame."""
     name = ""
     try:

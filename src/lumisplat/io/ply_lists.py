@@ -102,8 +102,8 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
                 position += counter.size
                 spans[name].append(_Span(position, length))
             position += length * size
-    if position > len(data):
-        refuse_truncated(header, element, f"{count - 1:,}")
+        if position > len(data):
+            refuse_truncated(header, element, f"{row:,}")
     return spans
 
 
