@@ -185,6 +185,8 @@ def test_impossible_requests_are_refused() -> None:
         gaussians_from_mesh(flat)
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
+    with pytest.raises(ls.SceneError, match=r"count is 10\.5, expected a whole number"):
+        gaussians_from_mesh(shapes.plane(1.0, 1.0), 10.5)  # type: ignore[arg-type]
 
 
 def test_creases_are_sharp_and_open_edges_only() -> None:

@@ -31,7 +31,15 @@ def test_arrays_become_read_only_float32() -> None:
         assert getattr(gaussians, name).dtype == np.float32
         with pytest.raises(ValueError, match="read-only"):
             getattr(gaussians, name)[0] = 1.0
-    means[0] = 2.0  # The caller's array is still the caller's.
+    means[0] = np.nan
+    assert (gaussians.means == 1.0).all()
+
+
+def test_read_only_arrays_are_not_copied() -> None:
+    """What nobody writes to is taken as it is: a large capture must not be held twice."""
+    sh = np.zeros((2, 4, 3), dtype=np.float32)
+    sh.flags.writeable = False
+    assert np.shares_memory(ls.Gaussians(**fields(sh=sh)).sh, sh)
 
 
 def test_fields_are_frozen() -> None:

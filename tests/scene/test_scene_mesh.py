@@ -19,6 +19,15 @@ def test_a_triangle() -> None:
     assert mesh.bounds()[1].tolist() == [1.0, 1.0, 0.0]
 
 
+def test_checked_arrays_cannot_change_afterwards() -> None:
+    """Writing to what a mesh was made of does not reach it: an index out of range would read beyond its vertices."""
+    positions, indices = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32)
+    mesh = ls.Mesh(positions, indices)
+    positions[:], indices[:] = np.nan, 10**6
+    np.testing.assert_array_equal(mesh.positions, np.eye(3))
+    np.testing.assert_array_equal(mesh.indices, [[0, 1, 2]])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -32,6 +41,7 @@ def test_a_triangle() -> None:
         ({"normals": np.ones((2, 3))}, r"normals has shape \(2, 3\), expected \(V, 3\) with V = 3 from positions"),
         ({"uvs": np.ones((3, 3))}, r"uvs has shape \(3, 3\), expected \(V, 2\)"),
         ({"colors": [[np.nan] * 3] * 3}, "colors has 9 non-finite"),
+        ({"colors": np.full((3, 3), 255)}, "colors: 3 of 3 are outside 0..1"),
     ],
 )
 def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> None:
@@ -61,9 +71,10 @@ def test_wrong_materials_are_refused(changes: dict[str, object], message: str) -
         ls.MaterialPbr(**changes)  # type: ignore[arg-type]
 
 
-def test_texture_is_read_only_for_us_alone() -> None:
-    """The material's view of a texture is frozen, the caller's array is not."""
+def test_texture_is_the_materials_own() -> None:
+    """The material's texture is frozen; the caller's array is not, and writing to it changes nothing."""
     texture = np.zeros((2, 2, 4), np.uint8)
     material = ls.MaterialPbr(base_color_texture=texture)
     assert material.base_color_texture is not None and not material.base_color_texture.flags.writeable
-    assert texture.flags.writeable
+    texture[:] = 255
+    assert not material.base_color_texture.any()

@@ -61,6 +61,12 @@ def test_strangers_are_refused() -> None:
         ls.Scene([quad(1.0)])  # type: ignore[list-item]
     with pytest.raises(ls.SceneError, match="meshes holds a str"):
         ls.Scene([], ["mesh"])  # type: ignore[list-item]
+    with pytest.raises(ls.SceneError, match="splats is one Gaussians, expected a list"):
+        ls.Scene(random_gaussians(0, 3))  # type: ignore[arg-type]
+    with pytest.raises(ls.SceneError, match="holds Gaussians, got a Mesh"):
+        ls.SplatInstance(quad(1.0))  # type: ignore[arg-type]
+    with pytest.raises(ls.SceneError, match="holds a Mesh, got a Gaussians"):
+        ls.MeshInstance(random_gaussians(0, 3))  # type: ignore[arg-type]
 
 
 def test_bounds_are_in_the_world() -> None:

@@ -1,6 +1,8 @@
-"""Arrays at the door: converted, checked, made read-only. Shared by the scene dataclasses."""
+"""Arrays at the door: converted, checked, kept where nobody can change them. Shared by the scene dataclasses."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import numpy.typing as npt
@@ -15,23 +17,25 @@ IntArray = npt.NDArray[np.int32]
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
     """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers.
 
+    What the caller can still write to is copied: data that was checked must not change afterwards. Large arrays that
+    are made read-only first are taken as they are.
+
     Raises:
         SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
     """
     try:
         with np.errstate(over="ignore"):  # Overflow to infinity is reported below.
-            array = np.ascontiguousarray(values, dtype=np.float32).view()
+            array = kept(values, np.float32)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name} is not an array of numbers: {error}") from None
     invalid = array.size - np.count_nonzero(np.isfinite(array))
     if invalid:
         raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}")
-    array.flags.writeable = False
     return array
 
 
 def index_array(name: str, values: npt.ArrayLike, limit: int) -> IntArray:
-    """Returns ``values`` as a read-only int32 array with every entry in ``[0, limit)``.
+    """Returns ``values`` as a read-only int32 array with every entry in ``[0, limit)``; see `float_array`.
 
     Raises:
         SceneError: The values are not integers, or an index is out of range.
@@ -41,9 +45,7 @@ def index_array(name: str, values: npt.ArrayLike, limit: int) -> IntArray:
         raise SceneError(f"{name} must be integers, got {array.dtype}")
     if array.size and (array.min() < 0 or array.max() >= limit):
         raise SceneError(f"{name} has indices from {array.min()} to {array.max()}, expected 0 to {limit - 1}")
-    array = np.ascontiguousarray(array, dtype=np.int32).view()
-    array.flags.writeable = False
-    return array
+    return kept(array, np.int32)
 
 
 def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
@@ -52,7 +54,10 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     Raises:
         SceneError: Not 4x4, not finite, the last row is not (0, 0, 0, 1), singular, or out of float32's reach.
     """
-    matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
+    try:
+        matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name} is not a matrix of numbers: {error}") from None
     if matrix.shape != (4, 4):
         raise SceneError(f"{name} has shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
@@ -67,3 +72,24 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
         raise SceneError(f"{name} scales or moves by more than {TRANSFORM_MAX:g}, or by as much in its inverse")
     matrix.flags.writeable = False
     return matrix
+
+
+def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
+    """Raises a `SceneError` that counts the rows where ``offenders`` is true, if there are any."""
+    count = np.count_nonzero(offenders)
+    if count:
+        raise SceneError(f"{name}: {count:,} of {offenders.size:,} are {problem} (first at index {offenders.argmax()})")
+
+
+def refuse_outside_unit(name: str, values: FloatArray) -> None:
+    """Raises a `SceneError` where a row of ``values`` leaves 0..1."""
+    outside = (values < 0.0) | (values > 1.0)
+    refuse_rows(name, "outside 0..1", outside.reshape(values.shape[0], math.prod(values.shape[1:])).any(axis=1))
+
+
+def kept(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray:
+    """A read-only, C-contiguous array of ``values``: themselves if they are read-only, else a copy."""
+    fixed = isinstance(values, np.ndarray) and not values.flags.writeable
+    array = np.ascontiguousarray(values, dtype=dtype) if fixed else np.array(values, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array

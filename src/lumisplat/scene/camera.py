@@ -43,14 +43,16 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             value = getattr(self, name)
-            if value != int(value) or not 1 <= value <= 65536:
+            if not isinstance(value, int | float | np.number) or not 1 <= value <= 65536 or value != int(value):
                 raise SceneError(f"camera {name} is {value}, expected a whole number from 1 to 65536")
             object.__setattr__(self, name, int(value))
-        for name in ("fx", "fy", "near"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SceneError(f"camera {name} is {getattr(self, name)}, expected a positive number")
-        if not (math.isfinite(self.cx) and math.isfinite(self.cy)):
-            raise SceneError(f"camera principal point ({self.cx}, {self.cy}) is not finite")
+        for name in ("fx", "fy", "near", "cx", "cy"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float | np.number) or not math.isfinite(value):
+                raise SceneError(f"camera {name} is {value}, expected a finite number")
+            if name in ("fx", "fy", "near") and value <= 0.0:
+                raise SceneError(f"camera {name} is {value}, expected a positive number")
+            object.__setattr__(self, name, float(value))
         matrix = matrix_4x4("camera_from_world", self.camera_from_world)
         rotation = matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:

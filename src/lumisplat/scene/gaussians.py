@@ -9,17 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, float_array
+from lumisplat.scene.arrays import FloatArray, float_array, refuse_outside_unit, refuse_rows
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
+
+_REQUIRED = ("means", "rotations_wxyz", "scales", "opacities", "sh")
+_OPTIONAL = ("normals", "albedo", "roughness", "metallic")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
-    Arrays are converted to read-only float32. Inputs are validated: finite, matching shapes, positive scales,
-    opacities in 0..1; quaternions are normalised.
+    Arrays become read-only float32, copied unless they are that already. Inputs are validated: finite, matching
+    shapes, positive scales, opacities in 0..1; quaternions are normalised.
 
     Raises:
         SceneError: An input breaks one of those rules; the message names it and counts the offenders.
@@ -50,10 +53,8 @@ class Gaussians:
     """What the file said about itself, kept on conversion."""
 
     def __post_init__(self) -> None:
-        for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
-            object.__setattr__(self, name, float_array(name, getattr(self, name)))
-        for name in ("normals", "albedo", "roughness", "metallic"):
-            if getattr(self, name) is not None:
+        for name in (*_REQUIRED, *_OPTIONAL):
+            if name in _REQUIRED or getattr(self, name) is not None:
                 object.__setattr__(self, name, float_array(name, getattr(self, name)))
         check_shapes(
             means=(self.means, "N 3"),
@@ -70,11 +71,11 @@ class Gaussians:
             raise SceneError("zero Gaussians: there is nothing to render")
         if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
             raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
-        _refuse("scales", "not positive", self.scales.min(axis=1) <= 0.0)
+        refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
             if values is not None:
-                _refuse(name, "outside 0..1", ((values < 0.0) | (values > 1.0)).reshape(self.count, -1).any(axis=1))
+                refuse_outside_unit(name, values)
         object.__setattr__(self, "rotations_wxyz", _normalised("rotations_wxyz", self.rotations_wxyz))
         if self.normals is not None:
             object.__setattr__(self, "normals", _normalised("normals", self.normals))
@@ -93,11 +94,14 @@ class Gaussians:
         """Corners (min, max) of the box around the means, object space, shape (3,) each."""
         return self.means.min(axis=0), self.means.max(axis=0)
 
+    def arrays(self) -> dict[str, FloatArray]:
+        """The arrays that there are, by name."""
+        named = {name: getattr(self, name) for name in (*_REQUIRED, *_OPTIONAL)}
+        return {name: values for name, values in named.items() if values is not None}
+
     def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
         """The Gaussians that ``rows`` (a mask or indices) selects, in that order."""
-        names = ("means", "rotations_wxyz", "scales", "opacities", "sh", "normals", "albedo", "roughness", "metallic")
-        picked = {name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None}
-        return replace(self, **picked)
+        return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
 
 def merged(sets: Sequence[Gaussians]) -> Gaussians:
@@ -114,23 +118,16 @@ def merged(sets: Sequence[Gaussians]) -> Gaussians:
         raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
     coefficients = max(one.sh.shape[1] for one in sets)
     padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
-    arrays: dict[str, npt.NDArray[np.floating] | None] = {"sh": np.concatenate(padded)}
-    for name in ("means", "rotations_wxyz", "scales", "opacities", "normals", "albedo", "roughness", "metallic"):
-        columns = [getattr(one, name) for one in sets]
-        arrays[name] = None if any(column is None for column in columns) else np.concatenate(columns)
-    return replace(sets[0], **arrays)
-
-
-def _refuse(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
-    count = np.count_nonzero(offenders)
-    if count:
-        raise SceneError(f"{name}: {count:,} of {offenders.size:,} are {problem} (first at index {offenders.argmax()})")
+    columns = [one.arrays() | {"sh": sh} for one, sh in zip(sets, padded, strict=True)]
+    shared = set.intersection(*map(set, columns))
+    joined = {name: np.concatenate([column[name] for column in columns]) for name in shared}
+    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))
 
 
 def _normalised(name: str, vectors: FloatArray) -> FloatArray:
     # Scaled by the largest component first: tiny but valid quaternions would underflow when squared.
     largest = np.abs(vectors).max(axis=1, keepdims=True)
-    _refuse(name, "of zero length", largest[:, 0] == 0.0)
+    refuse_rows(name, "of zero length", largest[:, 0] == 0.0)
     scaled = vectors / largest
     length = np.linalg.norm(scaled, axis=1, keepdims=True)
     # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
+from lumisplat.scene.arrays import kept
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -43,10 +44,9 @@ class MaterialPbr:
         if not 1.0 <= self.ior < np.inf:
             raise SceneError(f"ior is {self.ior}, expected at least 1")
         if self.base_color_texture is not None:
-            texture = np.ascontiguousarray(self.base_color_texture).view()
+            texture = np.asarray(self.base_color_texture)
             if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
                 raise SceneError(
                     f"base_color_texture is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)"
                 )
-            texture.flags.writeable = False
-            object.__setattr__(self, "base_color_texture", texture)
+            object.__setattr__(self, "base_color_texture", kept(texture, np.uint8))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array
+from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array, refuse_outside_unit
 from lumisplat.scene.materials import MaterialPbr
 
 
@@ -14,7 +14,8 @@ class Mesh:
     """V vertices, F triangles, counter-clockwise seen from outside.
 
     Raises:
-        SceneError: Shapes do not fit, values are not finite, an index is out of range, or there is no triangle.
+        SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, an index is out of range, or
+            there is no triangle.
     """
 
     positions: FloatArray
@@ -40,6 +41,8 @@ class Mesh:
             uvs=(self.uvs, "V 2"),
             colors=(self.colors, "V 3"),
         )
+        if self.colors is not None:
+            refuse_outside_unit("colors", self.colors)
         object.__setattr__(self, "indices", index_array("indices", self.indices, sizes["V"]))
         check_shapes(indices=(self.indices, "F 3"))
         if self.face_count == 0:

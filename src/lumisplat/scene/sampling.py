@@ -68,7 +68,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         ``albedo`` (linear), ``roughness`` and ``metallic``.
 
     Raises:
-        SceneError: The mesh has no area, or ``count`` is less than 1.
+        SceneError: The mesh has no area, or ``count`` is not a whole number of at least 1.
     """
     areas, face_normals = _face_areas_and_normals(mesh)
     area = float(areas.sum())
@@ -76,8 +76,8 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         raise SceneError("the mesh has no area: every triangle is degenerate, nothing can be sampled")
     if count is None:
         count = _default_count(mesh, areas)
-    if count < 1:
-        raise SceneError(f"count is {count}, expected at least 1")
+    if not isinstance(count, int | np.integer) or count < 1:
+        raise SceneError(f"count is {count}, expected a whole number of at least 1")
     spacing = math.sqrt(area / count)
     rng = np.random.default_rng(seed)
     creases = crease_points(mesh, face_normals, spacing / 3.0)
@@ -278,7 +278,7 @@ def _texture_colors(texture: npt.NDArray[np.uint8], uvs: _Floats) -> _Floats:
     """Bilinearly filtered, repeating texture in linear Rec.709, shape (M, 3)."""
     height, width = texture.shape[:2]
     linear = decode_srgb(np.arange(256) / 255.0)
-    x, y = uvs[:, 0] * width - 0.5, uvs[:, 1] * height - 0.5
+    x, y = uvs[:, 0] % 1.0 * width - 0.5, uvs[:, 1] % 1.0 * height - 0.5
     left, top = np.floor(x), np.floor(y)
     right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
     columns = [(left.astype(np.int64) + k) % width for k in (0, 1)]

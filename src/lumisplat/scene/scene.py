@@ -19,7 +19,7 @@ class SplatInstance:
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
 
     Raises:
-        SceneError: ``world_from_object`` mirrors, shears or scales its axes differently.
+        SceneError: The asset is none, or ``world_from_object`` mirrors, shears or scales its axes differently.
     """
 
     gaussians: Gaussians
@@ -28,6 +28,8 @@ class SplatInstance:
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.gaussians, Gaussians):
+            raise SceneError(f"a splat instance holds Gaussians, got a {type(self.gaussians).__name__}")
         matrix = matrix_4x4("world_from_object", self.world_from_object)
         gram = matrix[:3, :3] @ matrix[:3, :3].T
         scale2 = np.trace(gram) / 3.0
@@ -49,7 +51,11 @@ class SplatInstance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshInstance:
-    """A mesh placed in the world by any invertible affine transform."""
+    """A mesh placed in the world by any invertible affine transform.
+
+    Raises:
+        SceneError: The asset is none, or ``world_from_object`` is no such transform.
+    """
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
@@ -57,6 +63,8 @@ class MeshInstance:
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.mesh, Mesh):
+            raise SceneError(f"a mesh instance holds a Mesh, got a {type(self.mesh).__name__}")
         object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
 
     @property
@@ -106,6 +114,8 @@ class Scene:
 
 
 def _instances(name: str, items: Iterable[object], asset: type, instance: type) -> tuple:
+    if not isinstance(items, Iterable):
+        raise SceneError(f"{name} is one {type(items).__name__}, expected a list")
     placed = tuple(instance(item) if isinstance(item, asset) else item for item in items)
     for item in placed:
         if not isinstance(item, instance):
