@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 
 from cli_files import Workplace
+from lumisplat.cli.arguments import one_line
 
 CAMERAS = ("--cameras", "@cameras.json")
 
@@ -92,6 +93,7 @@ def test_mistake_is_one_line(work, monkeypatch, args, named):
         (("-o", "@a_file"), "a_file"),
         (("-o", "@a_file/deeper"), "a_file"),
         (("-o", "@out.png"), "2 frames"),
+        (("-o", "@out.jpg"), "expected .png, .exr or .npz"),
         (("-o", "@out.png", "--frame", "left", "--format", "exr"), "--format"),
         (("-o", "/proc/lumisplat"), "/proc/lumisplat"),
         (("-o", "/proc/lumisplat.png", "--frame", "left"), "/proc/lumisplat.png"),
@@ -106,12 +108,40 @@ def test_output_that_cannot_be_written(work, output, named):
     assert work.files() == before
 
 
-@pytest.mark.parametrize("args", [("render", "--widht", "5"), ("paint",), ("render", "x.ply", "--format", "gif")])
-def test_unknown_arguments(work, args):
-    """Arguments that do not parse are exit status 2 as well."""
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (("render", "--widht", "5"), "--widht, 5; perhaps you meant --width (see lumisplat --help)"),
+        (("paint",), "paint"),
+        (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
+        (("render", "x.ply", "--width", "wide"), "'wide'"),
+        (("render", "x.ply", "--aov"), "'--aov'"),
+        (("convert", "x.ply"), "OUT .ply, .compressed.ply or .spz. (required) (see lumisplat convert --help)"),
+    ],
+)
+def test_unknown_arguments(work, args, named):
+    """Arguments that do not parse are exit status 2 and one line as well."""
     outcome = work.run(*args)
-    assert outcome.status == 2
-    assert "Traceback" not in outcome.err
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert named in outcome.err
+    assert not set("│─╭╰") & set(outcome.err)
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [
+        "╭─ Title ─────╮\n│ It is wrong │\n│ here.       │\n│ ─────────── │\n│ More.       │\n╰─────────────╯\n",
+        "\x1b[31m╭─ \x1b[1mTitle\x1b[0m ─╮\n│\x1b[0m It is wrong here. \x1b[31m│\n│ │\n│ More. │\n╰──────────╯\n",
+        " Title     \n ---------- \n  It is wrong here. \n  --------- \n  More. \n",
+        "It is wrong here.",
+    ],
+    ids=["framed", "coloured", "ascii", "no panel"],
+)
+def test_panels_become_one_line(panel):
+    """Whatever a terminal makes of the panel, its first paragraph is left."""
+    assert one_line(panel) == "It is wrong here."
 
 
 def test_debug_shows_the_traceback(work):

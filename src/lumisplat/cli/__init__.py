@@ -15,6 +15,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
+from lumisplat.cli.arguments import ArgumentsError, panels_as_errors
 from lumisplat.cli.bench import Bench
 from lumisplat.cli.convert import Convert
 from lumisplat.cli.demo import Demo
@@ -55,15 +56,19 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"lumisplat {ls.__version__}")
         return 0
     try:
-        command = tyro.cli(
-            _Command,  # type: ignore[arg-type]
-            args=args or ["--help"],
-            prog="lumisplat",
-            description=_DESCRIPTION,
-            config=(FlagCreatePairsOff,),
-        )
-    except SystemExit as stop:
-        return int(stop.code or 0)
+        with panels_as_errors():
+            command = tyro.cli(
+                _Command,  # type: ignore[arg-type]
+                args=args or ["--help"],
+                prog="lumisplat",
+                description=_DESCRIPTION,
+                config=(FlagCreatePairsOff,),
+            )
+    except ArgumentsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except SystemExit:  # after the help
+        return 0
     return _run(command)
 
 
