@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mimetypes
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +34,8 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
         format_name: One of `FORMATS`, or ``auto``: that of the file's name, else PNG.
 
     Raises:
-        ConfigError: A name is unknown, or name and format of the output do not go together.
+        ConfigError: A name is unknown, the output is an image of another kind, or its name and format do not go
+            together.
     """
     stems = file_stems([camera.name for camera in cameras])
     picked = [index for index in range(len(cameras)) if not wanted or {cameras[index].name, stems[index]} & {*wanted}]
@@ -43,6 +45,10 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
             raise ls.ConfigError(f"no frame is named '{name}': there are {len(stems)} ({listed})")
     suffix = output.suffix.lower().removeprefix(".")
     if suffix not in FORMATS:
+        if (mimetypes.guess_type(output)[0] or "").startswith(("image/", "video/")):
+            raise ls.ConfigError(
+                f"{output}: unknown image extension '.{suffix}', expected .png, .exr or .npz, or a folder"
+            )
         extension = "png" if format_name == "auto" else format_name
         return [Shot(cameras[index], output / f"{stems[index]}.{extension}") for index in picked]
     if format_name not in ("auto", suffix):
