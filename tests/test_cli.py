@@ -87,9 +87,9 @@ def test_layers_beside_png(work):
 def test_layers_in_exr(work):
     """--aov puts layers into the one EXR, and only those."""
     args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@out", "--format", "exr")
-    assert work.run(*args, "--aov", "depth").status == 0
+    assert work.run(*args, "--aov", "depth,instance_index").status == 0
     channels = read_image(work.path("out/left.exr"))
-    assert set(channels) == {"R", "G", "B", "A", "depth.Z"}
+    assert set(channels) == {"R", "G", "B", "A", "depth.Z", "index.instance"}
     assert channels["depth.Z"][24, 32] == pytest.approx(4.0, abs=1e-3)
     assert np.isinf(channels["depth.Z"][0, 0])
 
@@ -139,7 +139,7 @@ def test_info_shows_text_as_it_is(work):
 def test_demo(work, monkeypatch):
     """Demo writes a picture for each of its cameras, and on request its capture and cameras, which render."""
     gaussians = ls.load(work.path("capture.ply"))
-    monkeypatch.setattr(ls, "demo_scene", lambda: ls.Scene(splats=(ls.SplatInstance(gaussians),)))
+    monkeypatch.setattr(ls, "demo_scene", lambda report: ls.Scene(splats=(ls.SplatInstance(gaussians),)))
     monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
     assert work.run("demo", "-o", "@demo", "--save-assets", "--width", "32").status == 0
     names = {"left.png", "right.png", "demo.ply", "transforms.json"}

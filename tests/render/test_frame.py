@@ -86,6 +86,6 @@ def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path
     """The message says what there is to choose from, and nothing is written."""
     with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):
         frame.save(tmp_path / "a.jpg")
-    with pytest.raises(ls.ConfigError, match="expected one of depth, normal, index"):
+    with pytest.raises(ls.ConfigError, match="expected some of depth, normal, gaussian_index"):
         frame.layers(["shadow"])
     assert not list(tmp_path.iterdir())

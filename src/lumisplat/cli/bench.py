@@ -42,7 +42,7 @@ class Bench(DeviceCommand):
             started = time.perf_counter()
             renderer = self.start_renderer(report)
             ready = time.perf_counter()
-            scene = load_scene(self.scene, drop_invalid=False, report=report) if self.scene else ls.demo_scene()
+            scene = load_scene(self.scene, drop_invalid=False, report=report) if self.scene else ls.demo_scene(report)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
             frame = renderer.render(scene, camera)

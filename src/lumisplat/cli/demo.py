@@ -30,9 +30,7 @@ class Demo(DeviceCommand):
         with progress_bars() as report:
             renderer = self.start_renderer(report)
             make_folder(self.output)
-            report("building the demo scene", 0.0)
-            scene = ls.demo_scene()
-            report("building the demo scene", 1.0)
+            scene = ls.demo_scene(report)
             cameras = ls.demo_cameras()
             if self.save_assets:
                 self._save_assets(scene, cameras)

@@ -64,8 +64,7 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
 def _gaussian_rows(gaussians: ls.Gaussians) -> Rows:
     import numpy as np
 
-    names = ("means", "rotations_wxyz", "scales", "opacities", "sh", "normals", "albedo", "roughness", "metallic")
-    arrays = {name: getattr(gaussians, name) for name in names if getattr(gaussians, name) is not None}
+    arrays = gaussians.arrays()
     percentiles = np.percentile(gaussians.scales, (1, 50, 99))
     rows = [
         ("Gaussians", f"{gaussians.count:,}"),

@@ -103,7 +103,7 @@ def save_frame(frame: ls.Frame, path: Path, layers: tuple[str, ...]) -> None:
     from lumisplat.io.image import write_exr, write_png
 
     if path.suffix.lower() == ".exr":
-        write_exr(path, frame.layers({"index" if layer.endswith("_index") else layer for layer in layers}))
+        write_exr(path, frame.layers(layers))
         return
     frame.save(path)
     if path.suffix.lower() == ".png":

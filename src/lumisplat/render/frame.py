@@ -14,6 +14,9 @@ from lumisplat.scene.arrays import FloatArray, IntArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
 
+LAYERS = ("depth", "normal", "gaussian_index", "instance_index")
+"""Images of a frame that an EXR can hold beside its colour."""
+
 
 @dataclass(frozen=True, slots=True)
 class FrameStats:
@@ -107,8 +110,8 @@ class Frame:
             return np.concatenate([self.straight(), self.alpha[..., None]], axis=2)
         return self.color
 
-    def layers(self, names: Collection[str] = ("depth", "normal", "index")) -> dict[str, np.ndarray]:
-        """EXR channels: linear ``R G B A`` and the AOV layers that ``names`` lists.
+    def layers(self, names: Collection[str] = LAYERS) -> dict[str, np.ndarray]:
+        """EXR channels: linear ``R G B A`` and those of the images that ``names`` lists.
 
         Raises:
             ConfigError: A name is not a layer.
@@ -118,11 +121,12 @@ class Frame:
         aovs = {
             "depth": {"depth.Z": self.depth},
             "normal": {f"normal.{axis}": self.normal[..., i] for i, axis in enumerate("XYZ")},
-            "index": {"index.gaussian": self.gaussian_index, "index.instance": self.instance_index},
+            "gaussian_index": {"index.gaussian": self.gaussian_index},
+            "instance_index": {"index.instance": self.instance_index},
         }
         for name in names:
             if name not in aovs:
-                raise ConfigError(f"unknown AOV '{name}', expected one of {', '.join(aovs)}")
+                raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(aovs)}")
             channels |= aovs[name]
         return channels
 

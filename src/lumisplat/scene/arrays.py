@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -84,7 +82,7 @@ def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> No
 def refuse_outside_unit(name: str, values: FloatArray) -> None:
     """Raises a `SceneError` where a row of ``values`` leaves 0..1."""
     outside = (values < 0.0) | (values > 1.0)
-    refuse_rows(name, "outside 0..1", outside.reshape(values.shape[0], math.prod(values.shape[1:])).any(axis=1))
+    refuse_rows(name, "outside 0..1", np.asarray(outside.any(axis=tuple(range(1, values.ndim)))))
 
 
 def kept(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray:
