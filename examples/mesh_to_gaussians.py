@@ -6,7 +6,6 @@ python examples/mesh_to_gaussians.py duck.glb
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -39,7 +38,6 @@ def main(path: str | None) -> None:
     low, high = meshes.bounds()
     centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     camera = ls.Camera.look_at(centre + size * np.array([0.6, 0.7, 0.9]), centre, width=640, height=480, fov_y=0.7)
-    Path("out").mkdir(exist_ok=True)
     renderer = ls.create_renderer()
     solid, splatted = (renderer.render(scene, camera) for scene in (meshes, splats))
     solid.save("out/mesh.png")
