@@ -14,7 +14,9 @@ import warp as wp
 import lumisplat as ls
 from cli_files import Workplace
 from lumisplat.cli import main
+from lumisplat.cli.framing import framing_camera
 from lumisplat.io.image import read_image
+from scenes import random_gaussians
 
 
 @pytest.fixture
@@ -45,11 +47,35 @@ def test_render_picks_frames_and_scales(work):
     assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
 
 
+def test_settings_reach_the_renderer(work):
+    """--antialiasing and --sh-degree give the picture that the library gives with the same settings."""
+    ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
+    scene = ls.Scene([ls.load(work.path("bands.ply"))])  # type: ignore[list-item]
+    camera = ls.load_cameras(work.path("cameras.json"))[0]
+    args = ("render", "@bands.ply", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    for options, settings in [
+        (("--antialiasing", "on"), ls.RasterConfig(antialiasing=ls.Antialiasing.ON)),
+        (("--sh-degree", "0"), ls.RasterConfig(sh_degree=0)),
+    ]:
+        assert work.run(*args, *options).status == 0
+        color = read_image(work.path("a.npz"))["color"]
+        expected, plain = (
+            ls.render(scene, camera, ls.RenderConfig(raster=r), device="cpu").color
+            for r in (settings, ls.RasterConfig())
+        )
+        assert np.abs(color - plain).max() > 0.01
+        np.testing.assert_array_equal(color, expected)
+
+
 def test_render_without_cameras_shows_the_scene(work):
-    """A capture alone gives one picture, in which there is something to see."""
-    assert work.run("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64").status == 0
+    """A capture alone gives one picture, in which there is something to see, framed for the size asked for."""
+    args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
+    assert work.run(*args, "--device", "cpu").status == 0
     picture = read_image(work.path("first.png"))["srgb"]
     assert picture.shape == (64, 64, 3)
+    scene = ls.Scene([ls.load(work.path("capture.ply"))])  # type: ignore[list-item]
+    framed = ls.render(scene, framing_camera(scene, width=64, height=64), device="cpu")
+    np.testing.assert_array_equal(picture, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     assert (picture > 0).any(axis=2).mean() > 0.2
 
 
@@ -121,6 +147,8 @@ def test_info(work):
     """Info says what is in captures, meshes and camera files."""
     outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
     assert outcome.status == 0
+    scales = ls.load(work.path("capture.ply")).scales  # type: ignore[union-attr]
+    assert f"median {np.median(scales):.4g}   99 %" in outcome.out
     for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
         assert text in outcome.out
 

@@ -10,7 +10,8 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.framing import bulk_bounds, framing_camera
 from lumisplat.cli.outputs import file_stems, plan_shots
-from scenes import front_camera, joined, one_gaussian, random_gaussians
+from lumisplat.cli.pictures import layer_picture
+from scenes import front_camera, joined, one_gaussian, quad, random_gaussians
 
 
 def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
@@ -44,6 +45,15 @@ def test_up_is_up(up, above):
     assert (camera.eye - center) @ above > 0.0
 
 
+def test_up_follows_what_the_scene_holds() -> None:
+    """Without a word about it, captures are y down, also with a mesh beside them, and meshes alone y up."""
+    capture, mesh = random_gaussians(3), quad(1.0)
+    for scene, up in [(ls.Scene([capture]), "y-down"), (ls.Scene([capture], [mesh]), "y-down")]:
+        np.testing.assert_array_equal(framing_camera(scene).eye, framing_camera(scene, up).eye)
+    alone = ls.Scene([], [mesh])
+    np.testing.assert_array_equal(framing_camera(alone).eye, framing_camera(alone, "y-up").eye)
+
+
 def test_strays_do_not_set_the_frame():
     """A faint Gaussian far away leaves the framing as it was."""
     bulk = random_gaussians(3, count=500)
@@ -73,3 +83,18 @@ def test_shots_follow_the_file_order():
     cameras = [front_camera(name=name) for name in ("a", "b", "c")]
     shots = plan_shots(cameras, ("c", "a"), Path("out"), "auto")
     assert [shot.path for shot in shots] == [Path("out/a.png"), Path("out/c.png")]
+
+
+def test_frames_are_picked_by_their_own_names_too():
+    """A name that is no safe file name is asked for as the camera file has it, or as its picture is called."""
+    cameras = [front_camera(name="left eye"), front_camera(name="right eye")]
+    for name in ("left eye", "left_eye"):
+        assert [shot.path for shot in plan_shots(cameras, (name,), Path("out"), "auto")] == [Path("out/left_eye.png")]
+
+
+def test_depth_pictures_are_red_near_and_blue_far():
+    """What the guide says of the colours."""
+    frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
+    picture = layer_picture(frame, "depth")
+    near, far = picture[16, 16], picture[2, 2]
+    assert near[0] > near[2] and far[2] > far[0]

@@ -61,6 +61,15 @@ def test_open_sky_is_the_hemisphere_integral() -> None:
     assert roofed < 0.5 * (1.0 - 1.0 / 1.25) + 0.02
 
 
+def test_bounce_comes_from_below_and_less_into_corners() -> None:
+    """Light thrown back by the floor is stronger on what faces down, and weaker where the sky is blocked."""
+    light = Daylight(sun_direction=(0.0, 1.0, 0.0), sun_color=(0, 0, 0), sky_color=(0, 0, 0))
+    point, far = np.zeros((1, 3)), np.array([[5.0, -5.0, 5.0]])
+    down, up = (lit(far, point, (0, y, 0), light)[0, 0] for y in (-1, 1))
+    covered = lit(np.concatenate([far, grid(0.8, 0.2)]), point, (0, 1, 0), light)[0, 0]
+    assert down > 2.0 * up > 3.0 * covered > 0.0
+
+
 def test_strong_light_rolls_off_below_one() -> None:
     """However bright, the result stays in 0..1 and keeps its order."""
     plane = grid(0.1, 0.0)

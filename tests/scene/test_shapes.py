@@ -113,6 +113,17 @@ def shapes_ring(points: np.ndarray) -> np.ndarray:
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
 
+def test_turned_profile_is_smooth_across_its_seam_and_even_in_v() -> None:
+    """First and last column share their normals, and v grows with the length of the profile, not with its rows."""
+    mesh = shapes_swept.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
+    assert mesh.normals is not None and mesh.uvs is not None
+    normals = mesh.normals.reshape(3, 9, 3)
+    np.testing.assert_array_equal(normals[:, 0], normals[:, -1])
+    assert normals[2, 0, 2] < -0.98  # the first facet alone leans by 22 degrees
+    first = 0.02**0.5
+    np.testing.assert_allclose(mesh.uvs.reshape(3, 9, 2)[:, 0, 1], [0.0, first / (first + 0.9), 1.0], atol=1e-6)
+
+
 def test_spiral_shell_turns_its_outside_out() -> None:
     """The open shell's normals point away from the centre line of its tube."""
     mesh = shapes_swept.spiral_shell()
