@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 import lumisplat as ls
+from graph_launcher import GraphLauncher
 from lumisplat.launcher import Launcher
 
-WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
-"""The CPU with its own kernels and with those of CUDA, and every GPU there is."""
+WAYS = ["cpu", "cpu as cuda", "cpu as graph", *(device.alias for device in wp.get_cuda_devices())]
+"""The CPU with its own kernels, with those of CUDA, and with those replayed as a graph; and every GPU there is."""
+
+
+class ReplayingRenderer(ls.Renderer):
+    """Draws a frame until it comes from a graph: direct with new buffers, direct, captured, replayed."""
+
+    def render(self, scene: ls.Scene, camera: ls.Camera) -> ls.Frame:
+        """The replayed frame; the others must be equal to it."""
+        frames = [super(ReplayingRenderer, self).render(scene, camera) for _ in range(4)]
+        for frame in frames[:-1]:
+            np.testing.assert_array_equal(frame.color, frames[-1].color, "the graph's frame is not the direct one")
+        return frames[-1]
 
 
 def renderer_of(way: str, config: ls.RenderConfig | None = None) -> ls.Renderer:
     """A renderer that works in one of ``WAYS``."""
-    renderer = ls.create_renderer(config, way.removesuffix(" as cuda"))
-    if way.endswith("as cuda"):
+    renderer = ls.create_renderer(config, way.partition(" as ")[0])
+    if way == "cpu":
+        return renderer
+    if way == "cpu as cuda":
         return ls.Renderer(renderer.config, Launcher("cpu", parallel=True))
-    return renderer
+    return ReplayingRenderer(renderer.config, GraphLauncher() if way == "cpu as graph" else Launcher(way))
