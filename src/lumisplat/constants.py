@@ -53,7 +53,7 @@ IMAGE_PIXELS_MAX = 200_000_000
 """Pixels of a frame: its surface buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
 
 ITEMS_MAX = 2**31 - 1
-"""Gaussians, or triangles, of a scene."""
+"""Gaussians or triangles of a scene, and (tile, item) pairs of a frame."""
 
 # --- Work decomposition ---
 
@@ -63,6 +63,12 @@ TILE_PX = 16
 BLOCK_THREADS = 256
 """CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
 
+DEPTH_KEY_CULLED = 0xFFFFFFFF
+"""Depth key of what cannot touch the image; the bits of every positive float are smaller."""
+
+DEPTH_KEY_NONFINITE = 0xFFFFFFFE
+"""Depth key of what is dropped because a projected value is NaN or infinite."""
+
 SORT_DIGIT_BITS_MAX = 12
 """Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
 usual 24 bits of key."""
@@ -71,7 +77,10 @@ TILE_BANDS_PER_THREAD = 12
 """Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
 
 FINISHED_CHECK_INTERVAL = 32
-"""Splats composited in a tile between two looks at whether any pixel is still unfinished."""
+"""Splats composited in a tile between two looks at which pixels are still unfinished."""
+
+PAIR_SUM_THREADS = 4096
+"""Items that add up the (tile, item) pairs of a frame in 64 bits, in the parallel schedule."""
 
 # --- Files ---
 

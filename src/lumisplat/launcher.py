@@ -11,14 +11,14 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
 
 from lumisplat.constants import BLOCK_THREADS
-from lumisplat.errors import DeviceError
+from lumisplat.errors import ConfigError, DeviceError
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0..1."""
@@ -58,6 +58,8 @@ class Launcher:
     def __init__(
         self, device: str = "auto", threads: int | None = None, profile: bool = False, parallel: bool | None = None
     ) -> None:
+        if threads is not None and threads < 1:
+            raise ConfigError(f"threads is {threads}, expected at least 1, or None for as many as there are cores")
         self.device = resolve_device(device)
         self.is_cuda = self.device.startswith("cuda")
         self.is_parallel = self.is_cuda if parallel is None else parallel
@@ -99,20 +101,28 @@ class Launcher:
         jobs = [
             self._pool.submit(self.run, kernel, end - start, start, *inputs) for start, end in itertools.pairwise(edges)
         ]
-        for job in jobs:
-            job.result()
+        try:
+            for job in jobs:
+                job.result()
+        finally:
+            # After an interrupt, the arrays that bands still write to must outlive them.
+            for job in jobs:
+                job.cancel()
+            wait(jobs)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Times what runs inside under ``name``; on CUDA only when profiling, as it has to wait for the device."""
         timed = not self.is_cuda or self.profile
         started = time.perf_counter()
-        yield
-        if timed:
-            if self.is_cuda:
-                self.synchronize()
-            elapsed = 1e3 * (time.perf_counter() - started)
-            self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
+        try:
+            yield
+        finally:
+            if timed:
+                if self.is_cuda:
+                    self.synchronize()
+                elapsed = 1e3 * (time.perf_counter() - started)
+                self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
 
     def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
         """Runs ``work``; on CUDA as a graph, captured anew when ``key`` changes.

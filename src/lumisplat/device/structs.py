@@ -213,17 +213,23 @@ class MeshInstanceData:
 
 @struct
 class Triangle:
-    """A triangle in camera space, set up for the rays through pixel centres (Olano and Greer 1997).
+    """A triangle in camera space, set up for the rays through pixel centres (Olano and Greer 1997), 64 bytes.
 
-    For a ray (x, y, 1): inside where all three ``edge . ray`` are >= 0; the view depth is ``volume / sum``, and the
-    edge values over their sum are perspective-correct barycentric coordinates. Vertices may lie behind the camera.
+    For a ray (x, y, 1): inside where the three ``edge . ray`` have one sign, zero included; the view depth there is
+    ``plane / normal . ray``, and the edge values over their sum are perspective-correct barycentric coordinates.
+    Vertices may lie behind the camera.
     """
 
     edge0: wp.vec3
-    """Cross product of the vertices opposite vertex 0, signed so that ``volume`` is positive."""
+    """Cross product of the vertices opposite vertex 0."""
     edge1: wp.vec3
     edge2: wp.vec3
-    volume: float
-    """Triple product of the vertices; 0: culled."""
+    normal: wp.vec3
+    """Camera space, not normalised."""
+    plane: float
+    """``normal . vertex``."""
+    row_first: wp.uint16
+    """First image row that the triangle may touch."""
+    row_last: wp.uint16
     face: int
     instance: int

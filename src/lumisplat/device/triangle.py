@@ -4,21 +4,41 @@ import warp as wp
 
 from lumisplat.device.structs import CameraData, Triangle
 
-# Fused multiply-adds would break cross(a, b) == -cross(b, a), and with it the watertightness of shared edges.
+# Fused multiply-adds would make an edge depend on the order of a subtraction, and shared edges leak.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.func
+def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
+    """Lexicographic order of two points."""
+    if a[0] != b[0]:
+        return a[0] < b[0]
+    if a[1] != b[1]:
+        return a[1] < b[1]
+    return a[2] < b[2]
+
+
+@wp.func
+def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
+    """The cross product of two corners, to the accuracy of their difference.
+
+    ``cross(a, b)`` itself cancels for corners that are close to each other and far from the eye. Whichever of two
+    triangles asks, the same end comes first, so that a shared edge is the exact negative of itself.
+    """
+    if comes_first(a, b):
+        return wp.cross(a, b - a)
+    return -wp.cross(b, a - b)
+
+
+@wp.func
 def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
-    """Edge functions of a camera-space triangle, two-sided."""
+    """Edge functions and plane of a camera-space triangle."""
     triangle = Triangle()
-    edge0 = wp.cross(v1, v2)
-    volume = wp.dot(v0, edge0)
-    side = wp.sign(volume)
-    triangle.edge0 = side * edge0
-    triangle.edge1 = side * wp.cross(v2, v0)
-    triangle.edge2 = side * wp.cross(v0, v1)
-    triangle.volume = wp.abs(volume)
+    triangle.edge0 = edge_function(v1, v2)
+    triangle.edge1 = edge_function(v2, v0)
+    triangle.edge2 = edge_function(v0, v1)
+    triangle.normal = wp.cross(v1 - v0, v2 - v0)
+    triangle.plane = wp.dot(triangle.normal, v0)
     return triangle
 
 
@@ -30,18 +50,31 @@ def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> wp.vec4:
-    """Pixel box (x0, y0, x1, y1) that contains the triangle's image; everything where it crosses the near plane."""
-    if wp.min(v0[2], wp.min(v1[2], v2[2])) < camera.near:
-        return wp.vec4(0.0, 0.0, float(camera.width), float(camera.height))
-    p0 = wp.vec2(v0[0] / v0[2], v0[1] / v0[2])
-    p1 = wp.vec2(v1[0] / v1[2], v1[1] / v1[2])
-    p2 = wp.vec2(v2[0] / v2[2], v2[1] / v2[2])
-    low = wp.min(p0, wp.min(p1, p2))
-    high = wp.max(p0, wp.max(p1, p2))
-    return wp.vec4(
-        low[0] * camera.focal[0] + camera.center[0],
-        low[1] * camera.focal[1] + camera.center[1],
-        high[0] * camera.focal[0] + camera.center[0],
-        high[1] * camera.focal[1] + camera.center[1],
+def projected(camera: CameraData, point: wp.vec3) -> wp.vec2:
+    """Pixel coordinates of a camera-space point in front of the eye."""
+    return wp.vec2(
+        camera.focal[0] * point[0] / point[2] + camera.center[0],
+        camera.focal[1] * point[1] / point[2] + camera.center[1],
     )
+
+
+@wp.func
+def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
+    """A pixel box (x0, y0, x1, y1) that also holds corner ``a``, and where its edge to ``b`` crosses the near plane."""
+    if a[2] >= camera.near:
+        p = projected(camera, a)
+        box = wp.vec4(wp.min(box[0], p[0]), wp.min(box[1], p[1]), wp.max(box[2], p[0]), wp.max(box[3], p[1]))
+    if (a[2] < camera.near) != (b[2] < camera.near):
+        cut = wp.lerp(a, b, (camera.near - a[2]) / (b[2] - a[2]))
+        p = projected(camera, wp.vec3(cut[0], cut[1], camera.near))
+        box = wp.vec4(wp.min(box[0], p[0]), wp.min(box[1], p[1]), wp.max(box[2], p[0]), wp.max(box[3], p[1]))
+    return box
+
+
+@wp.func
+def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> wp.vec4:
+    """Pixel box of the part of a triangle beyond the near plane; inverted where there is none."""
+    box = wp.vec4(wp.inf, wp.inf, -wp.inf, -wp.inf)
+    box = grow_box(box, camera, v0, v1)
+    box = grow_box(box, camera, v1, v2)
+    return grow_box(box, camera, v2, v0)

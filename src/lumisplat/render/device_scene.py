@@ -11,6 +11,7 @@ import warp as wp
 from lumisplat.config import Antialiasing, RenderConfig
 from lumisplat.constants import JACOBIAN_CLAMP, TILE_PX
 from lumisplat.device.structs import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
+from lumisplat.errors import DeviceError
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
@@ -64,7 +65,11 @@ class DeviceScene:
         """Uploads the assets that are new, drops those no longer used, and writes poses and camera."""
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
         if structure != self._structure:
-            self._upload(scene)
+            self._structure = None  # until all of it is there: a failed upload is not taken for a finished one
+            try:
+                self._upload(scene)
+            except RuntimeError as error:
+                raise DeviceError(f"{self._device} has no room for the scene: {error}") from None
             self._structure = structure
         self.camera.assign(camera_table(camera, config))
         if scene.splats:
@@ -83,11 +88,12 @@ class DeviceScene:
         return sum(array.capacity for array in arrays)
 
     def _upload(self, scene: Scene) -> None:
-        # The old assets keep their objects alive until the new ones are compared: an id is never that of a dead one.
-        held = {id(asset.gaussians): asset.data for asset in self.assets}
         placements: dict[int, list[int]] = {}
         for number, instance in enumerate(scene.splats):
             placements.setdefault(id(instance.gaussians), []).append(number)
+        # What is not used any more goes before its successors come: the peak is one scene, not both.
+        self.assets = [asset for asset in self.assets if id(asset.gaussians) in placements]
+        held = {id(asset.gaussians): asset.data for asset in self.assets}
         assets = []
         for key, numbers in placements.items():
             gaussians = scene.splats[numbers[0]].gaussians
@@ -97,9 +103,10 @@ class DeviceScene:
         self.assets = assets
         meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
         if list(meshes) != list(self._meshes):
-            self._meshes = meshes
+            self._meshes, self.mesh_data = {}, MeshData()
             self._face_first = first_of({key: mesh.face_count for key, mesh in meshes.items()})
             self.mesh_data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
+            self._meshes = meshes
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
         self.instances = wp.zeros(len(scene.splats), dtype=InstanceData, device=self._device)
         self.mesh_instances = wp.zeros(len(scene.meshes), dtype=MeshInstanceData, device=self._device)
@@ -152,6 +159,11 @@ def table_dtype(struct: Any) -> np.dtype:
     return np.dtype(struct.numpy_dtype())
 
 
+def tile_grid(camera: Camera) -> tuple[int, int]:
+    """Tiles across and down."""
+    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+
+
 def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the frame's camera and settings from."""
     row = table = np.zeros(1, dtype=table_dtype(CameraData))
@@ -164,7 +176,7 @@ def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     row["jacobian_min"] = -center / focal - margin
     row["jacobian_max"] = (size - center) / focal + margin
     row["width"], row["height"] = camera.width, camera.height
-    row["tiles_x"], row["tiles_y"] = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+    row["tiles_x"], row["tiles_y"] = tile_grid(camera)
     row["near"] = camera.near
     row["dilation"] = config.raster.dilation
     row["sh_degree"] = config.raster.sh_degree

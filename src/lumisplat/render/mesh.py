@@ -11,7 +11,7 @@ from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs import MeshHits, Rect, Triangle
 from lumisplat.launcher import Launcher
 from lumisplat.render import mesh_kernels as kernels
-from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.device_scene import DeviceScene, tile_grid
 from lumisplat.render.order import OrderChunked, OrderParallel
 from lumisplat.scene.camera import Camera
 
@@ -38,7 +38,7 @@ class MeshRaster:
             for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
                 setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, 1))
             return hits
-        tiles_x, tiles_y = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+        tiles_x, tiles_y = tile_grid(camera)
         triangles, rects = self._project(scene)
         everything = self._order.unsorted(triangles.shape[0])
         lists = self._order.bin("mesh", everything, rects, tiles_x, tiles_x * tiles_y)

@@ -7,19 +7,13 @@
 
 import warp as wp
 
-from lumisplat.constants import TILE_PX
 from lumisplat.device.color import encode_srgb_color, sample_texture
 from lumisplat.device.structs import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
 from lumisplat.device.surface import instance_of, pixel_ray
+from lumisplat.device.tiles import TILE, TILE_PIXELS, RowFloats, TileFloats, TileInts, tile_corner, tile_pixel
 from lumisplat.device.triangle import barycentric, setup_triangle, triangle_box
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
-
-TILE = wp.constant(TILE_PX)
-TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
-
-TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
-TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
 
 
 @wp.kernel
@@ -46,7 +40,8 @@ def project_triangles(
     triangle.face = instance.face_first + face
     triangle.instance = splat_instance_count + which
     rect = Rect()
-    if triangle.volume > 0.0 and triangle.volume < wp.inf and wp.max(v0[2], wp.max(v1[2], v2[2])) > view.near:
+    area = wp.length_sq(triangle.normal)
+    if area > 0.0 and area < wp.inf:
         box = triangle_box(view, v0, v1, v2)
         # A pixel of slack: rounding in the projection must not lose a centre that the edge functions would accept.
         x0 = wp.clamp(wp.floor(box[0]) - 1.0, 0.0, float(view.width))
@@ -54,6 +49,8 @@ def project_triangles(
         x1 = wp.clamp(wp.ceil(box[2]) + 1.0, 0.0, float(view.width))
         y1 = wp.clamp(wp.ceil(box[3]) + 1.0, 0.0, float(view.height))
         if x0 < x1 and y0 < y1:
+            triangle.row_first = wp.uint16(y0)
+            triangle.row_last = wp.uint16(y1 - 1.0)
             rect.x0 = wp.int16(int(x0) // TILE)
             rect.y0 = wp.int16(int(y0) // TILE)
             rect.x1 = wp.int16((int(x1) - 1) // TILE + 1)
@@ -75,27 +72,32 @@ def raster_tiles(
     """Depth test of a tile's triangles, in order, so that the first of equally near ones stays."""
     tile = start + wp.tid()
     view = camera[0]
-    left = (tile % view.tiles_x) * TILE
-    top = (tile // view.tiles_x) * TILE
+    corner = tile_corner(view, tile)
+    left = corner[0]
+    top = corner[1]
     nearest = TileFloats(wp.inf)
     winner = TileInts(-1)
+    ray_x = RowFloats(0.0)
+    for x in range(TILE):
+        ray_x[x] = (float(left + x) + 0.5 - view.center[0]) / view.focal[0]
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_triangles[j]
         triangle = triangles[index]
-        for y in range(TILE):
+        first = wp.max(int(triangle.row_first) - top, 0)
+        end = wp.min(int(triangle.row_last) - top + 1, TILE)
+        for y in range(first, end):
             ray_y = (float(top + y) + 0.5 - view.center[1]) / view.focal[1]
             row0 = triangle.edge0[1] * ray_y + triangle.edge0[2]
             row1 = triangle.edge1[1] * ray_y + triangle.edge1[2]
             row2 = triangle.edge2[1] * ray_y + triangle.edge2[2]
+            row_normal = triangle.normal[1] * ray_y + triangle.normal[2]
             for x in range(TILE):
                 i = y * TILE + x
-                ray_x = (float(left + x) + 0.5 - view.center[0]) / view.focal[0]
-                e0 = triangle.edge0[0] * ray_x + row0
-                e1 = triangle.edge1[0] * ray_x + row1
-                e2 = triangle.edge2[0] * ray_x + row2
-                z = triangle.volume / (e0 + e1 + e2)
-                hit = wp.min(e0, wp.min(e1, e2)) >= 0.0
-                z = wp.where(hit, z, wp.inf)
+                e0 = triangle.edge0[0] * ray_x[x] + row0
+                e1 = triangle.edge1[0] * ray_x[x] + row1
+                e2 = triangle.edge2[0] * ray_x[x] + row2
+                z = triangle.plane / (triangle.normal[0] * ray_x[x] + row_normal)
+                z = wp.where(wp.min(e0, wp.min(e1, e2)) >= 0.0, z, wp.where(wp.max(e0, wp.max(e1, e2)) <= 0.0, z, 0.0))
                 z = wp.where(z > view.near, z, wp.inf)
                 winner[i] = wp.where(z < nearest[i], index, winner[i])
                 nearest[i] = wp.min(z, nearest[i])
@@ -120,8 +122,9 @@ def raster_pixels(
     i = start + wp.tid()
     view = camera[0]
     tile = i // TILE_PIXELS
-    x = (tile % view.tiles_x) * TILE + i % TILE
-    y = (tile // view.tiles_x) * TILE + (i // TILE) % TILE
+    position = tile_pixel(view, i)
+    x = position[0]
+    y = position[1]
     if x >= view.width or y >= view.height:
         return
     ray = pixel_ray(view, x, y)
@@ -133,8 +136,8 @@ def raster_pixels(
         e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
         e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
         e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
-        if e0 >= 0.0 and e1 >= 0.0 and e2 >= 0.0:
-            z = triangle.volume / (e0 + e1 + e2)
+        if wp.min(e0, wp.min(e1, e2)) >= 0.0 or wp.max(e0, wp.max(e1, e2)) <= 0.0:
+            z = triangle.plane / (triangle.normal[0] * ray[0] + (triangle.normal[1] * ray[1] + triangle.normal[2]))
             if z > view.near and z < nearest:
                 nearest = z
                 winner = index

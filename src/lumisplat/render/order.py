@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.constants import SORT_DIGIT_BITS_MAX
+from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
 from lumisplat.device.structs import ChunkData, Rect
+from lumisplat.errors import DeviceError
 from lumisplat.launcher import Launcher
 from lumisplat.render import order_kernels as kernels
 
@@ -28,12 +29,12 @@ class DepthOrder:
 class OrderCounts:
     """What the last frame's order held."""
 
-    visible: int
-    """Items that can touch the image."""
-    nonfinite: int
-    """Items dropped because a projected value was NaN or infinite."""
-    pairs: int
-    """(tile, splat) pairs."""
+    visible: int = 0
+    """Gaussians that can touch the image."""
+    nonfinite: int = 0
+    """Gaussians dropped because a projected value was NaN or infinite."""
+    pairs: int = 0
+    """(tile, Gaussian) pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +46,8 @@ class TileLists:
     items: Any
 
 
-class OrderChunked:
-    """CPU schedule: counting sorts over one chunk a thread.
+class Order:
+    """What both schedules share.
 
     Args:
         launcher: Runs the kernels.
@@ -55,9 +56,23 @@ class OrderChunked:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._visible, self._nonfinite, self._pairs = 0, 0, {}
+        self.counts = OrderCounts()
+        """Of the last finished frame."""
         self.growth = 0
-        """How often an overflow made lists larger; never, as counts are known in time."""
+        """How often a list was cut and given more room: a graph captured before is stale."""
+
+
+class OrderChunked(Order):
+    """CPU schedule: counting sorts over one chunk a thread."""
+
+    def begin(self) -> None:
+        """Starts a frame."""
+        self._visible, self._nonfinite, self._pairs = 0, 0, {}
+
+    def finish(self) -> bool:
+        """Ends a frame; its lists are complete, as counts are known in time."""
+        self.counts = OrderCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
+        return True
 
     def sort(self, keys: Any) -> DepthOrder:
         """Orders the visible items by key: a radix sort whose first pass also drops the culled ones."""
@@ -100,47 +115,50 @@ class OrderChunked:
 
     def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: a counting sort by tile."""
-        run, buffers, chunks, count = (
-            self._launcher.run_banded,
-            self._buffers,
-            self._launcher.threads,
-            depth_order.count,
-        )
+        run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
+        count = depth_order.count
         counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
+        pairs = buffers.get("order.pairs", wp.int64, chunks)
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
         ordered = buffers.get("order.rects", Rect, grown(count))
-        run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, ordered)
+        run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, ordered, pairs)
+        self._pairs[name] = total = check_pairs(int(pairs.numpy().sum()))
         self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
-        self._pairs[name] = total = int(starts.numpy()[-1])
         items = buffers.get(f"{name}.items", wp.int32, grown(total))
         run(kernels.scatter_tiles, chunks, chunks, count, tiles_x, depth_order.order, ordered, counts, items)
         return TileLists(starts, items)
 
-    def counts(self) -> OrderCounts:
-        """Counts of the last frame."""
-        return OrderCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
 
-    def overflowed(self) -> bool:
-        """Whether a list was cut; never, as counts are known in time."""
-        return False
+class OrderParallel(Order):
+    """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
 
-
-class OrderParallel:
-    """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs.
-
-    Args:
-        launcher: Runs the kernels.
-        buffers: Holds the arrays.
-    """
+    _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
+    """Where a list's total stands, after the visible and non-finite counts."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
-        self._launcher, self._buffers = launcher, buffers
+        super().__init__(launcher, buffers)
         self._capacity: dict[str, int] = {}
-        self._totals: dict[str, Any] = {}
-        self.growth = 0
-        """How often an overflow made lists larger: a graph captured before is stale."""
-        self._key_counts = buffers.get("order.key_counts", wp.int32, 2)
-        self._key_counts.zero_()
+        self._totals = buffers.get("order.totals", wp.int64, 2 + len(self._SLOTS))
+
+    def begin(self) -> None:
+        """Starts a frame."""
+        self._totals.zero_()
+
+    def finish(self) -> bool:
+        """Waits for the frame; False if a list was cut: there is room now, and the frame has to be drawn again.
+
+        Raises:
+            DeviceError: A list is longer than 32-bit indices reach.
+        """
+        totals = [int(total) for total in self._totals.numpy()]
+        self.counts = OrderCounts(*totals[:3])
+        complete = True
+        for name, slot in self._SLOTS.items():
+            if check_pairs(totals[slot]) > self._capacity.get(name, 0):
+                self._capacity[name] = grown(totals[slot])
+                self.growth += 1
+                complete = False
+        return complete
 
     def sort(self, keys: Any) -> DepthOrder:
         """Orders all items by key; the culled ones come last and have empty rectangles."""
@@ -150,7 +168,7 @@ class OrderParallel:
         wp.copy(sorted_keys, keys, count=count)
         self._launcher.run(kernels.fill_identity, count, 0, order)
         wp.utils.radix_sort_pairs(sorted_keys, order, count)
-        self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self._key_counts)
+        self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self._totals)
         return DepthOrder(order, count)
 
     def unsorted(self, count: int) -> DepthOrder:
@@ -170,29 +188,23 @@ class OrderParallel:
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
         run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, counts)
         wp.utils.array_scan(counts, offsets, inclusive=False)
-        self._totals[name] = offsets[count : count + 1]
+        run(kernels.sum_pairs, PAIR_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
         run(kernels.clear_pairs, capacity, 0, tile_count, tiles)
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
         wp.utils.radix_sort_pairs(tiles, items, capacity, end_bit=tile_count.bit_length())
         run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
         return TileLists(starts, items)
 
-    def counts(self) -> OrderCounts:
-        """Counts of the last frame; waits for it."""
-        visible, nonfinite = (int(value) for value in self._key_counts.numpy())
-        pairs = int(self._totals["raster"].numpy()[0]) if "raster" in self._totals else 0
-        return OrderCounts(visible, nonfinite, pairs)
 
-    def overflowed(self) -> bool:
-        """Whether the last frame's lists were cut; if so, makes room, and the frame has to be drawn again."""
-        cut = False
-        for name, total in self._totals.items():
-            needed = int(total.numpy()[0])
-            if needed > self._capacity[name]:
-                self._capacity[name] = grown(needed)
-                self.growth += 1
-                cut = True
-        return cut
+def check_pairs(count: int) -> int:
+    """The number of (tile, item) pairs, if 32-bit indices reach that far.
+
+    Raises:
+        DeviceError: They do not.
+    """
+    if count > ITEMS_MAX:
+        raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")
+    return count
 
 
 def grown(count: int) -> int:

@@ -12,12 +12,14 @@ from typing import Any
 
 import warp as wp
 
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, PAIR_SUM_THREADS
 from lumisplat.device.structs import ChunkData, Rect
 
 wp.set_module_options({"enable_backward": False})
 
-KEY_NONFINITE = wp.constant(wp.uint32(0xFFFFFFFE))
-KEY_CULLED = wp.constant(wp.uint32(0xFFFFFFFF))
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+SUM_THREADS = wp.constant(PAIR_SUM_THREADS)
 
 
 @wp.func
@@ -41,6 +43,12 @@ def first_not_below(values: wp.array(dtype=Any), count: int, limit: Any) -> int:
         else:
             high = middle
     return low
+
+
+@wp.func
+def rect_area(rect: Rect) -> int:
+    """Tiles in a rectangle."""
+    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
 
 @wp.kernel
@@ -135,18 +143,25 @@ def count_tiles(
     rects: wp.array(dtype=Rect),
     counts_out: wp.array2d(dtype=int),
     ordered_rects_out: wp.array(dtype=Rect),
+    pairs_out: wp.array(dtype=wp.int64),
 ):
-    """How many of a chunk's items touch each tile; also lays the rectangles out in order, for ``scatter_tiles``."""
+    """How many of a chunk's items touch each tile, and their sum, which may be more than 32 bits hold.
+
+    Also lays the rectangles out in order, for ``scatter_tiles``.
+    """
     chunk = start + wp.tid()
+    pairs = wp.int64(0)
     for tile in range(counts_out.shape[1]):
         counts_out[chunk, tile] = 0
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         rect = rects[order[i]]
         ordered_rects_out[i] = rect
+        pairs += wp.int64(rect_area(rect))
         for y in range(int(rect.y0), int(rect.y1)):
             for x in range(int(rect.x0), int(rect.x1)):
                 tile = y * tiles_x + x
                 counts_out[chunk, tile] = counts_out[chunk, tile] + 1
+    pairs_out[chunk] = pairs
 
 
 @wp.kernel
@@ -181,11 +196,22 @@ def fill_identity(start: int, order_out: wp.array(dtype=int)):
 
 
 @wp.kernel
-def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), counts_out: wp.array(dtype=int)):
+def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), totals_out: wp.array(dtype=wp.int64)):
     """Visible and non-finite items among sorted keys."""
     visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
-    counts_out[0] = visible
-    counts_out[1] = first_not_below(sorted_keys, count, KEY_CULLED) - visible
+    totals_out[0] = wp.int64(visible)
+    totals_out[1] = wp.int64(first_not_below(sorted_keys, count, KEY_CULLED) - visible)
+
+
+@wp.kernel
+def sum_pairs(start: int, counts: wp.array(dtype=int), slot: int, totals_inout: wp.array(dtype=wp.int64)):
+    """Adds up the pairs of all items in 64 bits; one item takes every 4096th count. Not to be banded: atomic."""
+    total = wp.int64(0)
+    i = start + wp.tid()
+    while i < counts.shape[0]:
+        total += wp.int64(counts[i])
+        i += SUM_THREADS
+    wp.atomic_add(totals_inout, slot, total)
 
 
 @wp.kernel
@@ -195,7 +221,7 @@ def count_pairs(start: int, order: wp.array(dtype=int), rects: wp.array(dtype=Re
     counts_out[i] = 0
     if i < counts_out.shape[0] - 1:
         rect = rects[order[i]]
-        counts_out[i] = (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
+        counts_out[i] = rect_area(rect)
 
 
 @wp.kernel
@@ -215,14 +241,17 @@ def emit_pairs(
     tiles_out: wp.array(dtype=int),
     items_out: wp.array(dtype=int),
 ):
-    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, and the total tells."""
+    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, and the total tells.
+
+    Where the offsets overflowed, positions may be negative.
+    """
     i = start + wp.tid()
     item = order[i]
     rect = rects[item]
     position = offsets[i]
     for y in range(int(rect.y0), int(rect.y1)):
         for x in range(int(rect.x0), int(rect.x1)):
-            if position < capacity:
+            if position >= 0 and position < capacity:
                 tiles_out[position] = y * tiles_x + x
                 items_out[position] = item
             position += 1

@@ -11,7 +11,7 @@ from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs import MeshHits, Rect, Splat
 from lumisplat.launcher import Launcher
 from lumisplat.render import raster_kernels as kernels
-from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.device_scene import DeviceScene, tile_grid
 from lumisplat.render.order import DepthOrder, OrderChunked, OrderParallel, TileLists
 from lumisplat.render.surface import Surface
 from lumisplat.scene.camera import Camera
@@ -47,19 +47,13 @@ class SplatRaster:
         tiles_x, tiles_y = tile_grid(camera)
         return self._order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
 
-    def composite(self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits) -> Surface:
+    def composite(self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits) -> None:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
         tiles_x, tiles_y = tile_grid(camera)
-        surface = Surface.of(self._buffers, camera.width * camera.height)
+        surface = Surface.of(self._buffers, camera)
         inputs = (scene.camera, scene.instances, splats, lists.starts, lists.items, hits, surface.data)
         if self._launcher.is_parallel:
             self._launcher.run(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
         else:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(kernels.composite_tiles, tiles_x * tiles_y, *inputs, bands=bands)
-        return surface
-
-
-def tile_grid(camera: Camera) -> tuple[int, int]:
-    """Tiles across and down."""
-    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)

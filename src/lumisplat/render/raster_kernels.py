@@ -8,7 +8,7 @@ one tile. Both read the tile lists and write the surface buffers, and share the 
 
 import warp as wp
 
-from lumisplat.constants import FINISHED_CHECK_INTERVAL, TILE_PX
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL
 from lumisplat.device.gaussian import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
 from lumisplat.device.structs import (
     CameraData,
@@ -21,6 +21,7 @@ from lumisplat.device.structs import (
     SurfaceData,
 )
 from lumisplat.device.surface import blend, store_surface
+from lumisplat.device.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
 
 wp.set_module_options(
     {
@@ -33,14 +34,9 @@ wp.set_module_options(
     }
 )
 
-TILE = wp.constant(TILE_PX)
-TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
 CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
-KEY_CULLED = wp.constant(wp.uint32(0xFFFFFFFF))
-KEY_NONFINITE = wp.constant(wp.uint32(0xFFFFFFFE))
-
-TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
-TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 
 
 @wp.func
@@ -96,7 +92,8 @@ def project_splats(
                 key = wp.cast(splat.depth, wp.uint32)
         else:
             key = KEY_NONFINITE
-    splats_out[splat.index] = splat
+    if key < KEY_NONFINITE:
+        splats_out[splat.index] = splat  # nobody reads a culled one
     keys_out[splat.index] = key
     rects_out[splat.index] = rect
 
@@ -116,8 +113,9 @@ def composite_pixels(
     i = start + wp.tid()
     view = camera[0]
     tile = i // TILE_PIXELS
-    x = (tile % view.tiles_x) * TILE + i % TILE
-    y = (tile // view.tiles_x) * TILE + (i // TILE) % TILE
+    position = tile_pixel(view, i)
+    x = position[0]
+    y = position[1]
     if x >= view.width or y >= view.height:
         return
     mesh_z = hits.depth_z[y * view.width + x]
@@ -158,8 +156,9 @@ def composite_tiles(
     """The arithmetic of ``blend``, written as selections over rows of pixels."""
     tile = start + wp.tid()
     view = camera[0]
-    left = (tile % view.tiles_x) * TILE
-    top = (tile // view.tiles_x) * TILE
+    corner = tile_corner(view, tile)
+    left = corner[0]
+    top = corner[1]
     rows = wp.min(TILE, view.height - top)
     columns = wp.min(TILE, view.width - left)
     t_min = view.transmittance_min
@@ -173,16 +172,20 @@ def composite_tiles(
     normal_z = TileFloats(0.0)
     mesh_z = TileFloats(0.0)
     surface = TileInts(-1)
+    farthest = float(0.0)  # mesh behind any unfinished pixel: splats from here on are hidden
     for y in range(rows):
         for x in range(columns):
             transmittance[y * TILE + x] = 1.0
             mesh_z[y * TILE + x] = hits.depth_z[(top + y) * view.width + left + x]
+            farthest = wp.max(farthest, mesh_z[y * TILE + x])
 
     j = int(tile_starts[tile])
     end = int(tile_starts[tile + 1])
     while j < end:
         index = tile_splats[j]
         splat = splats[index]
+        if splat.depth >= farthest:
+            break
         center_x = splat.center[0] - float(left)
         center_y = splat.center[1] - float(top)
         y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
@@ -215,11 +218,9 @@ def composite_tiles(
                 transmittance[i] = after
         j += 1
         if j % CHECK_INTERVAL == 0:
-            highest = float(0.0)
+            farthest = float(0.0)
             for i in range(TILE_PIXELS):
-                highest = wp.max(highest, transmittance[i])
-            if highest <= 0.0:
-                j = end
+                farthest = wp.max(farthest, wp.where(transmittance[i] > 0.0, mesh_z[i], 0.0))
 
     for y in range(rows):
         for x in range(columns):

@@ -24,9 +24,11 @@ class Renderer:
     Args:
         config: Settings; the defaults draw a capture as it was trained.
         launcher: The device to run on.
+        progress: As for ``create_renderer``.
     """
 
-    def __init__(self, config: RenderConfig, launcher: Launcher) -> None:
+    def __init__(self, config: RenderConfig, launcher: Launcher, progress: Progress | None = None) -> None:
+        launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
         self.config = config
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
@@ -60,22 +62,19 @@ class Renderer:
         self._launcher.stage_ms = {}
         with self._launcher.stage("sync"):
             self._scene.sync(scene, camera, self.config)
-        surface = self._draw(camera)
-        while self._order.overflowed():
-            surface = self._draw(camera)
+        self._draw(camera)
+        while not self._order.finish():
+            self._draw(camera)
         with self._launcher.stage("download"):
-            return self._frame(surface, scene, camera)
+            return self._frame(scene, camera)
 
-    def _draw(self, camera: Camera) -> Surface:
-        drawn: list[Surface] = []
+    def _draw(self, camera: Camera) -> None:
         key = (camera.width, camera.height, self._scene.version, self._buffers.allocations, self._order.growth)
-        self._launcher.replay("frame", key, lambda: drawn.append(self._passes(camera)))
-        if drawn:
-            self._surface = drawn[0]
-        return self._surface
+        self._launcher.replay("frame", key, lambda: self._passes(camera))
 
-    def _passes(self, camera: Camera) -> Surface:
+    def _passes(self, camera: Camera) -> None:
         stage = self._launcher.stage
+        self._order.begin()
         with stage("mesh"):
             hits = self._meshes.draw(self._scene, camera)
         with stage("project"):
@@ -85,11 +84,11 @@ class Renderer:
         with stage("bin"):
             lists = self._splats.bin(depth_order, rects, camera)
         with stage("composite"):
-            return self._splats.composite(self._scene, camera, splats, lists, hits)
+            self._splats.composite(self._scene, camera, splats, lists, hits)
 
-    def _frame(self, surface: Surface, scene: Scene, camera: Camera) -> Frame:
-        images = surface.download(camera.height, camera.width)
-        counts = self._order.counts()
+    def _frame(self, scene: Scene, camera: Camera) -> Frame:
+        images = Surface.of(self._buffers, camera).download()
+        counts = self._order.counts
         return Frame(
             color=images["color"],
             alpha=images["alpha"],
@@ -129,11 +128,10 @@ def create_renderer(
         progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine.
 
     Raises:
+        ConfigError: ``threads`` is not positive.
         DeviceError: There is no such device.
     """
-    launcher = Launcher(device, threads, profile)
-    launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
-    return Renderer(config or RenderConfig(), launcher)
+    return Renderer(config or RenderConfig(), Launcher(device, threads, profile), progress)
 
 
 def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:

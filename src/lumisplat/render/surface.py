@@ -10,6 +10,7 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.device.structs import SurfaceData
+from lumisplat.scene.camera import Camera
 
 FIELDS = (
     ("color", wp.vec3, 3),
@@ -30,19 +31,24 @@ class Surface:
     """What kernels take."""
     block: Any
     """The memory, as float32."""
+    shape: tuple[int, int]
+    """Height and width of the image."""
 
     @classmethod
-    def of(cls, buffers: Buffers, pixels: int) -> Surface:
-        """The surface buffers of an image of that many pixels."""
-        block, arrays = buffers.split("surface", FIELDS, pixels)
+    def of(cls, buffers: Buffers, camera: Camera) -> Surface:
+        """The surface buffers of a camera's image; the same memory for every camera of that size."""
+        block, arrays = buffers.split("surface", FIELDS, camera.width * camera.height)
         data = SurfaceData()
         for name, array in arrays.items():
             setattr(data, name, array)
-        return cls(data, block)
+        return cls(data, block, (camera.height, camera.width))
 
-    def download(self, height: int, width: int) -> dict[str, np.ndarray]:
+    def download(self) -> dict[str, np.ndarray]:
         """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
-        words = np.array(self.block.numpy())
+        words = self.block.numpy()
+        if self.block.device.is_cpu:
+            words = words.copy()  # there, what Warp gives is the buffer itself
+        height, width = self.shape
         images, first = {}, 0
         for name, dtype, channels in FIELDS:
             image = words[first : first + height * width * channels]
