@@ -51,6 +51,14 @@ def test_invalid_values_are_counted_by_property() -> None:
     assert "\n" not in message
 
 
+def test_columns_are_taken_without_a_copy() -> None:
+    """A capture of gigabytes is in memory once: what was read is what the Gaussians hold."""
+    columns = stored()
+    gaussians = gaussians_from_columns("a.ply", columns)
+    assert np.shares_memory(gaussians.sh, columns.sh) and np.shares_memory(gaussians.means, columns.means)
+    assert not gaussians.sh.flags.writeable
+
+
 def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
     """drop_invalid leaves out exactly the bad rows, and logs how many."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.constants import LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.source import PathLike
-from lumisplat.scene.arrays import FloatArray
+from lumisplat.scene.arrays import FloatArray, handed_over
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -96,7 +96,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     kept = _kept_rows(path, columns, scales, drop_invalid)
 
     def picked(values: Floats) -> FloatArray:
-        return values[kept].astype(np.float32, copy=False)
+        return handed_over(values[kept].astype(np.float32, copy=False))
 
     extras = {name: getattr(columns, name) for name in MATERIALS}
     try:

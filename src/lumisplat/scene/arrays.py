@@ -85,6 +85,13 @@ def refuse_outside_unit(name: str, values: FloatArray) -> None:
     refuse_rows(name, "outside 0..1", np.asarray(outside.any(axis=tuple(range(1, values.ndim)))))
 
 
+def handed_over(values: npt.NDArray) -> npt.NDArray:
+    """A read-only view of ``values``, which nobody else keeps: scene classes then take it as it is, without a copy."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
 def kept(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray:
     """A read-only, C-contiguous array of ``values``: themselves if they are read-only, else a copy."""
     fixed = isinstance(values, np.ndarray) and not values.flags.writeable

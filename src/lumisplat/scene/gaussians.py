@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, float_array, refuse_outside_unit, refuse_rows
+from lumisplat.scene.arrays import FloatArray, float_array, handed_over, refuse_outside_unit, refuse_rows
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -101,7 +101,7 @@ class Gaussians:
 
     def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
         """The Gaussians that ``rows`` (a mask or indices) selects, in that order."""
-        return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
+        return replace(self, **{name: handed_over(values[rows]) for name, values in self.arrays().items()})
 
 
 def merged(sets: Sequence[Gaussians]) -> Gaussians:
@@ -120,7 +120,7 @@ def merged(sets: Sequence[Gaussians]) -> Gaussians:
     padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
     columns = [one.arrays() | {"sh": sh} for one, sh in zip(sets, padded, strict=True)]
     shared = set.intersection(*map(set, columns))
-    joined = {name: np.concatenate([column[name] for column in columns]) for name in shared}
+    joined = {name: handed_over(np.concatenate([column[name] for column in columns])) for name in shared}
     return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))
 
 
