@@ -162,6 +162,32 @@ def test_interrupt(work, monkeypatch):
     assert (outcome.status, outcome.err) == (130, "")
 
 
+def test_a_reader_that_has_gone(work):
+    """Printing into a closed pipe, as before ``| head -1``, ends without a word."""
+    for arguments in ("--help", "info capture.ply", "info capture.ply capture.ply"):
+        command = [sys.executable, "-m", "lumisplat", *arguments.split()]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=work.folder) as process:
+            assert process.stdout and process.stderr
+            process.stdout.close()
+            assert process.stderr.read() == b""
+            assert process.wait() != 0
+
+
+def test_interrupt_while_importing():
+    """Ctrl-C while the command line is still being imported is status 130 without a traceback."""
+    program = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'tyro': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "from lumisplat.__main__ import main\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 def test_one_line_in_a_process_of_its_own(work):
     """Seen from outside: the status is the process's, and native libraries add no line."""
     command = [sys.executable, "-m", "lumisplat", "render", "short.ply", "-o", "out"]

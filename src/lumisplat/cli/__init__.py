@@ -47,6 +47,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0, 2 after a user's mistake, 130 when interrupted.
+
+    Raises:
+        BrokenPipeError: Nobody reads what is printed.
     """
     args = list(sys.argv[1:] if args is None else args)
     for stream in (sys.stdout, sys.stderr):
@@ -77,6 +80,8 @@ def _run(command: Render | Info | Convert | Demo | Bench) -> int:
         command.run()
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:  # nobody reads what is printed: no mistake, and nobody to tell
+        raise
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
             traceback.print_exc()
