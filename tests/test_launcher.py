@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import numpy as np
 import pytest
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.errors import DeviceError
+from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.launcher import Launcher, resolve_device
 from lumisplat.render import order_kernels
 
@@ -36,6 +39,31 @@ def test_missing_device_is_named(name: str) -> None:
     """A device that is not there is refused with a list of those that are."""
     with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
         resolve_device(name)
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_threads_are_positive(threads: int) -> None:
+    """A launcher without threads is a mistake, not all cores."""
+    with pytest.raises(ConfigError, match="threads is"):
+        Launcher("cpu", threads=threads)
+
+
+def test_interrupted_bands_are_waited_for() -> None:
+    """When one band fails, none is still at work on the arrays once the error is seen."""
+    started, finished = threading.Event(), []
+
+    class Failing(Launcher):
+        def run(self, kernel: object, count: int, *inputs: object) -> None:
+            if inputs[0] == 0:
+                started.wait()
+                raise KeyboardInterrupt
+            started.set()
+            time.sleep(0.05)
+            finished.append(inputs[0])
+
+    with pytest.raises(KeyboardInterrupt):
+        Failing("cpu", threads=2).run_banded(None, 2)
+    assert finished == [1]
 
 
 def test_buffers_grow_and_never_shrink() -> None:

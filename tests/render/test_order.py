@@ -13,6 +13,7 @@ import scenes
 from graph_launcher import GraphLauncher
 from lumisplat.buffers import Buffers
 from lumisplat.device.structs import Rect
+from lumisplat.errors import DeviceError
 from lumisplat.launcher import Launcher
 from lumisplat.render.order import OrderChunked, OrderParallel, grown
 
@@ -22,7 +23,9 @@ CULLED, NONFINITE = 0xFFFFFFFF, 0xFFFFFFFE
 def make_order(parallel: bool, threads: int = 3) -> OrderChunked | OrderParallel:
     """An order of either schedule on the CPU."""
     launcher = Launcher("cpu", threads=threads, parallel=parallel)
-    return (OrderParallel if parallel else OrderChunked)(launcher, Buffers("cpu"))
+    order = (OrderParallel if parallel else OrderChunked)(launcher, Buffers("cpu"))
+    order.begin()
+    return order
 
 
 def random_keys(count: int, seed: int) -> np.ndarray:
@@ -43,8 +46,9 @@ def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> No
     result = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
     expected = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
     np.testing.assert_array_equal(result.order.numpy()[: len(expected)], expected)
-    assert order.counts().visible == len(expected)
-    assert order.counts().nonfinite == (keys == NONFINITE).sum()
+    assert order.finish()
+    assert order.counts.visible == len(expected)
+    assert order.counts.nonfinite == (keys == NONFINITE).sum()
 
 
 @pytest.mark.parametrize("parallel", [False, True])
@@ -53,7 +57,8 @@ def test_all_visible_and_none_visible(parallel: bool) -> None:
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)
         order.sort(wp.array(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
-        assert order.counts().visible == expected
+        assert order.finish()
+        assert order.counts.visible == expected
 
 
 @pytest.mark.parametrize("parallel", [False, True])
@@ -91,14 +96,28 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
     order = make_order(parallel)
     depth_order = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
-    assert order.overflowed() == parallel  # 400 items start with room for 1024 pairs, fewer than there are
+    assert order.finish() != parallel  # 400 items start with room for 1024 pairs, fewer than there are
+    order.begin()
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
-    assert not order.overflowed()
+    assert order.finish()
     visible = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
     expected = brute_force_lists(table, visible, tiles_x, tiles_x * tiles_y)
     starts, items = lists.starts.numpy(), lists.items.numpy()
     assert [items[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
-    assert order.counts().pairs == sum(map(len, expected))
+    assert order.counts.pairs == sum(map(len, expected))
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
+    """Pairs that 32 bits cannot count end in one line, not in a wrapped sum, a cut list or a write out of bounds."""
+    tiles_x, tiles_y, count = 4096, 3, 180_000
+    table = np.zeros(count, dtype=np.dtype(Rect.numpy_dtype()))
+    table["x1"], table["y1"] = tiles_x, tiles_y
+    rects = wp.array(table, dtype=Rect, device="cpu")
+    order = make_order(parallel)
+    with pytest.raises(DeviceError, match=r"needs 2,211,840,000 \(tile, item\) pairs"):
+        order.bin("raster", order.unsorted(count), rects, tiles_x, tiles_x * tiles_y)
+        order.finish()
 
 
 def test_grown_leaves_room_without_doubling() -> None:

@@ -44,6 +44,27 @@ def test_depth_of_a_tilted_plane(renderer: ls.Renderer) -> None:
     assert_close(frame.normal[seen], np.broadcast_to(normal / np.hypot(1.3, 1.0), (seen.sum(), 3)), atol=1e-5)
 
 
+def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
+    """A plane through (0, 0, 10) cut into irregular triangles."""
+    rng = np.random.default_rng(0)
+    y, x = (np.mgrid[:count, :count] + rng.uniform(-0.3, 0.3, (2, count, count))) / (count - 1) * 2.0 - 1.0
+    x, y = half * x, half * y
+    z = 10.0 - (normal[0] * x + normal[1] * y) / normal[2]
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).reshape(-1, 1)
+    faces = np.concatenate([np.add(corner, [0, 1, count]), np.add(corner, [1, count + 1, count])])
+    return ls.Mesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), faces)
+
+
+@pytest.mark.parametrize("count", [300, 1200])
+def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None:
+    """Triangles of a pixel and less, far from the eye, show their plane's depth, and leave no pixel out."""
+    normal = np.array([0.5, -0.3, -1.0])
+    frame = renderer.render(ls.Scene([], [crumpled_plane(count, 30.0, normal)]), front_camera(200, 150, 140.0))
+    expected = plane_depth(frame.camera, np.array([0.0, 0.0, 10.0]), normal)
+    assert (frame.alpha == 1.0).all()
+    assert_close(frame.depth_z / expected, np.ones((150, 200)), atol=2e-5)
+
+
 @pytest.mark.parametrize("near", [0.01, 0.5, 2.0])
 def test_triangles_are_cut_at_the_near_plane(renderer: ls.Renderer, near: float) -> None:
     """A floor that runs from behind the camera to the horizon is there exactly from the near plane on."""
@@ -237,3 +258,14 @@ def test_instances_share_a_mesh(renderer: ls.Renderer) -> None:
         here = both.instance_index == number
         assert here.sum() > 100
         np.testing.assert_array_equal(both.color[here], alone.color[here])
+
+
+def test_splats_behind_a_wall_are_not_even_looked_at(renderer: ls.Renderer) -> None:
+    """A wall in front of half the image hides thousands of splats, and those beside it are as without it."""
+    splats = random_gaussians(95, 3000, scale_range=(0.02, 0.1))
+    camera = front_camera()
+    open_view = renderer.render(ls.Scene([splats]), camera)
+    wall = ls.Mesh([[0, -9, 1], [9, -9, 1], [9, 9, 1], [0, 9, 1]], [[0, 1, 2], [0, 2, 3]], material=GREY)
+    walled = renderer.render(ls.Scene([splats], [wall]), camera)
+    np.testing.assert_array_equal(walled.color[:, :32], open_view.color[:, :32])
+    assert_close(walled.color[:, 32:], np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 32, 3)), atol=1e-5)
