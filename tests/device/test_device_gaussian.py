@@ -70,6 +70,14 @@ def test_jacobian_is_clamped(cx: float, side: int, limit: float) -> None:
     assert jacobian[0, 0] == pytest.approx(30.0)
 
 
+def test_normal_of_tiny_gaussians_survives_float32() -> None:
+    """Scales whose inverse squares are beyond float32 still have a normal: only their ratios matter."""
+    axes = oracles.rotation_from_quaternion(np.array([[0.5, 0.5, 0.5, 0.5]]))[0]
+    tiny = np.array(gaussian_normal(wp.mat33(axes), wp.vec3(2e-25, 1e-25, 3e-25), wp.vec3(0.3, 0.4, 0.5)))
+    usual = np.array(gaussian_normal(wp.mat33(axes), wp.vec3(2.0, 1.0, 3.0), wp.vec3(0.3, 0.4, 0.5)))
+    np.testing.assert_allclose(tiny, usual, atol=1e-6)
+
+
 @settings(max_examples=60)
 @given(rotations, st.tuples(*[st.floats(-6.0, 2.0)] * 3), st.tuples(unit, unit, st.floats(0.2, 1.0)))
 def test_normal_is_that_of_the_max_density_plane(

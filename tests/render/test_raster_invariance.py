@@ -236,6 +236,17 @@ def test_buffers_settle(renderer: ls.Renderer) -> None:
     assert renderer._buffers.allocations == settled
 
 
+def test_memory_is_reported(renderer: ls.Renderer) -> None:
+    """A frame's memory covers at least its assets and images, and little more than what is held."""
+    gaussians = random_gaussians(82, 5000, degree=3)
+    frame = renderer.render(ls.Scene([gaussians]), front_camera(300, 200))
+    assert frame.stats is not None
+    assets = sum(getattr(gaussians, name).nbytes for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"))
+    images = 40 * 300 * 200
+    splats = 64 * 5000
+    assert assets + images + splats <= frame.stats.memory_bytes <= 4 * (assets + images + splats)
+
+
 def test_lists_grow_as_needed(renderer: ls.Renderer) -> None:
     """Splats that all cover every tile outgrow the first guess of the lists; nothing is lost, at once or later."""
     layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))

@@ -12,8 +12,8 @@ from lumisplat.config import Antialiasing, RenderConfig
 from lumisplat.constants import JACOBIAN_CLAMP, TILE_PX
 from lumisplat.device.structs import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
 from lumisplat.errors import DeviceError
+from lumisplat.render.upload import TextureKey, first_of, texture_key, upload_gaussians, upload_meshes
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
@@ -46,7 +46,7 @@ class DeviceScene:
         self._structure: tuple[list[int], list[int]] | None = None
         self._meshes: dict[int, Mesh] = {}
         self._face_first: dict[int, int] = {}
-        self._texture_first: dict[int, int] = {}
+        self._texture_first: dict[TextureKey, int] = {}
         self.version = 0
         """Changes whenever device arrays or what they stand for did, so that captured graphs can tell."""
         self.assets: list[SplatAsset] = []
@@ -128,7 +128,7 @@ class DeviceScene:
             row["base_color"] = mesh.material.base_color
             texture = mesh.material.base_color_texture
             if texture is not None and mesh.uvs is not None:
-                row["texture_first"] = self._texture_first[id(texture)]
+                row["texture_first"] = self._texture_first[texture_key(texture)]
                 row["texture_height"], row["texture_width"] = texture.shape[:2]
         return table
 
@@ -147,11 +147,6 @@ def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarra
     by_file = config.raster.antialiasing is Antialiasing.AUTO
     table["antialiased"] = [forced or (by_file and instance.gaussians.antialiased) for instance in scene.splats]
     return table
-
-
-def first_of(counts: dict[int, int]) -> dict[int, int]:
-    """Where each entry starts when all are laid end to end."""
-    return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
 def table_dtype(struct: Any) -> np.dtype:
@@ -184,55 +179,3 @@ def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     row["depth_iso_transmittance"] = config.raster.depth_iso_transmittance
     row["background"] = config.background or (0.0, 0.0, 0.0)
     return table
-
-
-def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
-    """Copies an asset to the device; on the CPU its arrays are shared where their layout allows."""
-    data = GaussianData()
-    data.means = _shared(gaussians.means, wp.vec3, device)
-    data.rotations = wp.array(gaussians.rotations_wxyz[:, [1, 2, 3, 0]], dtype=wp.quat, device=device)
-    data.scales = _shared(gaussians.scales, wp.vec3, device)
-    data.opacities = _shared(gaussians.opacities, wp.float32, device)
-    data.sh = _shared(gaussians.sh.reshape(-1, 3), wp.vec3, device)
-    data.sh_count = gaussians.sh.shape[1]
-    return data
-
-
-def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[int, int]]:
-    """Concatenates meshes and their textures; also returns the first texel of each texture, by its ``id``."""
-    data = MeshData()
-    if not meshes:
-        return data, {}
-    vertex_first = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
-    indices = np.concatenate([mesh.indices + first for mesh, first in zip(meshes, vertex_first[:-1], strict=True)])
-
-    def attribute(name: str, default: float, width: int) -> np.ndarray:
-        filler = [(getattr(mesh, name), (mesh.vertex_count, width)) for mesh in meshes]
-        return np.concatenate([np.full(shape, default, np.float32) if a is None else a for a, shape in filler])
-
-    textures = {id(t): t for t in (mesh.material.base_color_texture for mesh in meshes) if t is not None}
-    texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
-    for texture in textures.values():
-        rgba = np.full((*texture.shape[:2], 4), 255, np.uint8)
-        rgba[..., : texture.shape[2]] = texture
-        texels.append(rgba.reshape(-1).view("<u4"))
-    texture_first = {
-        key: 1 + first for key, first in first_of({k: t[..., 0].size for k, t in textures.items()}).items()
-    }
-    data.positions = wp.array(attribute("positions", 0.0, 3), dtype=wp.vec3, device=device)
-    data.normals = wp.array(attribute("normals", 0.0, 3), dtype=wp.vec3, device=device)
-    data.uvs = wp.array(attribute("uvs", 0.0, 2), dtype=wp.vec2, device=device)
-    data.colors = wp.array(attribute("colors", 1.0, 3), dtype=wp.vec3, device=device)
-    data.indices = wp.array(indices.astype(np.int32), dtype=wp.vec3i, device=device)
-    data.texels = wp.array(np.concatenate(texels), dtype=wp.uint32, device=device)
-    data.linear_from_byte = wp.array(
-        decode_srgb(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device
-    )
-    return data, texture_first
-
-
-def _shared(values: np.ndarray, dtype: Any, device: str) -> Any:
-    # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
-    if device != "cpu":
-        return wp.array(values, dtype=dtype, device=device)
-    return wp.array(np.lib.stride_tricks.as_strided(values, writeable=True), dtype=dtype, device=device, copy=False)

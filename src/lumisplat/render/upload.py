@@ -1,0 +1,82 @@
+"""Assets on their way to the device."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import warp as wp
+
+from lumisplat.device.structs import GaussianData, MeshData
+from lumisplat.scene.color import decode_srgb
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+
+Key = TypeVar("Key")
+TextureKey = tuple[int, tuple[int, ...]]
+
+
+def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
+    """Copies an asset to the device; on the CPU its arrays are shared where their layout allows."""
+    data = GaussianData()
+    data.means = _shared(gaussians.means, wp.vec3, device)
+    data.rotations = wp.array(gaussians.rotations_wxyz[:, [1, 2, 3, 0]], dtype=wp.quat, device=device)
+    data.scales = _shared(gaussians.scales, wp.vec3, device)
+    data.opacities = _shared(gaussians.opacities, wp.float32, device)
+    data.sh = _shared(gaussians.sh.reshape(-1, 3), wp.vec3, device)
+    data.sh_count = gaussians.sh.shape[1]
+    return data
+
+
+def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
+    """Lays meshes and their textures end to end; also returns the first texel of each texture."""
+    data = MeshData()
+    if not meshes:
+        return data, {}
+    vertex_first = np.cumsum([0, *(mesh.vertex_count for mesh in meshes)])
+    indices = np.concatenate([mesh.indices + first for mesh, first in zip(meshes, vertex_first[:-1], strict=True)])
+
+    def attribute(name: str, default: float, width: int) -> np.ndarray:
+        filler = [(getattr(mesh, name), (mesh.vertex_count, width)) for mesh in meshes]
+        return np.concatenate([np.full(shape, default, np.float32) if a is None else a for a, shape in filler])
+
+    data.positions = wp.array(attribute("positions", 0.0, 3), dtype=wp.vec3, device=device)
+    data.normals = wp.array(attribute("normals", 0.0, 3), dtype=wp.vec3, device=device)
+    data.uvs = wp.array(attribute("uvs", 0.0, 2), dtype=wp.vec2, device=device)
+    data.colors = wp.array(attribute("colors", 1.0, 3), dtype=wp.vec3, device=device)
+    data.indices = wp.array(indices.astype(np.int32), dtype=wp.vec3i, device=device)
+    texels, texture_first = pack_textures([mesh.material.base_color_texture for mesh in meshes])
+    data.texels = wp.array(texels, dtype=wp.uint32, device=device)
+    data.linear_from_byte = wp.array(
+        decode_srgb(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device
+    )
+    return data, texture_first
+
+
+def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
+    """RGBA8 texels of all textures (None is skipped) end to end, and the first texel of each."""
+    distinct = {texture_key(texture): texture for texture in textures if texture is not None}
+    texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
+    for texture in distinct.values():
+        rgba = np.full((*texture.shape[:2], 4), 255, np.uint8)
+        rgba[..., : texture.shape[2]] = texture
+        texels.append(rgba.reshape(-1).view("<u4"))
+    starts = first_of({key: texture[..., 0].size for key, texture in distinct.items()})
+    return np.concatenate(texels), {key: 1 + first for key, first in starts.items()}
+
+
+def texture_key(texture: np.ndarray) -> TextureKey:
+    """What tells textures apart: two views of one image are the same texture."""
+    return texture.ctypes.data, texture.shape
+
+
+def first_of(counts: dict[Key, int]) -> dict[Key, int]:
+    """Where each entry starts when all are laid end to end."""
+    return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
+
+
+def _shared(values: np.ndarray, dtype: Any, device: str) -> Any:
+    # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
+    if device != "cpu":
+        return wp.array(values, dtype=dtype, device=device)
+    return wp.array(np.lib.stride_tricks.as_strided(values, writeable=True), dtype=dtype, device=device, copy=False)
