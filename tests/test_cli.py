@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -45,6 +46,17 @@ def test_render_picks_frames_and_scales(work):
     work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--frame", "right", "--width", "32")
     assert {path.name for path in work.path("out").iterdir()} == {"right.png"}
     assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
+
+
+def test_render_sizes_cameras_without_a_size(work):
+    """--width and --height are the image size where a camera file gives only an angle."""
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    frame = {"file_path": "0001", "transform_matrix": pose}
+    work.path("angle.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
+    args = ("render", "@mesh.obj", "--cameras", "@angle.json", "-o", "@a.png")
+    assert "give --width and --height" in work.run(*args, "--width", "32").err
+    assert work.run(*args, "--width", "32", "--height", "24").status == 0
+    assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
 
 
 def test_settings_reach_the_renderer(work):

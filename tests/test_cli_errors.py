@@ -144,6 +144,29 @@ def test_panels_become_one_line(panel):
     assert one_line(panel) == "It is wrong here."
 
 
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb", "a.gltf", "a.spz", "a.sog", "a.toml", "a.json"])
+@pytest.mark.parametrize(
+    "data", [b"\xff\xfe\x80garbage", b"[" * 100_000, b"3", b'{"frames": [1], "asset": 2}', b"x = " + b"[" * 5000]
+)
+def test_messages_are_about_the_file(work, name, data):
+    """What is said about a file of rubbish is about the file: no Python exception or object shows through."""
+    work.path(name).write_bytes(data)
+    outcome = work.run("info", f"@{name}")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    said = outcome.err.partition(f"{name}: ")[2]
+    assert said
+    for internal in ("Error", "codec", "object at", "has no attribute", "BytesIO", "not subscriptable", "argument"):
+        assert internal not in said
+
+
+def test_names_too_long(work):
+    """A file name longer than the system takes is an error that says what could not be done."""
+    outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frame", "left", "-o", "@" + "x" * 300 + ".png")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "cannot be written: File name too long" in outcome.err
+    assert "cannot be read: File name too long" in work.run("info", "@" + "x" * 300 + ".ply").err
+
+
 def test_debug_shows_the_traceback(work):
     """--debug adds the traceback, and the status stays 2."""
     outcome = work.run("render", "@missing.ply", "--debug")

@@ -101,7 +101,7 @@ def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
         ("v 0 0 1e60\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "positions has 1 non-finite"),
         ("v 0 0 0\nv 1 0 0\n", "points only"),
         ("v 0 0 0\nv 1 0 0\nf 1 2\n", "no triangles"),
-        ("hello", "is it an OBJ file"),
+        ("hello", "no vertex and no face, expected an OBJ file"),
     ],
 )
 def test_bad_obj(tmp_path: Path, text: str, expected: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from mesh_files import png_bytes
 
+import lumisplat as ls
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras import load_cameras, save_cameras
 from lumisplat.scene.camera import Camera
@@ -72,6 +73,18 @@ def test_field_of_view_and_image_size(tmp_path: Path) -> None:
     assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
     assert camera.fx == pytest.approx(20.0)
     assert camera.fy == pytest.approx(20.0)
+
+
+def test_image_size_of_the_caller(tmp_path: Path) -> None:
+    """Where neither the file nor an image tells a size, that of the caller is taken; it overrides nothing."""
+    (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
+    (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
+    assert camera.fx == pytest.approx(20.0)
+    with pytest.raises(FormatError, match="give --width and --height"):
+        ls.load_cameras(tmp_path / "a.json", width=40)
+    (tmp_path / "b.json").write_text(json.dumps(FILE))
+    assert ls.load_cameras(tmp_path / "b.json", width=40, height=30)[0].width == FILE["w"]
 
 
 def test_names_are_unique(tmp_path: Path) -> None:
@@ -138,16 +151,24 @@ def without(content: dict, *names: str) -> dict:
         (pose(1, 2, 1), "frame 0 .* stretches"),
         (pose(2, 2, 2), "frame 0 .* scaled by 2"),
         (pose(-1, 1, 1), "frame 0 .* mirrors"),
-        (pose(math.nan, 1, 1), "frame 0 .* non-finite"),
+        (pose(math.nan, 1, 1), "frame 0 .* expected 4 x 4 finite numbers"),
         ({**FILE, "frames": [{"file_path": "x"}]}, r"frame 0 \(x\) lacks transform_matrix"),
-        ({**FILE, "frames": [{**FRAME, "transform_matrix": [[1, 2], [3]]}]}, "frame 0 .* is malformed"),
-        ({**FILE, "frames": [FRAME, 7]}, "frame 1 is malformed"),
+        (
+            {**FILE, "frames": [{**FRAME, "transform_matrix": [[1, 2], [3]]}]},
+            r"has transform_matrix \[\[1, 2\], \[3\]\], expected",
+        ),
+        ({**FILE, "frames": [FRAME, 7]}, "frame 1 is 7, expected an object"),
         ({**FILE, "w": 0}, "frame 0 .* width is 0"),
         ({**FILE, "h": 0}, "frame 0 .* height is 0"),
         ({**FILE, "h": -4}, "frame 0 .* height is -4"),
         ({**FILE, "w": 1e9}, "frame 0 .* width is 1000000000"),
         ({**FILE, "fl_x": 0}, "frame 0 .* fx is 0"),
-        ({**FILE, "fl_x": None}, "frame 0 .* is malformed"),
+        ({**FILE, "fl_x": None}, "frame 0 .* has fl_x null, expected a number"),
+        ({**FILE, "w": "800"}, 'frame 0 .* has w "800", expected a number'),
+        ({**FILE, "w": None}, "frame 0 .* has w null, expected a number"),
+        ([{**INRIA, "position": "here"}], 'has position "here", expected 3 finite numbers'),
+        ("[" * 100_000, "nested too deeply"),
+        ("\N{BYTE ORDER MARK}ply\n", r"invalid JSON at line 1.* expected transforms\.json or cameras\.json"),
         (without(FILE, "fl_x"), "frame 0 .* no intrinsics"),
         (without({**FILE, "camera_angle_x": 4.0}, "fl_x"), "frame 0 .* camera_angle_x 4.0"),
         (without(FILE, "w"), "frame 0 .* no w and h"),

@@ -92,7 +92,7 @@ def _run(command: Render | Info | Convert | Demo | Bench) -> int:
 
 def _one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
+        return f"{error.filename}: cannot be read or written: {error.strerror}"
     if isinstance(error, MemoryError):
         return "out of memory: try fewer pixels or a smaller capture"
     return " ".join(str(error).split()) or type(error).__name__

@@ -60,7 +60,9 @@ class Render(DeviceCommand):
             raster=ls.RasterConfig(antialiasing=ls.Antialiasing(self.antialiasing), sh_degree=self.sh_degree),
         )
         # What fails fast comes first: cameras and device before a capture of a gigabyte.
-        cameras = None if self.cameras is None else ls.load_cameras(self.cameras)
+        cameras = None
+        if self.cameras is not None:
+            cameras = ls.load_cameras(self.cameras, width=self.width, height=self.height)
         with progress_bars() as report:
             renderer = self.start_renderer(report, config, profile=self.stats)
             scene = load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)

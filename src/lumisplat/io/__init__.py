@@ -141,17 +141,19 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     write(path, gaussians)
 
 
-def load_cameras(path: PathLike) -> list[Camera]:
+def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:
     """Loads the cameras of a capture, in the file's order; each has a unique ``name``, its image's.
 
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
             ``camera_angle_x``; image sizes are looked up where the file gives none) or INRIA's ``cameras.json``
             (OpenCV; the principal point is the centre). Lens distortion is ignored with a log line.
+        width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``.
+        height: Image height, pixels, of such frames.
 
     Raises:
         FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
     """
     from lumisplat.io import cameras
 
-    return cameras.load_cameras(path)
+    return cameras.load_cameras(path, width, height)

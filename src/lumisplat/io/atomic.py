@@ -29,10 +29,10 @@ def atomic_write(path: PathLike) -> Iterator[Path]:
         FormatError: The folder cannot be created or written, ``path`` is a folder, or the disk is full.
     """
     target = Path(path)
-    if target.is_dir():
-        raise FormatError(path, "is a folder, expected the name of a file to write")
     temporary = target.with_name(f".{target.stem[:64]}.{secrets.token_hex(6)}{target.suffix}")
     try:
+        if target.is_dir():
+            raise FormatError(path, "is a folder, expected the name of a file to write")
         target.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, target)

@@ -36,17 +36,20 @@ _PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
 _DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
-def load_cameras(path: PathLike) -> list[Camera]:
+def load_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
     """See `lumisplat.io.load_cameras`."""
     path = Path(path)
-    with parsing(path, "a camera file"):
+    fallback = None if width is None or height is None else (width, height)
+    with parsing(path, "a camera file (transforms.json or cameras.json)"):
         try:
             content = json.loads(read_bytes(path).decode("utf-8-sig"))
         except json.JSONDecodeError as error:
-            raise FormatError(path, f"invalid JSON at line {error.lineno}: {error.msg}") from None
+            raise FormatError(
+                path, f"invalid JSON at line {error.lineno}: {error.msg}; expected transforms.json or cameras.json"
+            ) from None
         if isinstance(content, dict) and isinstance(content.get("frames"), list):
             _check_camera_model(path, content)
-            entries, decode = content["frames"], lambda frame: _nerfstudio_camera(path, content, frame)
+            entries, decode = content["frames"], lambda frame: _nerfstudio_camera(path, content, frame, fallback)
         elif isinstance(content, list) and (not content or any("rotation" in entry for entry in content)):
             entries, decode = content, _inria_camera
         else:
@@ -89,9 +92,10 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
 
 def _decoded(path: Path, index: int, entry: Any, decode: Callable[[Any], Camera]) -> Camera:
     """Decodes one entry; whatever is wrong with it is said about that frame."""
-    name = ""
+    if not isinstance(entry, dict):
+        raise FormatError(path, f"frame {index} is {_shown(entry)}, expected an object with a pose")
+    name = str(entry.get("file_path", entry.get("img_name", "")))
     try:
-        name = str(entry.get("file_path", entry.get("img_name", "")))
         return decode(entry)
     except FormatError:
         raise
@@ -99,8 +103,6 @@ def _decoded(path: Path, index: int, entry: Any, decode: Callable[[Any], Camera]
         problem = f"lacks {error.args[0]}"
     except SceneError as error:
         problem = str(error)
-    except (ValueError, TypeError, AttributeError, ArithmeticError) as error:
-        problem = f"is malformed: {error}"
     raise FormatError(path, f"frame {index}{f' ({name})' if name else ''} {problem}")
 
 
@@ -114,34 +116,38 @@ def _check_camera_model(path: Path, content: Mapping[str, Any]) -> None:
         _log.warning("%s: lens distortion (%s) is ignored", path, ", ".join(distorted))
 
 
-def _nerfstudio_camera(path: Path, shared: Mapping[str, Any], frame: Mapping[str, Any]) -> Camera:
+def _nerfstudio_camera(
+    path: Path, shared: Mapping[str, Any], frame: Mapping[str, Any], fallback: tuple[int, int] | None
+) -> Camera:
     values = {**shared, **frame}
-    world_from_camera = _rigid(values["transform_matrix"]) @ _OPENGL_FROM_OPENCV
-    width, height = _image_size(path, values)
-    fx = values["fl_x"] if "fl_x" in values else _focal(values, "camera_angle_x", width)
-    fy = values["fl_y"] if "fl_y" in values else _focal(values, "camera_angle_y", height, default=fx)
+    rows = values["transform_matrix"]
+    pose = _numbers(rows, (len(rows) if isinstance(rows, list) and len(rows) == 3 else 4, 4), "transform_matrix")
+    world_from_camera = _rigid(pose) @ _OPENGL_FROM_OPENCV
+    width, height = _image_size(path, values, fallback)
+    fx = _number(values, "fl_x") if "fl_x" in values else _focal(values, "camera_angle_x", width)
+    fy = _number(values, "fl_y") if "fl_y" in values else _focal(values, "camera_angle_y", height, default=fx)
     return Camera(
-        width=width,
-        height=height,
-        fx=float(fx),
-        fy=float(fy),
-        cx=float(values.get("cx", 0.5 * width)),
-        cy=float(values.get("cy", 0.5 * height)),
+        width=width,  # type: ignore[arg-type] # whole numbers, or refused there
+        height=height,  # type: ignore[arg-type]
+        fx=fx,
+        fy=fy,
+        cx=_number(values, "cx") if "cx" in values else 0.5 * width,
+        cy=_number(values, "cy") if "cy" in values else 0.5 * height,
         camera_from_world=_inverse_rigid(world_from_camera),
         name=_frame_name(values.get("file_path", "")),
     )
 
 
 def _inria_camera(entry: Mapping[str, Any]) -> Camera:
-    width, height = entry["width"], entry["height"]
+    width, height = _number(entry, "width"), _number(entry, "height")
     world_from_camera = np.eye(4)
-    world_from_camera[:3, :3] = np.array(entry["rotation"], dtype=np.float64)
-    world_from_camera[:3, 3] = np.array(entry["position"], dtype=np.float64)
+    world_from_camera[:3, :3] = _numbers(entry["rotation"], (3, 3), "rotation")
+    world_from_camera[:3, 3] = _numbers(entry["position"], (3,), "position")
     return Camera(
-        width=width,
-        height=height,
-        fx=float(entry["fx"]),
-        fy=float(entry["fy"]),
+        width=width,  # type: ignore[arg-type] # whole numbers, or refused there
+        height=height,  # type: ignore[arg-type]
+        fx=_number(entry, "fx"),
+        fy=_number(entry, "fy"),
         cx=0.5 * width,
         cy=0.5 * height,
         camera_from_world=_inverse_rigid(_rigid(world_from_camera)),
@@ -149,17 +155,47 @@ def _inria_camera(entry: Mapping[str, Any]) -> Camera:
     )
 
 
-def _rigid(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _number(values: Mapping[str, Any], name: str) -> float:
+    """The number called ``name``.
+
+    Raises:
+        SceneError: It is none.
+    """
+    value = values[name]
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise SceneError(f"has {name} {_shown(value)}, expected a number")
+    return value
+
+
+def _numbers(values: Any, shape: tuple[int, ...], name: str) -> npt.NDArray[np.float64]:
+    """Finite numbers in an array of the given shape.
+
+    Raises:
+        SceneError: They are not.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise SceneError(f"has {name} {_shown(values)}, expected {' x '.join(map(str, shape))} finite numbers")
+    return array
+
+
+def _shown(value: Any) -> str:
+    """JSON for a message, cut short."""
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _rigid(matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """A pose whose rotation is one to rounding error, made exact.
 
     Raises:
         SceneError: The matrix is singular, scaled, sheared or mirrored.
     """
-    matrix = np.array(values, dtype=np.float64)
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, (0.0, 0.0, 0.0, 1.0)])
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise SceneError(f"has a pose of shape {matrix.shape} or non-finite values, expected 4x4 numbers")
     u, singular_values, v = np.linalg.svd(matrix[:3, :3])
     if singular_values[2] <= 1e-9 * singular_values[0]:
         raise SceneError("has a singular pose matrix")
@@ -181,10 +217,10 @@ def _inverse_rigid(matrix: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return inverse
 
 
-def _image_size(path: Path, values: Mapping[str, Any]) -> tuple[int, int]:
-    """From the file; otherwise from the header of the frame's image."""
+def _image_size(path: Path, values: Mapping[str, Any], fallback: tuple[int, int] | None) -> tuple[float, float]:
+    """From the file; otherwise from the header of the frame's image; otherwise the fallback."""
     if "w" in values and "h" in values:
-        return values["w"], values["h"]
+        return _number(values, "w"), _number(values, "h")
     from PIL import Image
 
     stem = str(values.get("file_path", ""))
@@ -195,17 +231,22 @@ def _image_size(path: Path, values: Mapping[str, Any]) -> tuple[int, int]:
                 with Image.open(image_path) as image:
                     return image.size
             except Exception as error:  # Pillow raises whatever the format's parser does
-                raise FormatError(image_path, f"cannot be read for its size: {error}") from None
-    raise SceneError(f"has no w and h, and there is no image {stem!r} to take them from: add w and h")
+                raise FormatError(image_path, "cannot be read for its size: expected PNG or JPEG") from error
+    if fallback is not None:
+        return fallback
+    raise SceneError(
+        f"has no w and h, and there is no image {stem!r} to take them from: "
+        "add them, or give --width and --height (width=, height=)"
+    )
 
 
-def _focal(values: Mapping[str, Any], angle_name: str, size: int, default: float | None = None) -> float:
+def _focal(values: Mapping[str, Any], angle_name: str, size: float, default: float | None = None) -> float:
     """Focal length in pixels of a field of view in radians."""
     if angle_name not in values:
         if default is None:
             raise SceneError("has no intrinsics: expected fl_x, or camera_angle_x")
         return default
-    angle = float(values[angle_name])
+    angle = _number(values, angle_name)
     if not 0.0 < angle < math.pi:
         raise SceneError(f"has {angle_name} {angle}, expected radians between 0 and pi")
     return 0.5 * size / math.tan(0.5 * angle)

@@ -44,6 +44,10 @@ class GltfFile:
             self.model: pygltflib.GLTF2 = pygltflib.GLTF2.gltf_from_json(text.decode("utf-8"))
         except json.JSONDecodeError as error:
             raise FormatError(path, f"the JSON breaks off or is damaged at line {error.lineno}: {error.msg}") from None
+        except UnicodeDecodeError:
+            raise FormatError(
+                path, "is neither GLB nor glTF: it starts with no GLB header, and is no JSON text"
+            ) from None
         version = str(getattr(self.model.asset, "version", ""))
         if not version.startswith("2."):
             raise FormatError(path, f"is glTF version {version or 'unknown'}, expected 2.0")

@@ -152,7 +152,7 @@ def decode_texture(data: bytes, path: PathLike, label: str = "") -> npt.NDArray[
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise FormatError(path, f"{where}is too large to decode: {error}") from None
     except Exception as error:  # Pillow's decoders raise whatever their format's parser does
-        raise FormatError(path, f"{where}is corrupt, or no image: {error}") from error
+        raise FormatError(path, f"{where}is corrupt, or no image: expected PNG, JPEG or WebP") from error
 
 
 def _exr_plane(pixels: npt.NDArray) -> npt.NDArray:

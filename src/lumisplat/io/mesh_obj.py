@@ -62,8 +62,8 @@ def read_obj(path: Path) -> Mesh | Scene:
 def _read(path: Path) -> list[Mesh]:
     listing = _parse_obj(path, read_bytes(path).decode("utf-8", errors="replace"))
     if not listing.faces_from_material:
-        kind = "points only" if listing.positions else "no vertex and no face: is it an OBJ file?"
-        raise FormatError(path, f"holds {kind}; expected faces ('f' lines)")
+        kind = "points only" if listing.positions else "no vertex and no face"
+        raise FormatError(path, f"holds {kind}, expected an OBJ file with faces ('f' lines)")
     materials: dict[str, MaterialPbr] = {}
     for library in listing.libraries:
         if (path.parent / library).exists():
@@ -104,7 +104,10 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
 
 
 def _numbers(text: str, at_least: int) -> tuple[float, ...]:
-    values = tuple(map(float, text.split()))
+    try:
+        values = tuple(map(float, text.split()))
+    except ValueError:
+        raise ValueError(f"expected {at_least} numbers") from None
     if len(values) < at_least:
         raise ValueError(f"{len(values)} numbers, expected {at_least}")
     return values
@@ -121,7 +124,10 @@ def _corner(text: str, listing: _ObjFile) -> tuple[int, int, int]:
 
 
 def _index(text: str, what: str, count: int) -> int:
-    stored = int(text)
+    try:
+        stored = int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no index of a {what}") from None
     index = stored - 1 if stored > 0 else count + stored
     if stored == 0 or not 0 <= index < count:
         raise ValueError(f"{what} {stored} does not exist: {count:,} are listed so far")

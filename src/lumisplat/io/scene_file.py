@@ -66,8 +66,10 @@ def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Sc
 def _document(path: PathLike) -> dict:
     try:
         document = tomllib.loads(read_bytes(path).decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise FormatError(path, f"is not valid TOML: {error}") from None
+    except (UnicodeDecodeError, RecursionError):
+        raise FormatError(path, "is not a scene file: expected TOML text with [[splats]] and [[meshes]]") from None
     unknown = document.keys() - {"splats", "meshes"}
     if unknown:
         raise FormatError(path, f"has unknown '{min(unknown)}', expected [[splats]] and [[meshes]]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 from collections.abc import Iterator
@@ -63,10 +64,22 @@ def parsing(path: PathLike, kind: str) -> Iterator[None]:
     except MemoryError:
         raise FormatError(path, "asks for more memory than there is: damaged, or too large for this machine") from None
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
-        raise FormatError(path, f"damaged, or not {kind}: {_one_line(error)}") from error
+        raise FormatError(path, f"damaged, or not {kind}{_reason(error)}") from error
     except (struct.error, EOFError) as error:
-        raise FormatError(path, f"ends too early for {kind}: {_one_line(error)}") from error
+        raise FormatError(path, f"ends too early for {kind}") from error
 
 
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
+def _reason(error: Exception) -> str:
+    """What of ``error`` means something to the owner of the file, after a colon; nothing where it is about our code."""
+    match error:
+        case UnicodeDecodeError():
+            return ": holds bytes that are no text"
+        case json.JSONDecodeError():
+            return f": invalid JSON at line {error.lineno}: {error.msg}"
+        case RecursionError():
+            return ": nested too deeply"
+        case KeyError():
+            return f": lacks {str(error.args[0])[:60]!r}"
+        case ValueError():
+            return f": {' '.join(str(error).split())}"[:200]
+    return ""
