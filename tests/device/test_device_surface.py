@@ -94,20 +94,20 @@ def test_barycentric_coordinates_find_the_point(
     for order in ([0, 1, 2], [0, 2, 1]):
         triangle = setup_triangle(*(wp.vec3(*corners[i]) for i in order))
         edges = np.array([triangle.edge0, triangle.edge1, triangle.edge2]) @ np.array(ray)
-        assert (edges > 0.0).all()
-        assert triangle.volume / edges.sum() == pytest.approx(point[2], rel=1e-3)
+        assert (edges > 0.0).all() or (edges < 0.0).all()
+        assert triangle.plane / (np.array(triangle.normal) @ np.array(ray)) == pytest.approx(point[2], rel=1e-3)
         np.testing.assert_allclose(np.array(barycentric(triangle, ray)), weights[order], atol=2e-3)
 
 
 @settings(max_examples=60)
 @given(points, points)
 def test_shared_edges_are_watertight(a: tuple[float, ...], b: tuple[float, ...]) -> None:
-    """Two triangles on either side of an edge compute the same edge function, but for its sign."""
+    """Two triangles on either side of an edge compute the same edge function, but for its sign, which differs."""
     apart = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
     one = setup_triangle(apart[0], wp.vec3(*a), wp.vec3(*b))
     two = setup_triangle(apart[1], wp.vec3(*b), wp.vec3(*a))
     first, second = np.array(one.edge0), np.array(two.edge0)
-    assert np.array_equal(first, second) or np.array_equal(first, -second)
+    np.testing.assert_array_equal(first, -second)
 
 
 @given(st.floats(0.0, 4.0))
