@@ -7,6 +7,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
+from lumisplat.scene import demo_room
 from lumisplat.scene.color import decode_srgb
 
 
@@ -33,6 +34,18 @@ def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
     low, high = demo.bounds()
     assert (low > [-4.0, -0.5, -4.5]).all()
     assert (high < [3.0, 4.0, 3.5]).all()
+
+
+def test_the_room_is_seen_from_inside() -> None:
+    """Walls, niche and floor face their middle: the sun must not shine on the outside of what is seen from within."""
+    rng = np.random.default_rng(0)
+    room, niche = (-0.05, 1.2, 0.0), (demo_room.NICHE_X, 0.9, demo_room.BACK - 0.1)
+    walls = [*demo_room.side_walls(rng), demo_room.back_wall(rng), demo_room.floor(rng)]
+    for mesh, middle in [*((wall, room) for wall in walls), (demo_room.niche(rng), niche)]:
+        assert mesh.normals is not None
+        assert np.einsum("ij,ij->i", mesh.normals, middle - mesh.positions).min() > 0.0
+        a, b, c = mesh.positions[mesh.indices].swapaxes(0, 1)
+        assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), middle - a) > 0.0).all()
 
 
 def test_demo_is_made_of_different_materials(demo: ls.Scene) -> None:

@@ -24,7 +24,13 @@ NICHE_X, NICHE_WIDTH, NICHE_HEIGHT, NICHE_DEPTH = -0.62, 1.04, 1.86, 0.42
 """The arched recess in the back wall."""
 
 WINDOW_LOW, WINDOW_HIGH, WINDOW_BACK, WINDOW_FRONT = 0.62, 2.22, -1.32, 0.66
-"""The opening in the left wall: y and z, metres."""
+"""The window's opening: y and z, metres."""
+
+_RECESS = 0.03
+"""The window's frame stands this far behind the wall: Gaussians are hidden by meshes at their centres' depth, so those
+at the wall's edge must be nearer than the frame from wherever one looks."""
+_CASING = 0.02
+"""How much of the frame shows around the window's opening, metres."""
 
 
 def at(x: float, y: float, z: float, *, turn: float = 0.0, size: float = 1.0) -> _Floats:
@@ -51,10 +57,10 @@ def back_wall(rng: np.random.Generator) -> Mesh:
 def niche(rng: np.random.Generator) -> Mesh:
     """Reveal and back of the niche."""
     outline = _arch(NICHE_WIDTH, NICHE_HEIGHT)
-    front = np.column_stack([outline[:, 0] + NICHE_X, outline[:, 1], np.full(len(outline), BACK + 0.008)])
-    rear = front - (0.0, 0.0, NICHE_DEPTH + 0.008)
+    front = np.column_stack([outline[:, 0] + NICHE_X, outline[:, 1], np.full(len(outline), BACK)])
+    rear = front - (0.0, 0.0, NICHE_DEPTH)
     half = len(outline) // 2
-    reveal = grid_surface(np.stack([rear, front]))
+    reveal = grid_surface(np.stack([front, rear]))
     closing = grid_surface(np.stack([rear[: half + 1], rear[half:][::-1]], axis=1)[::-1])
     ground = plane(NICHE_WIDTH, NICHE_DEPTH)
     ground = transformed(ground, at(NICHE_X, 0.0, BACK - 0.5 * NICHE_DEPTH))
@@ -66,13 +72,13 @@ def side_walls(rng: np.random.Generator) -> list[Mesh]:
     wash = _wash((0.22, 0.34, 0.33), rng)
     # Beyond the back wall, so that no sun slips in behind the niche.
     rear = BACK - NICHE_DEPTH
-    low, sill, high = SKIRTING - 0.01, WINDOW_LOW - 0.03, WINDOW_HIGH + 0.03
+    low, sill, high = SKIRTING - 0.01, WINDOW_LOW + 0.02, WINDOW_HIGH + _CASING
     right = _panel((RIGHT, low, BACK), (RIGHT, low, FRONT), HEIGHT - low)
     left = [
         _panel((LEFT, low, FRONT), (LEFT, low, rear), sill - low),
         _panel((LEFT, high, FRONT), (LEFT, high, rear), HEIGHT - high),
-        _panel((LEFT, sill, FRONT), (LEFT, sill, WINDOW_FRONT + 0.03), high - sill),
-        _panel((LEFT, sill, WINDOW_BACK - 0.03), (LEFT, sill, rear), high - sill),
+        _panel((LEFT, sill, FRONT), (LEFT, sill, WINDOW_FRONT + _CASING), high - sill),
+        _panel((LEFT, sill, WINDOW_BACK - _CASING), (LEFT, sill, rear), high - sill),
     ]
     return [_with(joined([right, *left]), wash)]
 
@@ -82,10 +88,12 @@ def woodwork() -> Mesh:
     white = MaterialPbr(base_color=(0.80, 0.77, 0.70), roughness=0.4, name="white paint")
     depth = FRONT - BACK
     beside = NICHE_X - 0.5 * NICHE_WIDTH - 0.05 - LEFT, RIGHT - NICHE_X - 0.5 * NICHE_WIDTH - 0.05
-    parts = [_beam((beside[0], SKIRTING, 0.035), (LEFT + 0.5 * beside[0], 0.5 * SKIRTING, BACK + 0.0175))]
-    parts += [_beam((beside[1], SKIRTING, 0.035), (RIGHT - 0.5 * beside[1], 0.5 * SKIRTING, BACK + 0.0175))]
+    # Their back edges are inside the walls, out of sight.
+    thick, inside = 0.055, 0.0075
+    parts = [_beam((beside[0], SKIRTING, thick), (LEFT + 0.5 * beside[0], 0.5 * SKIRTING, BACK + inside))]
+    parts += [_beam((beside[1], SKIRTING, thick), (RIGHT - 0.5 * beside[1], 0.5 * SKIRTING, BACK + inside))]
     middle = 0.5 * (BACK + FRONT)
-    parts += [_beam((0.035, SKIRTING, depth), (x, 0.5 * SKIRTING, middle)) for x in (LEFT + 0.0175, RIGHT - 0.0175)]
+    parts += [_beam((thick, SKIRTING, depth), (x, 0.5 * SKIRTING, middle)) for x in (LEFT + inside, RIGHT - inside)]
     parts += [_moulding(_arch(NICHE_WIDTH, NICHE_HEIGHT), 0.035), *_window()]
     return _with(joined(parts), white)
 
@@ -108,10 +116,11 @@ def garden() -> Mesh:
 def _window() -> list[Mesh]:
     wide, tall = WINDOW_FRONT - WINDOW_BACK, WINDOW_HIGH - WINDOW_LOW
     z, y, deep = 0.5 * (WINDOW_FRONT + WINDOW_BACK), 0.5 * (WINDOW_HIGH + WINDOW_LOW), 0.16
-    x = LEFT - 0.5 * deep + 0.02
-    frame = [_beam((deep, 0.1, wide + 0.1), (x, level, z)) for level in (WINDOW_LOW, WINDOW_HIGH)]
-    frame += [_beam((deep, tall + 0.1, 0.1), (x, y, side)) for side in (WINDOW_BACK, WINDOW_FRONT)]
-    frame.append(_beam((0.14, 0.04, wide + 0.2), (LEFT + 0.05, WINDOW_LOW + 0.02, z)))
+    x = LEFT - 0.5 * deep - _RECESS
+    # From 5 cm inside the opening to 10 cm behind the wall, so that nobody looks past it from the side.
+    frame = [_beam((deep, 0.15, wide + 0.2), (x, y + side * (0.5 * tall + 0.025), z)) for side in (-1, 1)]
+    frame += [_beam((deep, tall + 0.2, 0.15), (x, y, z + side * (0.5 * wide + 0.025))) for side in (-1, 1)]
+    frame.append(_beam((0.18, 0.04, wide + 0.2), (LEFT + 0.03, WINDOW_LOW + 0.02, z)))
     bars = [_beam((0.035, 0.035, wide), (x, WINDOW_LOW + tall * k / 4.0, z)) for k in (1, 2, 3)]
     bars += [_beam((0.035, tall, 0.035), (x, y, WINDOW_BACK + wide * k / 4.0)) for k in (1, 2, 3)]
     return frame + bars
