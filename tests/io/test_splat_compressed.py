@@ -92,6 +92,24 @@ def test_morton_order_keeps_neighbours_together() -> None:
     assert step(points[order]) < 0.2 * step(points)
 
 
+def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One stray far away makes the positions of its chunk coarse: a warning counts the Gaussians."""
+    rng = np.random.default_rng(0)
+    means = rng.random((1000, 3)).astype(np.float32)
+
+    def saved_with(means: np.ndarray) -> str:
+        caplog.clear()
+        count = len(means)
+        turns, sh = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 1, 3))
+        gaussians = ls.Gaussians(means, turns, np.full((count, 3), 0.01), np.full(count, 0.5), sh)
+        ls.save(tmp_path / "a.compressed.ply", gaussians)
+        return caplog.text
+
+    assert saved_with(means) == ""
+    stray = np.concatenate([means, [[1e4, 0.0, 0.0]]])
+    assert "the positions of 256 Gaussians" in saved_with(stray)  # one chunk, where the curve runs last along x
+
+
 def test_morton_order_of_a_point() -> None:
     """A box without extent does not divide by zero."""
     np.testing.assert_array_equal(morton_order(np.ones((3, 3), dtype=np.float32)), [0, 1, 2])

@@ -115,7 +115,8 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
 
     The lossy formats clamp what they cannot hold. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the thin
     axis of Gaussians made from a mesh may be below, which is logged), SH above degree 0 to -1..1. Compressed PLY:
-    scales to e^-20..e^20, SH above degree 0 to -4..4.
+    scales to e^-20..e^20, SH above degree 0 to -4..4; one Gaussian far from the others makes the positions of its
+    whole chunk coarse, which is logged where it shows.
 
     Args:
         path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian and 9, 24 or 45 for SH; reordered) or

@@ -8,6 +8,8 @@ rotation as smallest three (2+10+10+10, wxyz), colour and opacity as 8 bits each
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Iterable
 
 import numpy as np
@@ -22,6 +24,8 @@ from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.source import PathLike
 from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
 from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
 
 CHUNK = 256
 LOG_SCALE_MAX = 20.0
@@ -153,6 +157,7 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     ordered = gaussians.subset(morton_order(gaussians.means))
     log_scales = np.clip(np.log(ordered.scales), -LOG_SCALE_MAX, LOG_SCALE_MAX)
     rgb = ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
+    _warn_coarse_positions(path, ordered)
     ranges, (position, scale, color) = zip(*map(_gather, (ordered.means, log_scales, rgb)), strict=True)
     largest, kept = pack_smallest_three(ordered.rotations_wxyz)
     words = [
@@ -173,6 +178,26 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
         file.write(np.concatenate(ranges, axis=1).astype("<f4").tobytes())
         file.write(np.stack(words, axis=1).astype("<u4").tobytes())
         file.write(np.clip((rest / 8.0 + 0.5) * 256.0, 0.0, 255.0).astype(np.uint8).tobytes())
+
+
+def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
+    """Logs how many Gaussians move by more than their size: those in chunks that a stray far away has stretched.
+
+    A chunk counts if the step of its positions is larger than most of its Gaussians are (median of the largest scale).
+    """
+    starts = np.arange(0, ordered.count, CHUNK)
+    means = ordered.means
+    extent = np.maximum.reduceat(means, starts) - np.minimum.reduceat(means, starts)
+    step = (extent / (2 ** np.array(BITS_POSITION) - 1)).max(axis=1)
+    sizes = np.split(ordered.scales.max(axis=1), starts[1:])
+    coarse = sum(len(size) for size, moved in zip(sizes, step, strict=True) if moved > np.median(size))
+    if coarse:
+        _log.warning(
+            "%s: the positions of %s Gaussians are stored in steps larger than they are, because some of their chunk "
+            "lie far away: remove strays first, or save as .ply or .spz",
+            os.fspath(path),
+            f"{coarse:,}",
+        )
 
 
 def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
