@@ -86,7 +86,7 @@ def test_barycentric_coordinates_find_the_point(
 ) -> None:
     """A ray aimed at a point of the triangle gives that point's coordinates and depth, either way it is wound."""
     corners = np.array([v0, v1, v2])
-    if abs(np.linalg.det(corners)) < 1e-2:
+    if abs(corners[0] @ np.cross(corners[1], corners[2])) < 1e-2:
         return
     weights = np.array(mix) / np.sum(mix)
     point = weights @ corners
