@@ -28,6 +28,20 @@ def test_checked_arrays_cannot_change_afterwards() -> None:
     np.testing.assert_array_equal(mesh.indices, [[0, 1, 2]])
 
 
+def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
+    """Any length will do, unit ones are kept to the bit, zeros become the faces' area-weighted mean."""
+    unit = np.float32([0.26726124, 0.5345225, 0.8017837])
+    mesh = ls.Mesh(**TRIANGLE, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit])
+    assert mesh.normals is not None and not mesh.normals.flags.writeable
+    np.testing.assert_allclose(mesh.normals[:2], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(mesh.normals[2], unit)
+    corner = np.float32([[0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]]) * np.float32(1e-15)
+    filled = ls.Mesh(corner, [[0, 1, 2], [0, 2, 3]], normals=np.zeros((5, 3))).normals
+    assert filled is not None
+    np.testing.assert_allclose(filled[:2], [[0.2**0.5, 0.0, 0.8**0.5], [0.0, 0.0, 1.0]], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(filled, axis=1), 1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

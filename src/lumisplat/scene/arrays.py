@@ -92,6 +92,24 @@ def handed_over(values: npt.NDArray) -> npt.NDArray:
     return view
 
 
+def normalised(name: str, vectors: FloatArray) -> FloatArray:
+    """Rows of unit length, read-only; those that have it already are kept to the bit.
+
+    Raises:
+        SceneError: Some are of zero length.
+    """
+    # Scaled by the largest component first: tiny but valid quaternions would underflow when squared.
+    largest = np.abs(vectors).max(axis=1, keepdims=True)
+    refuse_rows(name, "of zero length", largest[:, 0] == 0.0)
+    scaled = vectors / largest
+    length = np.linalg.norm(scaled, axis=1, keepdims=True)
+    # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.
+    already = np.abs(length * largest.astype(np.float64) - 1.0) < 1e-6
+    unit = np.where(already, vectors, scaled / length)
+    unit.flags.writeable = False
+    return unit
+
+
 def kept(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray:
     """A read-only, C-contiguous array of ``values``: themselves if they are read-only, else a copy."""
     fixed = isinstance(values, np.ndarray) and not values.flags.writeable

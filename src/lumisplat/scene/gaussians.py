@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, float_array, handed_over, refuse_outside_unit, refuse_rows
+from lumisplat.scene.arrays import FloatArray, float_array, handed_over, normalised, refuse_outside_unit, refuse_rows
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -76,9 +76,17 @@ class Gaussians:
             values = getattr(self, name)
             if values is not None:
                 refuse_outside_unit(name, values)
-        object.__setattr__(self, "rotations_wxyz", _normalised("rotations_wxyz", self.rotations_wxyz))
+        object.__setattr__(self, "rotations_wxyz", normalised("rotations_wxyz", self.rotations_wxyz))
         if self.normals is not None:
-            object.__setattr__(self, "normals", _normalised("normals", self.normals))
+            object.__setattr__(self, "normals", normalised("normals", self.normals))
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __repr__(self) -> str:
+        extras = "".join(f", {name}" for name in _OPTIONAL if getattr(self, name) is not None)
+        antialiased = ", antialiased" if self.antialiased else ""
+        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}{antialiased}{extras})"
 
     @property
     def count(self) -> int:
@@ -122,16 +130,3 @@ def merged(sets: Sequence[Gaussians]) -> Gaussians:
     shared = set.intersection(*map(set, columns))
     joined = {name: handed_over(np.concatenate([column[name] for column in columns])) for name in shared}
     return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))
-
-
-def _normalised(name: str, vectors: FloatArray) -> FloatArray:
-    # Scaled by the largest component first: tiny but valid quaternions would underflow when squared.
-    largest = np.abs(vectors).max(axis=1, keepdims=True)
-    refuse_rows(name, "of zero length", largest[:, 0] == 0.0)
-    scaled = vectors / largest
-    length = np.linalg.norm(scaled, axis=1, keepdims=True)
-    # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.
-    already = np.abs(length * largest.astype(np.float64) - 1.0) < 1e-6
-    unit = np.where(already, vectors, scaled / length)
-    unit.flags.writeable = False
-    return unit

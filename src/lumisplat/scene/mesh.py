@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array, refuse_outside_unit
+from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array, normalised, refuse_outside_unit
 from lumisplat.scene.materials import MaterialPbr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
     """V vertices, F triangles, counter-clockwise seen from outside.
+
+    Arrays become read-only, copied unless they are that already. Normals are normalised; those of zero length become
+    the mean of the faces around, weighted by area.
 
     Raises:
         SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, an index is out of range, or
@@ -47,6 +52,12 @@ class Mesh:
         check_shapes(indices=(self.indices, "F 3"))
         if self.face_count == 0:
             raise SceneError("the mesh has no triangles")
+        if self.normals is not None:
+            object.__setattr__(self, "normals", normalised("normals", self._filled(self.normals)))
+
+    def __repr__(self) -> str:
+        extras = "".join(f", {name}" for name in ("normals", "uvs", "colors") if getattr(self, name) is not None)
+        return f"Mesh(name={self.name!r}, vertices={self.vertex_count}, faces={self.face_count}{extras})"
 
     @property
     def vertex_count(self) -> int:
@@ -61,3 +72,17 @@ class Mesh:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Corners (min, max) of the bounding box, object space, shape (3,) each."""
         return self.positions.min(axis=0), self.positions.max(axis=0)
+
+    def _filled(self, normals: FloatArray) -> FloatArray:
+        missing = ~normals.any(axis=1)
+        if not missing.any():
+            return normals
+        a, b, c = self.positions.astype(np.float64)[self.indices].swapaxes(0, 1)
+        doubled_areas = np.cross(b - a, c - a)
+        around = np.zeros(normals.shape)
+        for k in range(3):
+            np.add.at(around, self.indices[:, k], doubled_areas)
+        # Scaled, for areas of small meshes leave float32. Vertices without any area around are never seen.
+        around /= np.maximum(np.abs(around).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        around[~around.any(axis=1)] = (0.0, 1.0, 0.0)
+        return np.where(missing[:, None], around, normals).astype(np.float32)
