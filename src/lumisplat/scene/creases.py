@@ -21,16 +21,18 @@ class CreasePoints(NamedTuple):
     directions: npt.NDArray[np.float64]
 
 
-def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: float) -> CreasePoints:
+def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: float, *, limit: int) -> CreasePoints:
     """Points not further than ``spacing`` apart along all open, non-manifold and sharp edges.
 
     Args:
         mesh: Triangles; vertices at equal positions count as one.
         face_normals: Unit normals, shape (F, 3); zero where a face has no area.
         spacing: Largest distance between neighbours on an edge, scene units, > 0.
+        limit: Where it would take more points than this, ``spacing`` grows.
     """
     start, end = _crease_edges(mesh, face_normals)
     lengths = np.linalg.norm(end - start, axis=1)
+    spacing = max(spacing, float(lengths.sum()) / limit)
     counts = np.ceil(lengths / spacing).astype(np.int64)
     edge = np.repeat(np.arange(counts.size), counts)
     step = np.arange(edge.size) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -27,7 +27,8 @@ class Daylight:
     sky_color: tuple[float, float, float] = (0.74, 0.80, 0.86)
     """Irradiance of an open, level surface under the sky alone."""
     bounce_color: tuple[float, float, float] = (0.36, 0.28, 0.20)
-    """Irradiance of a surface that faces down, from the lit floor."""
+    """What the lit floor throws back: 1.35 times this on a surface that faces down, 0.35 on one that faces up, by way
+    of the ceiling; less where the sky in front is blocked."""
     sky_directions: int = 48
     """Depth maps for the sky."""
     texel: float = 0.012

@@ -11,16 +11,23 @@ import numpy.typing as npt
 from lumisplat.constants import SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.scene.blue_noise import Pairs, cell_order, cross_pairs, neighbour_pairs, poisson_disk
-from lumisplat.scene.color import decode_srgb, encode_srgb
+from lumisplat.scene.color import encode_srgb
 from lumisplat.scene.creases import CreasePoints, crease_points
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
+from lumisplat.scene.surface_color import base_colors, interpolated
 
 DEFAULT_SPACINGS_PER_DIAGONAL = 300
 """Without a count, neighbours are about this fraction of the bounding box's diagonal apart."""
 DEFAULT_COUNT_RANGE = (1_000, 1_000_000)
 """Bounds of the default count."""
 
+_COUNT_MAX = 50_000_000
+"""Candidates and pairs take about 1 KB a Gaussian: this is 50 GB and a quarter of an hour."""
+_CREASE_POINTS_PER_GAUSSIAN = 50
+"""Creases of compact objects need fewer than ten points a Gaussian; slivers, all edge and no area, would ask for any
+number."""
 _CANDIDATES_PER_GAUSSIAN = 4.0
 _OPACITY = 0.995
 _THICKNESS = 0.05
@@ -55,39 +62,43 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     Centres are blue noise: candidates stratified by area, thinned by Poisson-disk elimination. The thin axis is the
     surface normal; the wide ones grow from the local spacing until no hole is left, and shrink towards creases and open
     edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
-    colour times bilinearly filtered texture), encoded as display-referred sRGB in SH degree 0.
+    colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about a spacing
+    (a pyramid, Williams 1983); their alpha is ignored.
 
     Args:
         mesh: Object-space triangles. Triangles of no area are skipped.
-        count: Number of Gaussians, >= 1. None: as many as put neighbours 1/300 of the bounding box's diagonal apart
-            (``area / (diagonal / 300)^2``, from 1,000 to 1,000,000).
-        seed: Seed of the random order; equal seeds give equal results.
+        count: Number of Gaussians, 1 to 50,000,000. None: as many as put neighbours 1/300 of the bounding box's
+            diagonal apart (``area / (diagonal / 300)^2``, from 1,000 to 1,000,000).
+        seed: Seed of the random order; equal seeds give equal results on the same platform and NumPy version.
 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
         ``albedo`` (linear), ``roughness`` and ``metallic``.
 
     Raises:
-        SceneError: The mesh has no area, or ``count`` is not a whole number of at least 1.
+        SceneError: This is no mesh, it has no area, or ``count`` is not a whole number of 1 to 50,000,000.
     """
+    if not isinstance(mesh, Mesh):
+        hint = ": give scene.meshes[0].mesh, for example" if isinstance(mesh, Scene) else ""
+        raise SceneError(f"gaussians_from_mesh takes a Mesh, got a {type(mesh).__name__}{hint}")
     areas, face_normals = _face_areas_and_normals(mesh)
     area = float(areas.sum())
     if not area > 0.0:
         raise SceneError("the mesh has no area: every triangle is degenerate, nothing can be sampled")
     if count is None:
         count = _default_count(mesh, areas)
-    if not isinstance(count, int | np.integer) or count < 1:
-        raise SceneError(f"count is {count}, expected a whole number of at least 1")
+    if not isinstance(count, int | np.integer) or not 1 <= count <= _COUNT_MAX:
+        raise SceneError(f"count is {count}, expected a whole number from 1 to {_COUNT_MAX:,}")
     spacing = math.sqrt(area / count)
     rng = np.random.default_rng(seed)
-    creases = crease_points(mesh, face_normals, spacing / 3.0)
+    creases = crease_points(mesh, face_normals, spacing / 3.0, limit=_CREASE_POINTS_PER_GAUSSIAN * count)
     candidates = _candidates(mesh, areas, math.ceil(_CANDIDATES_PER_GAUSSIAN * count), rng)
     candidates = candidates.at(cell_order(candidates.positions, spacing))
     edge_distance = _crease_distance(candidates.positions, creases, spacing)
 
     pairs = neighbour_pairs(candidates.positions, _SEARCH_SPACINGS * spacing)
     pairs = _facing(pairs, face_normals[candidates.faces].astype(np.float32))
-    chosen = poisson_disk(pairs, _priority(edge_distance, spacing, rng), count, _SEARCH_SPACINGS * spacing)
+    chosen = poisson_disk(pairs, rng.permutation(edge_distance.size), count, _SEARCH_SPACINGS * spacing)
     points = candidates.at(chosen)
     shading_normals = _shading_normals(mesh, points, face_normals)
     axes = _axes(points.positions, _thin_axes(shading_normals, face_normals[points.faces]), creases, spacing)
@@ -95,7 +106,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     inner = edge_distance > _EDGE_ROW[0] * spacing
     wide = _grown_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
     thin = _THICKNESS * wide.max(axis=1, keepdims=True)
-    albedo = _base_colors(mesh, points)
+    albedo = base_colors(mesh, points.faces, points.weights, spacing)
     material = mesh.material
     return Gaussians(
         means=points.positions.astype(np.float32),
@@ -136,14 +147,7 @@ def _candidates(mesh: Mesh, areas: _Floats, count: int, rng: np.random.Generator
     uv = (steps + jitter) % 1.0
     uv = np.where(uv.sum(axis=1, keepdims=True) > 1.0, 1.0 - uv, uv)
     weights = np.concatenate([1.0 - uv.sum(axis=1, keepdims=True), uv], axis=1)
-    points = _SurfacePoints(np.empty(0), faces, weights)
-    return points._replace(positions=_interpolated(mesh, mesh.positions.astype(np.float64), points))
-
-
-def _interpolated(mesh: Mesh, values: _Floats, points: _SurfacePoints) -> npt.NDArray[np.float64]:
-    """Vertex values at surface points, shape (M, D)."""
-    corners = mesh.indices[points.faces]
-    return sum(points.weights[:, k, None] * values[corners[:, k]] for k in range(3))  # type: ignore[return-value]
+    return _SurfacePoints(interpolated(mesh.positions.astype(np.float64), mesh.indices[faces], weights), faces, weights)
 
 
 def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
@@ -153,17 +157,6 @@ def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) 
         near = cross_pairs(positions, creases.positions, 0.5 * spacing)
         np.minimum.at(distance, near.first, near.distance)
     return distance
-
-
-def _priority(edge_distance: _Floats, spacing: float, rng: np.random.Generator) -> npt.NDArray[np.integer]:
-    """A random order in which points just inside a crease lead, so that a row of Gaussians follows the edge."""
-    low, high = _EDGE_ROW
-    row = (edge_distance > low * spacing) & (edge_distance < high * spacing)
-    shuffled = rng.permutation(edge_distance.size)
-    order = np.concatenate([shuffled[row[shuffled]], shuffled[~row[shuffled]]])
-    priority = np.empty_like(order)
-    priority[order] = np.arange(order.size)
-    return priority
 
 
 def _facing(pairs: Pairs, normals: _Floats) -> Pairs:
@@ -176,7 +169,7 @@ def _shading_normals(mesh: Mesh, points: _SurfacePoints, face_normals: _Floats) 
     flat = face_normals[points.faces]
     if mesh.normals is None:
         return flat
-    smooth = _interpolated(mesh, mesh.normals, points)
+    smooth = interpolated(mesh.normals, mesh.indices[points.faces], points.weights)
     length = np.linalg.norm(smooth, axis=1, keepdims=True)
     return np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), flat)
 
@@ -262,32 +255,6 @@ def _covering_pairs(
     gaussians = gaussian_of[np.concatenate([pairs.first, pairs.second])]
     wanted = (gaussians >= 0) & (inner & (gaussian_of < 0))[points]
     return points[wanted], gaussians[wanted]
-
-
-def _base_colors(mesh: Mesh, points: _SurfacePoints) -> _Floats:
-    """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3)."""
-    colors = np.tile(np.asarray(mesh.material.base_color), (points.faces.size, 1))
-    if mesh.colors is not None:
-        colors *= _interpolated(mesh, mesh.colors, points)
-    if mesh.material.base_color_texture is not None and mesh.uvs is not None:
-        colors *= _texture_colors(mesh.material.base_color_texture, _interpolated(mesh, mesh.uvs, points))
-    return np.clip(colors, 0.0, 1.0)
-
-
-def _texture_colors(texture: npt.NDArray[np.uint8], uvs: _Floats) -> _Floats:
-    """Bilinearly filtered, repeating texture in linear Rec.709, shape (M, 3)."""
-    height, width = texture.shape[:2]
-    linear = decode_srgb(np.arange(256) / 255.0)
-    x, y = uvs[:, 0] % 1.0 * width - 0.5, uvs[:, 1] % 1.0 * height - 0.5
-    left, top = np.floor(x), np.floor(y)
-    right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
-    columns = [(left.astype(np.int64) + k) % width for k in (0, 1)]
-    rows = [(top.astype(np.int64) + k) % height for k in (0, 1)]
-    upper, lower = (
-        linear[texture[r, columns[0], :3]] * (1.0 - right_share) + linear[texture[r, columns[1], :3]] * right_share
-        for r in rows
-    )
-    return upper * (1.0 - bottom_share) + lower * bottom_share
 
 
 def _quaternions(axes: _Floats) -> _Floats:
