@@ -8,7 +8,6 @@ from pathlib import Path
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.io.cameras import save_cameras
 from scenes import front_camera, random_gaussians
 
 
@@ -28,7 +27,7 @@ class Workplace:
         self.folder = folder
         self._capsys = capsys
         ls.save(folder / "capture.ply", random_gaussians(1, count=60))
-        save_cameras(folder / "cameras.json", [front_camera(name="left"), front_camera(name="right")])
+        ls.save_cameras(folder / "cameras.json", [front_camera(name="left"), front_camera(name="right")])
         (folder / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
 
     def path(self, name: str) -> Path:

@@ -31,7 +31,7 @@ MAY_IMPORT = {
 }
 """Layer -> the layers of ours that its modules may import. ``public`` is ``import lumisplat`` and its names."""
 
-LAZY = {"render.frame": {"io"}, "cli.demo": {"io"}, "cli.render": {"io"}}
+LAZY = {"render.frame": {"io"}}
 """Modules that write files, and import the writers inside the functions that do."""
 
 

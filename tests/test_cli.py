@@ -17,7 +17,7 @@ from cli_files import Workplace
 from lumisplat.cli import main
 from lumisplat.cli.framing import framing_camera
 from lumisplat.io.image import read_image
-from scenes import random_gaussians
+from scenes import front_camera, random_gaussians
 
 
 @pytest.fixture
@@ -132,6 +132,15 @@ def test_layers_in_exr(work):
     assert np.isinf(channels["depth.Z"][0, 0])
 
 
+def test_background_of_exr(work, caplog):
+    """A background asked for with EXR is said to be left out, in one line; without, nothing is said."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.exr")
+    assert work.run(*args).status == 0
+    assert caplog.text == ""
+    assert work.run(*args, "--background", "white").status == 0
+    assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["--background is not used"]
+
+
 def test_stats(work):
     """--stats names each stage and counts the Gaussians."""
     outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
@@ -163,6 +172,16 @@ def test_info(work):
     assert f"median {np.median(scales):.4g}   99 %" in outcome.out
     for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
         assert text in outcome.out
+
+
+def test_info_tells_entries_apart(work):
+    """Meshes of one entry are numbered and named, and frames are listed under the names of their files."""
+    work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
+    work.path("scene.toml").write_text('[[meshes]]\npath = "two.obj"\nname = "lamp"\n')
+    ls.save_cameras(work.path("spaced.json"), [front_camera(name="back left")])
+    outcome = work.run("info", "@scene.toml", "@spaced.json")
+    assert "mesh 0   lamp / wood" in outcome.out and "mesh 1   lamp / brass" in outcome.out
+    assert "back_left" in outcome.out
 
 
 def test_info_shows_text_as_it_is(work):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import pytest
 import warp as wp
 
+import lumisplat as ls
 from cli_files import Workplace
 from lumisplat.cli.arguments import one_line
 
@@ -157,6 +159,37 @@ def test_messages_are_about_the_file(work, name, data):
     assert said
     for internal in ("Error", "codec", "object at", "has no attribute", "BytesIO", "not subscriptable", "argument"):
         assert internal not in said
+
+
+def test_output_is_tried_before_loading(work):
+    """A folder that cannot be written to is said before anything is loaded."""
+    outcome = work.run("render", "@missing.ply", "-o", "/proc/lumisplat")
+    assert outcome.err.startswith("error: /proc/lumisplat: cannot be written")
+
+
+def test_demo_checks_before_it_builds(work, monkeypatch):
+    """A bad width is refused before the scene is built, and leaves no folder behind."""
+    monkeypatch.setattr(ls, "demo_scene", lambda report: pytest.fail("the scene was built"))
+    outcome = work.run("demo", "-o", "@demo", "--width", "0")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "width is 0" in outcome.err
+    assert not work.path("demo").exists()
+
+
+def test_no_place_for_kernels(work):
+    """Where Warp cannot make its cache, the error says what it was for and how to move it."""
+    environment = {name: value for name, value in os.environ.items() if name != "WARP_CACHE_PATH"}
+    command = [sys.executable, "-m", "lumisplat", "render", "mesh.obj", "-o", "a.png", "--device", "cpu"]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        cwd=work.folder,
+        env=environment | {"HOME": "/proc/nohome", "XDG_CACHE_HOME": "/proc/nohome"},
+        check=False,
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "cache of compiled kernels" in done.stderr and "WARP_CACHE_PATH" in done.stderr
 
 
 def test_names_too_long(work):

@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.framing import bulk_bounds, framing_camera
 from lumisplat.cli.outputs import file_stems, plan_shots
-from lumisplat.cli.pictures import layer_picture
+from lumisplat.render.pictures import layer_picture
 from scenes import front_camera, joined, one_gaussian, quad, random_gaussians
 
 

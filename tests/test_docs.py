@@ -9,7 +9,6 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.io.cameras import save_cameras
 from scenes import front_camera, random_gaussians
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,7 +32,7 @@ def test_python_of_the_docs_runs(program, tmp_path, monkeypatch):
     """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))
-    save_cameras(Path("transforms.json"), [front_camera(name="0001")])
+    ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
     exec(compile(program, "docs", "exec"), {})
 

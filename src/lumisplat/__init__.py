@@ -14,7 +14,7 @@ if TYPE_CHECKING:
         LumisplatError,
         SceneError,
     )
-    from lumisplat.io import load, load_cameras, save
+    from lumisplat.io import load, load_cameras, save, save_cameras
     from lumisplat.render.frame import Frame
     from lumisplat.render.renderer import Renderer, create_renderer, render
     from lumisplat.scene.camera import Camera
@@ -55,6 +55,7 @@ _HOME = {
     "load_cameras": "io",
     "render": "render.renderer",
     "save": "io",
+    "save_cameras": "io",
 }
 
 __all__ = [
@@ -84,6 +85,7 @@ __all__ = [
     "load_cameras",
     "render",
     "save",
+    "save_cameras",
 ]
 
 

@@ -68,6 +68,34 @@ def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> 
     np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
 
 
+def test_layers_are_chosen(frame: ls.Frame, tmp_path: Path) -> None:
+    """Layers that are named go into an EXR, no others; beside a PNG they are pictures; a typo writes nothing."""
+    frame.save(tmp_path / "a.exr", ["depth"])
+    assert read_image(tmp_path / "a.exr").keys() == {"R", "G", "B", "A", "depth.Z"}
+    frame.save(tmp_path / "b.png", ["normal"])
+    assert {path.name for path in tmp_path.iterdir()} == {"a.exr", "b.png", "b.normal.png"}
+    with pytest.raises(ls.ConfigError, match="unknown layer 'dept'"):
+        frame.save(tmp_path / "c.png", ["dept"])
+    assert not (tmp_path / "c.png").exists()
+
+
+def test_no_index_is_the_largest_in_exr(frame: ls.Frame, tmp_path: Path) -> None:
+    """Where there is nothing, index layers say 4294967295, as the guide says."""
+    frame.save(tmp_path / "a.exr", ["instance_index"])
+    index = read_image(tmp_path / "a.exr")["index.instance"]
+    assert index.dtype == np.uint32
+    assert (index[frame.instance_index == -1] == 4294967295).all() and (frame.instance_index == -1).any()
+
+
+def test_reprs_are_short(frame: ls.Frame) -> None:
+    """A frame, a capture and a mesh show what they are, not their arrays."""
+    gaussians = scenes.random_gaussians(3, count=40)
+    assert len(gaussians) == 40
+    assert repr(gaussians) == f"Gaussians(count=40, sh_degree={gaussians.sh_degree})"
+    assert repr(frame) == "Frame(40 x 30, name='', background=(0.5, 0.25, 0.125))"
+    assert repr(scenes.octahedron((0.4, 0.2, 4.0), 0.5)) == "Mesh(name='', vertices=6, faces=8, normals)"
+
+
 def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
     """Arrays come back as they were."""
     frame.save(tmp_path / "a.npz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 import time
 from dataclasses import dataclass
@@ -62,8 +63,10 @@ class Bench(DeviceCommand):
             (f"frame, median of {self.repeats}", f"{statistics.median(frame_ms):8.1f} ms"),
             *stage_rows(medians),
             *count_rows(frame),
-            ("peak of the process", byte_size(_peak_bytes())),
         ]
+        peak = _peak_bytes()
+        if peak is not None:
+            rows.append(("peak of the process", byte_size(peak)))
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
 
     def _camera(self, cameras: list[ls.Camera] | None, scene: ls.Scene) -> ls.Camera:
@@ -74,9 +77,14 @@ class Bench(DeviceCommand):
         return cameras[0].scaled(self.width)
 
 
-def _peak_bytes() -> int:
-    import resource
-    import sys
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak  # kilobytes everywhere but on macOS
+def _peak_bytes() -> int | None:
+    """The largest resident size so far; None where the system does not tell (Windows)."""
+    status = Path("/proc/self/status")
+    if status.exists():  # ru_maxrss would include what started this process
+        found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())
+        return 1024 * int(found[1]) if found else None
+    try:
+        import resource
+    except ImportError:
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS

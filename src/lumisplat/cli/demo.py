@@ -11,7 +11,7 @@ from tyro.conf import arg
 import lumisplat as ls
 from lumisplat.cli.console import progress_bars
 from lumisplat.cli.options import DeviceCommand, Flag
-from lumisplat.cli.outputs import make_folder, plan_shots
+from lumisplat.cli.outputs import check_writable, make_folder, plan_shots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,14 +27,15 @@ class Demo(DeviceCommand):
 
     def run(self) -> None:
         """Builds, renders, writes."""
+        cameras = ls.demo_cameras()
+        shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
+        check_writable(self.output)
         with progress_bars() as report:
             renderer = self.start_renderer(report)
-            make_folder(self.output)
+            make_folder(shots[0].path.parent)
             scene = ls.demo_scene(report)
-            cameras = ls.demo_cameras()
             if self.save_assets:
                 self._save_assets(scene, cameras)
-            shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
             for done, shot in enumerate(shots):
                 report("rendering", done / len(shots))
                 renderer.render(scene, shot.camera).save(shot.path)
@@ -42,7 +43,5 @@ class Demo(DeviceCommand):
             print(shot.path)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
-        from lumisplat.io.cameras import save_cameras
-
         ls.save(self.output / "demo.ply", scene.splats[0].gaussians)
-        save_cameras(self.output / "transforms.json", cameras)
+        ls.save_cameras(self.output / "transforms.json", cameras)

@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.console import byte_size, print_table, progress_bars
 from lumisplat.cli.options import Command, Flag, size_on_disk
+from lumisplat.cli.outputs import file_stems
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -56,9 +57,10 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
     low, high = scene.bounds()
     print_table(str(path), [("kind", "scene"), size, counts, ("bounds", _box(low, high))])
     for index, splat in enumerate(scene.splats):
-        print_table(f"  capture {splat.name or index}", _gaussian_rows(splat.gaussians))
+        print_table(f"  capture {index}   {splat.name}", _gaussian_rows(splat.gaussians))
     for index, mesh in enumerate(scene.meshes):
-        print_table(f"  mesh {mesh.name or mesh.mesh.name or index}", _mesh_rows(mesh.mesh))
+        names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
+        print_table(f"  mesh {index}   {' / '.join(names)}", _mesh_rows(mesh.mesh))
 
 
 def _gaussian_rows(gaussians: ls.Gaussians) -> Rows:
@@ -106,7 +108,7 @@ def _camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
 
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
     eyes = np.array([camera.eye for camera in cameras])
-    names = [camera.name for camera in cameras]
+    names = file_stems([camera.name for camera in cameras])
     return [
         ("kind", "cameras"),
         ("frames", f"{len(cameras):,}"),

@@ -38,10 +38,20 @@ class DeviceCommand(Command):
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
     ) -> ls.Renderer:
-        """A renderer on the device, its kernels compiled, with Warp kept quiet unless debugging."""
-        if not self.debug:
-            quiet_warp()
-        return ls.create_renderer(config, self.device, profile=profile, progress=report)
+        """A renderer on the device, its kernels compiled, with Warp kept quiet unless debugging.
+
+        Raises:
+            DeviceError: There is no such device, or no place for the compiled kernels.
+        """
+        try:
+            if not self.debug:
+                quiet_warp()
+            return ls.create_renderer(config, self.device, profile=profile, progress=report)
+        except OSError as error:
+            raise ls.DeviceError(
+                f"{error.filename}: cannot hold the cache of compiled kernels ({error.strerror}): set the environment "
+                "variable WARP_CACHE_PATH to a folder that can be written to"
+            ) from error
 
 
 def parse_background(text: str) -> tuple[float, float, float] | None:

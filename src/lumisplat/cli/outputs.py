@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mimetypes
 import re
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +71,25 @@ def file_stems(names: Sequence[str]) -> list[str]:
         taken.add(stem.casefold())
         stems.append(stem)
     return stems
+
+
+def check_writable(output: Path) -> None:
+    """Tries whether pictures can be written, before anything slow is done; leaves nothing behind.
+
+    Args:
+        output: As for `plan_shots`.
+
+    Raises:
+        FormatError: A file is in the way, or the folder that is there already cannot be written to.
+    """
+    folder = output.parent if output.suffix.lower().removeprefix(".") in FORMATS else output
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise ls.FormatError(existing, "is a file, expected a folder for the pictures")
+    try:
+        tempfile.TemporaryFile(dir=existing).close()
+    except OSError as error:
+        raise ls.FormatError(output, f"cannot be written, nothing can in {existing}: {error.strerror}") from None
 
 
 def make_folder(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,8 +12,10 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.console import progress_bars
 from lumisplat.cli.options import DeviceCommand, Flag, load_scene, parse_background
-from lumisplat.cli.outputs import Shot, make_folder, plan_shots
+from lumisplat.cli.outputs import Shot, check_writable, make_folder, plan_shots
 from lumisplat.cli.stats import print_stats
+
+_log = logging.getLogger("lumisplat")
 
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index")
 
@@ -36,8 +39,8 @@ class Render(DeviceCommand):
     """Image width; alone, it keeps the camera's aspect ratio."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image height; alone, it keeps the camera's aspect ratio."""
-    background: Annotated[str, arg(metavar="COLOR")] = "black"
-    """black, white, transparent, #rrggbb, or r,g,b in 0..1."""
+    background: Annotated[str | None, arg(metavar="COLOR", help_behavior_hint="")] = None
+    """black (the default), white, transparent, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
     format: Literal["auto", "png", "exr", "npz"] = "auto"
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
@@ -56,35 +59,42 @@ class Render(DeviceCommand):
         """Renders and writes the pictures."""
         layers = parse_layers(self.aov)
         config = ls.RenderConfig(
-            background=parse_background(self.background),
+            background=parse_background(self.background or "black"),
             raster=ls.RasterConfig(antialiasing=ls.Antialiasing(self.antialiasing), sh_degree=self.sh_degree),
         )
         # What fails fast comes first: cameras and device before a capture of a gigabyte.
-        cameras = None
-        if self.cameras is not None:
-            cameras = ls.load_cameras(self.cameras, width=self.width, height=self.height)
+        shots = None if self.cameras is None else self._shots(self._loaded_cameras(self.cameras))
+        check_writable(self.output)
         with progress_bars() as report:
             renderer = self.start_renderer(report, config, profile=self.stats)
             scene = load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
-            shots = plan_shots(self._sized(cameras, scene), self.frame, self.output, self.format)
+            shots = shots or self._shots([self._framing_camera(scene)])
             make_folder(shots[0].path.parent)
             report("rendering", 0.0)
             for done, shot in enumerate(shots, start=1):
                 frame = renderer.render(scene, shot.camera)
-                save_frame(frame, shot.path, layers)
+                frame.save(shot.path, layers)
                 report("rendering", done / len(shots))
                 if self.stats and done == len(shots):
                     print_stats(frame)
         print(_summary(shots))
 
-    def _sized(self, cameras: list[ls.Camera] | None, scene: ls.Scene) -> list[ls.Camera]:
-        if cameras is not None:
-            return [camera.scaled(self.width, self.height) for camera in cameras]
+    def _loaded_cameras(self, path: Path) -> list[ls.Camera]:
+        cameras = ls.load_cameras(path, width=self.width, height=self.height)
+        return [camera.scaled(self.width, self.height) for camera in cameras]
+
+    def _framing_camera(self, scene: ls.Scene) -> ls.Camera:
         from lumisplat.cli.framing import framing_camera
 
         if self.width is not None and self.height is not None:
-            return [framing_camera(scene, self.up, self.width, self.height)]
-        return [framing_camera(scene, self.up).scaled(self.width, self.height)]
+            return framing_camera(scene, self.up, self.width, self.height)
+        return framing_camera(scene, self.up).scaled(self.width, self.height)
+
+    def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
+        shots = plan_shots(cameras, self.frame, self.output, self.format)
+        if self.background is not None and shots[0].path.suffix.lower() == ".exr":
+            _log.warning("--background is not used: an EXR holds premultiplied colour and alpha, without a background")
+        return shots
 
 
 def parse_layers(text: str) -> tuple[str, ...]:
@@ -98,21 +108,6 @@ def parse_layers(text: str) -> tuple[str, ...]:
         if name not in LAYERS:
             raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(LAYERS)}")
     return names
-
-
-def save_frame(frame: ls.Frame, path: Path, layers: tuple[str, ...]) -> None:
-    """Writes a frame: ``layers`` go into an EXR, or beside a PNG as pictures; an NPZ has everything."""
-    from lumisplat.io.image import write_exr, write_png
-
-    if path.suffix.lower() == ".exr":
-        write_exr(path, frame.layers(layers))
-        return
-    frame.save(path)
-    if path.suffix.lower() == ".png":
-        from lumisplat.cli.pictures import layer_picture
-
-        for layer in layers:
-            write_png(path.with_suffix(f".{layer}.png"), layer_picture(frame, layer))
 
 
 def _summary(shots: list[Shot]) -> str:

@@ -1,8 +1,8 @@
-"""Files to scenes and back: `load`, `save` and `load_cameras` choose the format. Modules are imported when needed."""
+"""Files to scenes and back: `load`, `save`, `load_cameras`, `save_cameras`. Modules are imported when needed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-__all__ = ["load", "load_cameras", "save"]
+__all__ = ["load", "load_cameras", "save", "save_cameras"]
 
 Progress = Callable[[float], None]
 
@@ -158,3 +158,19 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
     from lumisplat.io import cameras
 
     return cameras.load_cameras(path, width, height)
+
+
+def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
+    """Saves cameras as a `transforms.json` that `load_cameras` and nerfstudio read.
+
+    Args:
+        path: Where to. The file appears complete or not at all.
+        cameras: At least one; names become the frames' file paths.
+
+    Raises:
+        SceneError: There is no camera.
+        FormatError: The file cannot be written.
+    """
+    from lumisplat.io import cameras as files
+
+    files.save_cameras(path, cameras)

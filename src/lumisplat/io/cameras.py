@@ -60,16 +60,7 @@ def load_cameras(path: PathLike, width: int | None = None, height: int | None = 
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
-    """Writes a `transforms.json` that `load_cameras` and nerfstudio read.
-
-    Args:
-        path: Where to.
-        cameras: At least one; names become the frames' file paths.
-
-    Raises:
-        SceneError: There is no camera.
-        FormatError: The file cannot be written.
-    """
+    """See `lumisplat.io.save_cameras`."""
     if not cameras:
         raise SceneError("no cameras to save")
     frames = [

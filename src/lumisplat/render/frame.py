@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import ConfigError, FormatError
+from lumisplat.render.pictures import layer_picture
 from lumisplat.scene.arrays import FloatArray, IntArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
@@ -62,6 +63,10 @@ class Frame:
     """What ``color`` lies over, in ``color_space``; None: transparent."""
     stats: FrameStats | None = field(default=None)
 
+    def __repr__(self) -> str:
+        camera = self.camera
+        return f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background})"
+
     @property
     def depth_z(self) -> FloatArray:
         """View depth of the surface, (H, W)."""
@@ -82,23 +87,33 @@ class Frame:
         alpha = self.alpha[..., None]
         return np.divide(self.premultiplied(), alpha, out=np.zeros_like(self.color), where=alpha > 0.0)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], layers: Collection[str] | None = None) -> None:
         """Writes the frame; the extension chooses how.
 
         ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none. ``.exr``: 32-bit linear
         Rec.709 ``R G B A`` without the background, alpha premultiplied, and the layers ``depth.Z``,
-        ``normal.X/Y/Z``, ``index.gaussian``, ``index.instance`` in one part. ``.npz``: every array of the frame as is.
+        ``normal.X/Y/Z``, ``index.gaussian``, ``index.instance`` in one part; an index is a 32-bit unsigned integer,
+        and 4294967295 says "none". ``.npz``: every array of the frame as is.
+
+        Args:
+            path: Where to.
+            layers: Some of ``depth``, ``normal``, ``gaussian_index``, ``instance_index``: channels of the EXR (None:
+                all four), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all.
 
         Raises:
+            ConfigError: A name is not a layer.
             FormatError: The extension is none of these, or the file cannot be written.
         """
         from lumisplat.io import image
 
         suffix = Path(path).suffix.lower()
         if suffix == ".png":
+            pictures = {_layer(name): layer_picture(self, name) for name in layers or ()}
             image.write_png(path, self.pixels_srgb())
+            for name, picture in pictures.items():
+                image.write_png(Path(path).with_suffix(f".{name}.png"), picture)
         elif suffix == ".exr":
-            image.write_exr(path, self.layers())
+            image.write_exr(path, self.layers(LAYERS if layers is None else layers))
         elif suffix == ".npz":
             image.write_npz(path, self.arrays())
         else:
@@ -125,12 +140,16 @@ class Frame:
             "instance_index": {"index.instance": self.instance_index},
         }
         for name in names:
-            if name not in aovs:
-                raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(aovs)}")
-            channels |= aovs[name]
+            channels |= aovs[_layer(name)]
         return channels
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every image by name."""
         names = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index")
         return {name: getattr(self, name) for name in names}
+
+
+def _layer(name: str) -> str:
+    if name not in LAYERS:
+        raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(LAYERS)}")
+    return name

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 
-import lumisplat as ls
+if TYPE_CHECKING:
+    from lumisplat.render.frame import Frame
 
 _RAMP = np.array(
     [
@@ -20,7 +23,7 @@ _RAMP = np.array(
 """Dark blue over green to red: equal steps of depth stay apart, which a grey ramp does not show."""
 
 
-def layer_picture(frame: ls.Frame, layer: str) -> npt.NDArray[np.float32]:
+def layer_picture(frame: Frame, layer: str) -> npt.NDArray[np.float32]:
     """Display-referred colours for one layer of ``frame``, shape (H, W, 3), 0..1.
 
     Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, indices get a colour of
