@@ -40,4 +40,6 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python examples/points_from_depth.py CAPTURE")
     main(sys.argv[1])

@@ -38,4 +38,6 @@ def main(path: str, count: int = 12) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python examples/turntable.py CAPTURE")
     main(sys.argv[1])

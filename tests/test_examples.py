@@ -14,6 +14,15 @@ EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"
 TAKES_A_CAPTURE = ("compose_scene", "points_from_depth", "turntable")
 
 
+@pytest.mark.parametrize("name", TAKES_A_CAPTURE)
+def test_example_says_what_it_takes(name, monkeypatch):
+    """Without its argument, an example ends with a line on how to call it."""
+    (example,) = (path for path in EXAMPLES if path.stem == name)
+    monkeypatch.setattr("sys.argv", [str(example)])
+    with pytest.raises(SystemExit, match=f"usage: python examples/{name}.py CAPTURE"):
+        runpy.run_path(str(example), run_name="__main__")
+
+
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(example, tmp_path, monkeypatch):
     """An example ends without an error and leaves a file in out/."""

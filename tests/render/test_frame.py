@@ -104,6 +104,12 @@ def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
             np.testing.assert_array_equal(saved[name], array)
 
 
+def test_only_scenes_are_rendered() -> None:
+    """A bare capture is refused with how to make a scene of it."""
+    with pytest.raises(ls.SceneError, match=r"takes a Scene, got Gaussians: ls\.Scene\(splats="):
+        ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # type: ignore[arg-type]
+
+
 def test_image_beyond_the_indices_is_refused() -> None:
     """An image too large for 32-bit indices is an error before anything is allocated."""
     with pytest.raises(ls.SceneError, match="at most 200,000,000 pixels"):

@@ -73,6 +73,12 @@ def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> 
         {"eye": (0, 0, 0), "target": (0, 0, 1), "up": (0, 0, 0)},
         {"eye": (0, 0, 0), "target": (0, 0, 1), "fov_y": 0.0},
         {"eye": (0, 0, 0), "target": (0, 0, 1), "fov_y": 3.2},
+        {"eye": (0, 0, 0), "target": (0, 0, 1), "fov_y": "wide"},
+        {"eye": (0, 0, 0), "target": (0, 0, 1), "height": "tall"},
+        {"eye": (0, 0), "target": (0, 0, 1)},
+        {"eye": "here", "target": (0, 0, 1)},
+        {"eye": (0, 0, 0), "target": ((0, 0), (1,))},
+        {"eye": (0, 0, 0), "target": (0, 0, 1), "up": (0, float("nan"), 0)},
     ],
 )
 def test_impossible_views_are_refused(arguments: dict[str, object]) -> None:

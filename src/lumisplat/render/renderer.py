@@ -51,8 +51,10 @@ class Renderer:
 
         Raises:
             DeviceError: The device is out of memory.
-            SceneError: The scene or the image is larger than 32-bit indices reach.
+            SceneError: The scene is none, or it or the image is larger than 32-bit indices reach.
         """
+        if not isinstance(scene, Scene):
+            raise SceneError(f"render takes a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
         if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
             raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
         if camera.width * camera.height > IMAGE_PIXELS_MAX:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import NEAR_PLANE
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import matrix_4x4
+from lumisplat.scene.arrays import is_number, matrix_4x4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -42,13 +42,10 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float | np.number) or not 1 <= value <= 65536 or value != int(value):
-                raise SceneError(f"camera {name} is {value}, expected a whole number from 1 to 65536")
-            object.__setattr__(self, name, int(value))
+            object.__setattr__(self, name, _pixel_count(name, getattr(self, name)))
         for name in ("fx", "fy", "near", "cx", "cy"):
             value = getattr(self, name)
-            if not isinstance(value, int | float | np.number) or not math.isfinite(value):
+            if not is_number(value) or not math.isfinite(value):
                 raise SceneError(f"camera {name} is {value}, expected a finite number")
             if name in ("fx", "fy", "near") and value <= 0.0:
                 raise SceneError(f"camera {name} is {value}, expected a positive number")
@@ -85,10 +82,12 @@ class Camera:
             name: Name of the frame.
 
         Raises:
-            SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, or the field of view is out of range.
+            SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
+                or something is not of its shape.
         """
-        eye, target, up = (np.asarray(v, dtype=np.float64) for v in (eye, target, up))
-        if not 0.0 < fov_y < math.pi:
+        width, height = _pixel_count("width", width), _pixel_count("height", height)
+        eye, target, up = _point("eye", eye), _point("target", target), _point("up", up)
+        if not is_number(fov_y) or not 0.0 < fov_y < math.pi:
             raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
         forward = target - eye
         right = np.cross(forward, up)
@@ -138,3 +137,19 @@ class Camera:
             height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+
+def _pixel_count(name: str, value: float) -> int:
+    if not is_number(value) or not 1 <= value <= 65536 or value != int(value):
+        raise SceneError(f"camera {name} is {value}, expected a whole number from 1 to 65536")
+    return int(value)
+
+
+def _point(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    try:
+        point = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        point = np.empty(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise SceneError(f"camera {name} is {values}, expected three finite numbers")
+    return point

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import kept
+from lumisplat.scene.arrays import is_number, kept
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -30,18 +30,22 @@ class MaterialPbr:
     ior: float = 1.5
     """Index of refraction, >= 1."""
     base_color_texture: npt.NDArray[np.uint8] | None = None
-    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF)."""
+    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF). Alpha is ignored: meshes are opaque."""
     name: str = ""
 
     def __post_init__(self) -> None:
-        color = tuple(float(c) for c in self.base_color)
-        object.__setattr__(self, "base_color", color)
+        try:
+            color = tuple(float(c) for c in self.base_color)
+        except (TypeError, ValueError):
+            color = ()
         if len(color) != 3 or not all(0.0 <= c <= 1.0 for c in color):
-            raise SceneError(f"base_color is {color}, expected three numbers in 0..1")
+            raise SceneError(f"base_color is {self.base_color}, expected three numbers in 0..1")
+        object.__setattr__(self, "base_color", color)
         for name in ("metallic", "roughness", "specular"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise SceneError(f"{name} is {getattr(self, name)}, expected 0..1")
-        if not 1.0 <= self.ior < np.inf:
+            value = getattr(self, name)
+            if not is_number(value) or not 0.0 <= value <= 1.0:
+                raise SceneError(f"{name} is {value}, expected 0..1")
+        if not is_number(self.ior) or not 1.0 <= self.ior < np.inf:
             raise SceneError(f"ior is {self.ior}, expected at least 1")
         if self.base_color_texture is not None:
             texture = np.asarray(self.base_color_texture)
