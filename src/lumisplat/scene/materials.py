@@ -30,7 +30,7 @@ class MaterialPbr:
     ior: float = 1.5
     """Index of refraction, >= 1."""
     base_color_texture: npt.NDArray[np.uint8] | None = None
-    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF). Alpha is ignored: meshes are opaque."""
+    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); alpha is ignored."""
     name: str = ""
 
     def __post_init__(self) -> None:
