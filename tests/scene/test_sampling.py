@@ -201,7 +201,7 @@ def test_fine_textures_are_averaged_in_linear_light() -> None:
     gaussians = gaussians_from_mesh(textured(np.repeat(noise, 3, axis=2)), COUNT)
     assert gaussians.albedo is not None
     assert abs(gaussians.albedo.mean() - 0.5) < 0.01
-    assert gaussians.albedo.std() < 0.05
+    assert gaussians.albedo.std() < 0.07
 
 
 def test_textures_keep_their_place_and_colour_at_every_level() -> None:

@@ -101,8 +101,8 @@ def _captured(rng: np.random.Generator) -> list[tuple[Mesh, float]]:
 def _in_daylight(capture: Gaussians, meshes: list[Mesh]) -> tuple[Gaussians, list[Mesh]]:
     """Both with the daylight baked in, each casting shadows on the other."""
     # The wall with the window is thick: woodwork that reaches into it must not find the sun behind it.
-    outside = capture.means[capture.means[:, 0] < demo_room.LEFT + 1e-3] - np.float32([0.08, 0.0, 0.0])
-    casters = np.concatenate([capture.means, outside, *(_dense_points(mesh, DAYLIGHT.texel) for mesh in meshes)])
+    outside = capture.means[capture.means[:, 0] < demo_room.LEFT + 1e-3] - np.array([0.08, 0.0, 0.0], dtype=np.float32)
+    casters = np.concatenate([capture.means, outside, *(_dense_points(mesh, 2.0 * DAYLIGHT.texel) for mesh in meshes)])
     receivers = np.concatenate([capture.means, *(mesh.positions for mesh in meshes)])
     normals = np.concatenate([_array(capture.normals), *(_array(mesh.normals) for mesh in meshes)])
     light = irradiance(casters, receivers, normals, DAYLIGHT)
@@ -113,14 +113,15 @@ def _in_daylight(capture: Gaussians, meshes: list[Mesh]) -> tuple[Gaussians, lis
 
 
 def _dense_points(mesh: Mesh, spacing: float) -> np.ndarray:
-    """Points on all triangles, no further apart than ``spacing`` along their edges."""
+    """The vertices, and points on all triangles no further apart than ``spacing`` along their edges."""
     corners = mesh.positions[mesh.indices]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.ceil(longest / spacing).astype(int)
-    points = []
+    points = [mesh.positions]
     for count in np.unique(steps):
         i, j = np.nonzero(np.add.outer(np.arange(count + 1), np.arange(count + 1)) <= count)
         weights = np.stack([i, j, count - i - j], axis=1) / count
+        weights = weights[weights.max(axis=1) < 1.0]
         points.append(np.einsum("pk,fkd->fpd", weights, corners[steps == count]).reshape(-1, 3))
     return np.concatenate(points)
 

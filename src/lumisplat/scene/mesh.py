@@ -74,7 +74,7 @@ class Mesh:
         return self.positions.min(axis=0), self.positions.max(axis=0)
 
     def _filled(self, normals: FloatArray) -> FloatArray:
-        missing = ~normals.any(axis=1)
+        missing = np.abs(normals).max(axis=1) == 0.0
         if not missing.any():
             return normals
         a, b, c = self.positions.astype(np.float64)[self.indices].swapaxes(0, 1)
@@ -83,6 +83,6 @@ class Mesh:
         for k in range(3):
             np.add.at(around, self.indices[:, k], doubled_areas)
         # Scaled, for areas of small meshes leave float32. Vertices without any area around are never seen.
-        around /= np.maximum(np.abs(around).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        around[~around.any(axis=1)] = (0.0, 1.0, 0.0)
+        largest = np.abs(around).max(axis=1, keepdims=True)
+        around = np.where(largest > 0.0, around / np.where(largest > 0.0, largest, 1.0), (0.0, 1.0, 0.0))
         return np.where(missing[:, None], around, normals).astype(np.float32)

@@ -62,8 +62,8 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     Centres are blue noise: candidates stratified by area, thinned by Poisson-disk elimination. The thin axis is the
     surface normal; the wide ones grow from the local spacing until no hole is left, and shrink towards creases and open
     edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
-    colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about a spacing
-    (a pyramid, Williams 1983); their alpha is ignored.
+    colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about half
+    a spacing, for discs blur by themselves (pyramid, Williams 1983); their alpha is ignored.
 
     Args:
         mesh: Object-space triangles. Triangles of no area are skipped.
@@ -106,7 +106,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     inner = edge_distance > _EDGE_ROW[0] * spacing
     wide = _grown_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
     thin = _THICKNESS * wide.max(axis=1, keepdims=True)
-    albedo = base_colors(mesh, points.faces, points.weights, spacing)
+    albedo = base_colors(mesh, points.faces, points.weights, 0.5 * spacing)
     material = mesh.material
     return Gaussians(
         means=points.positions.astype(np.float32),

@@ -17,14 +17,14 @@ def interpolated(values: _Floats, corners: _Ints, weights: _Floats) -> npt.NDArr
     return sum(weights[:, k, None] * values[corners[:, k]] for k in range(3))  # type: ignore[return-value]
 
 
-def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, spacing: float) -> _Floats:
+def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
     """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
 
     Args:
         mesh: Triangles.
         faces: Triangle of each point, shape (M,).
         weights: Barycentric coordinates there, shape (M, 3).
-        spacing: Width over which the texture is averaged, scene units.
+        width: Over which the texture is averaged, scene units.
     """
     corners = mesh.indices[faces]
     colors = np.tile(np.asarray(mesh.material.base_color), (faces.size, 1))
@@ -32,19 +32,19 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, spacing: float) -> _
         colors *= interpolated(mesh.colors, corners, weights)
     texture = mesh.material.base_color_texture
     if texture is not None and mesh.uvs is not None:
-        level = _texture_levels(mesh, texture.shape[0] * texture.shape[1], spacing)[faces]
+        level = _texture_levels(mesh, texture.shape[0] * texture.shape[1], width)[faces]
         colors *= _filtered(texture, interpolated(mesh.uvs, corners, weights), level)
     return np.clip(colors, 0.0, 1.0)
 
 
-def _texture_levels(mesh: Mesh, texel_count: int, spacing: float) -> _Floats:
-    """Pyramid level of each face whose texels are ``spacing`` wide, as a mean over both directions, shape (F,)."""
+def _texture_levels(mesh: Mesh, texel_count: int, width: float) -> _Floats:
+    """Pyramid level of each face whose texels are ``width`` wide, as a mean over both directions, shape (F,)."""
     assert mesh.uvs is not None
     a, b, c = mesh.positions.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     p, q, r = mesh.uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
-    texels2 = spacing**2 * texel_count * uv_area / np.where(area > 0.0, area, np.inf)
+    texels2 = width**2 * texel_count * uv_area / np.where(area > 0.0, area, np.inf)
     return 0.5 * np.log2(np.maximum(texels2, 1.0))
 
 
