@@ -30,10 +30,13 @@ COMMANDS = sorted(
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_python_of_the_docs_runs(program, tmp_path, monkeypatch):
     """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
+    import trimesh
+
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))
     ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
+    trimesh.creation.box().export("statue.glb")
     exec(compile(program, "docs", "exec"), {})
 
 
