@@ -220,9 +220,11 @@ def test_interrupt(work, monkeypatch):
 
 def test_a_reader_that_has_gone(work):
     """Printing into a closed pipe, as before ``| head -1``, ends without a word."""
-    for arguments in ("--help", "info capture.ply", "info capture.ply capture.ply"):
+    for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
         command = [sys.executable, "-m", "lumisplat", *arguments.split()]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=work.folder) as process:
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"}  # the pipe is met inside the command, not after it
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen(command, **pipes, cwd=work.folder, env=environment) as process:
             assert process.stdout and process.stderr
             process.stdout.close()
             assert process.stderr.read() == b""
