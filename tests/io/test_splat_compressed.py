@@ -108,6 +108,8 @@ def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert saved_with(means) == ""
     stray = np.concatenate([means, [[1e4, 0.0, 0.0]]])
     assert "the positions of 256 Gaussians" in saved_with(stray)  # one chunk, where the curve runs last along x
+    farther = np.concatenate([means, [[1e8, 0.0, 0.0]]])
+    assert "the positions of 256 Gaussians" in saved_with(farther)  # and only that one, however far the stray
 
 
 def test_morton_order_of_a_point() -> None:

@@ -201,12 +201,16 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 
 def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
-    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells an axis."""
-    low = positions.min(axis=0).astype(np.float64)
-    extent = np.maximum(positions.max(axis=0) - low, np.finfo(np.float32).tiny)
+    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells an axis.
+
+    The curve spans all but a thousandth of the points at each end: one stray must not squeeze the others into one cell.
+    """
+    low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
+    extent = np.maximum(high - low, np.finfo(np.float32).tiny)
     code = np.zeros(len(positions), dtype=np.uint64)
     for axis in range(3):
-        bits = ((positions[:, axis] - low[axis]) / extent[axis] * (2**21 - 1)).astype(np.uint64)
+        share = np.clip((positions[:, axis] - low[axis]) / extent[axis], 0.0, 1.0)
+        bits = (share * (2**21 - 1)).astype(np.uint64)
         # Spreads 21 bits to every third place, halving the groups that move together at each step.
         for shift, mask in (
             (32, 0x1F00000000FFFF),
