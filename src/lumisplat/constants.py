@@ -42,6 +42,70 @@ SH_DEGREE_MAX = 3
 SH_C0 = 0.28209479177387814
 """Y_00 = 1 / (2 sqrt(pi))."""
 
+# --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
+
+SAMPLING_SPACINGS_PER_DIAGONAL = 300
+"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some
+70,000 to 100,000 Gaussians for a compact object."""
+
+SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
+"""Bounds of the default count."""
+
+SAMPLING_COUNT_MAX = 50_000_000
+"""Candidates and pairs take about 1 KB a Gaussian: this is 50 GB and a quarter of an hour."""
+
+SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
+"""Points to choose from: Poisson-disk elimination needs several times as many as it keeps."""
+
+SAMPLING_SEARCH_SPACINGS = 0.86
+"""First radius of the elimination, which shrinks until the count is met; the densest packing of discs reaches 1.07."""
+
+SAMPLING_RADIUS_STEP = 0.97
+"""Factor by which the radius shrinks while too few points are kept."""
+
+SAMPLING_RADIUS_STEPS_MAX = 100
+"""Steps at most, to a twentieth of the radius: what is closer coincides, and fills up what is missing."""
+
+SAMPLING_OPACITY = 0.995
+"""Above ALPHA_MAX, so that a disc's centre is as opaque as a Gaussian can be."""
+
+SAMPLING_THICKNESS = 0.05
+"""Scale along the normal, as a share of the larger wide one."""
+
+SAMPLING_FIRST_SCALE = 0.7
+"""Wide scales before they grow; without holes to close they stay."""
+
+SAMPLING_GROWTH = 1.08
+"""Factor by which a disc grows in a step."""
+
+SAMPLING_GROWTH_STEPS = 8
+"""Steps at most: 1.08^8 = 1.85 times the first scale."""
+
+SAMPLING_GROWTH_REACH = 0.5
+"""A disc grows too where its exponent is within this of the nearest disc's: one alone would grow out of proportion."""
+
+SAMPLING_COVERED_ALPHA = 0.95
+"""A candidate point counts as covered from this alpha on."""
+
+SAMPLING_FACING_COSINE = -0.5
+"""Neighbours whose normals make a smaller cosine lie on the two sides of a thin wall."""
+
+SAMPLING_AXIS_COSINE = 0.97
+"""Where shading and geometric normal make a smaller cosine (14 degrees), discs lie in the face."""
+
+SAMPLING_EDGE_BAND = 0.2
+"""Nearer to a crease than this, a surface need not be covered: discs would have to reach over it."""
+
+SAMPLING_EDGE_ROW = 0.45
+"""Scale that a disc next to a crease may always have."""
+
+SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
+"""Creases of compact objects need fewer than ten points a Gaussian; slivers, all edge and no area, would ask for any
+number."""
+
+CREASE_COSINE = 0.77
+"""Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
+
 # --- Placement ---
 
 TRANSFORM_MAX = 1e18

@@ -17,8 +17,6 @@ from lumisplat.cli.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 
-LAYERS = ("depth", "normal", "gaussian_index", "instance_index")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Render(DeviceCommand):
@@ -105,8 +103,8 @@ def parse_layers(text: str) -> tuple[str, ...]:
     """
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     for name in names:
-        if name not in LAYERS:
-            raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(LAYERS)}")
+        if name not in ls.Frame.LAYERS:
+            raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(ls.Frame.LAYERS)}")
     return names
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +15,6 @@ from lumisplat.render.pictures import layer_picture
 from lumisplat.scene.arrays import FloatArray, IntArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
-
-LAYERS = ("depth", "normal", "gaussian_index", "instance_index")
-"""Images of a frame that an EXR can hold beside its colour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +41,9 @@ class FrameStats:
 class Frame:
     """Images of one camera, all of shape (H, W, ...)."""
 
+    LAYERS: ClassVar[tuple[str, ...]] = ("depth", "normal", "gaussian_index", "instance_index")
+    """Images that can be saved beside the colour."""
+
     color: FloatArray
     """Radiance over the background, (H, W, 3), in ``color_space``."""
     alpha: FloatArray
@@ -61,7 +62,7 @@ class Frame:
     """``srgb``: display-referred, as captures were trained (an unlit frame)."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     """What ``color`` lies over, in ``color_space``; None: transparent."""
-    stats: FrameStats | None = field(default=None)
+    stats: FrameStats | None = None
 
     def __repr__(self) -> str:
         camera = self.camera
@@ -113,7 +114,7 @@ class Frame:
             for name, picture in pictures.items():
                 image.write_png(Path(path).with_suffix(f".{name}.png"), picture)
         elif suffix == ".exr":
-            image.write_exr(path, self.layers(LAYERS if layers is None else layers))
+            image.write_exr(path, self.layers(self.LAYERS if layers is None else layers))
         elif suffix == ".npz":
             image.write_npz(path, self.arrays())
         else:
@@ -150,6 +151,6 @@ class Frame:
 
 
 def _layer(name: str) -> str:
-    if name not in LAYERS:
-        raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(LAYERS)}")
+    if name not in Frame.LAYERS:
+        raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(Frame.LAYERS)}")
     return name

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import SAMPLING_RADIUS_STEP, SAMPLING_RADIUS_STEPS_MAX
 from lumisplat.scene.arrays import FloatArray
 
 _Indices = npt.NDArray[np.integer]
 
 _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
-_RADIUS_STEP = 0.97
-_RADIUS_STEPS_MAX = 100
 
 
 class Pairs(NamedTuple):
@@ -95,13 +94,13 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
         first=np.where(swapped, pairs.second, pairs.first), second=np.where(swapped, pairs.first, pairs.second)
     )
     kept = np.zeros(priority.size, dtype=bool)
-    for _ in range(_RADIUS_STEPS_MAX):
+    for _ in range(SAMPLING_RADIUS_STEPS_MAX):
         before = kept.copy()
         pairs = pairs.where(pairs.distance < radius)
         _keep_maximal(pairs, kept)
         if np.count_nonzero(kept) >= count:
             return _topped_up(before, kept & ~before, priority, count)
-        radius *= _RADIUS_STEP
+        radius *= SAMPLING_RADIUS_STEP
     # Coincident points never separate: they fill up what is missing.
     return _topped_up(kept, ~kept, priority, count)
 

@@ -7,11 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import CREASE_COSINE
 from lumisplat.scene.arrays import IntArray
 from lumisplat.scene.mesh import Mesh
-
-CREASE_COSINE = 0.77
-"""Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
 
 
 class CreasePoints(NamedTuple):

@@ -8,7 +8,26 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SH_C0
+from lumisplat.constants import (
+    SAMPLING_AXIS_COSINE,
+    SAMPLING_CANDIDATES_PER_GAUSSIAN,
+    SAMPLING_COUNT_MAX,
+    SAMPLING_COVERED_ALPHA,
+    SAMPLING_CREASE_POINTS_PER_GAUSSIAN,
+    SAMPLING_DEFAULT_COUNTS,
+    SAMPLING_EDGE_BAND,
+    SAMPLING_EDGE_ROW,
+    SAMPLING_FACING_COSINE,
+    SAMPLING_FIRST_SCALE,
+    SAMPLING_GROWTH,
+    SAMPLING_GROWTH_REACH,
+    SAMPLING_GROWTH_STEPS,
+    SAMPLING_OPACITY,
+    SAMPLING_SEARCH_SPACINGS,
+    SAMPLING_SPACINGS_PER_DIAGONAL,
+    SAMPLING_THICKNESS,
+    SH_C0,
+)
 from lumisplat.errors import SceneError
 from lumisplat.scene.blue_noise import Pairs, cell_order, cross_pairs, neighbour_pairs, poisson_disk
 from lumisplat.scene.color import encode_srgb
@@ -17,29 +36,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.surface_color import base_colors, interpolated
-
-DEFAULT_SPACINGS_PER_DIAGONAL = 300
-"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart."""
-DEFAULT_COUNT_RANGE = (1_000, 1_000_000)
-"""Bounds of the default count."""
-
-_COUNT_MAX = 50_000_000
-"""Candidates and pairs take about 1 KB a Gaussian: this is 50 GB and a quarter of an hour."""
-_CREASE_POINTS_PER_GAUSSIAN = 50
-"""Creases of compact objects need fewer than ten points a Gaussian; slivers, all edge and no area, would ask for any
-number."""
-_CANDIDATES_PER_GAUSSIAN = 4.0
-_OPACITY = 0.995
-_THICKNESS = 0.05
-_FIRST_SCALE = 0.7
-_GROWTH = 1.08
-_GROWTH_REACH = 0.5
-_GROWTH_STEPS = 8
-_COVERED_ALPHA = 0.95
-_FACING_COSINE = -0.5
-_EDGE_ROW = (0.2, 0.45)
-_SEARCH_SPACINGS = 0.86
-_AXIS_COSINE = 0.97
 
 _Floats = npt.NDArray[np.floating]
 
@@ -87,32 +83,32 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         raise SceneError("the mesh has no area: every triangle is degenerate, nothing can be sampled")
     if count is None:
         count = _default_count(mesh, areas)
-    if not isinstance(count, int | np.integer) or not 1 <= count <= _COUNT_MAX:
-        raise SceneError(f"count is {count}, expected a whole number from 1 to {_COUNT_MAX:,}")
+    if not isinstance(count, int | np.integer) or not 1 <= count <= SAMPLING_COUNT_MAX:
+        raise SceneError(f"count is {count}, expected a whole number from 1 to {SAMPLING_COUNT_MAX:,}")
     spacing = math.sqrt(area / count)
     rng = np.random.default_rng(seed)
-    creases = crease_points(mesh, face_normals, spacing / 3.0, limit=_CREASE_POINTS_PER_GAUSSIAN * count)
-    candidates = _candidates(mesh, areas, math.ceil(_CANDIDATES_PER_GAUSSIAN * count), rng)
+    creases = crease_points(mesh, face_normals, spacing / 3.0, limit=SAMPLING_CREASE_POINTS_PER_GAUSSIAN * count)
+    candidates = _candidates(mesh, areas, math.ceil(SAMPLING_CANDIDATES_PER_GAUSSIAN * count), rng)
     candidates = candidates.at(cell_order(candidates.positions, spacing))
     edge_distance = _crease_distance(candidates.positions, creases, spacing)
 
-    pairs = neighbour_pairs(candidates.positions, _SEARCH_SPACINGS * spacing)
+    pairs = neighbour_pairs(candidates.positions, SAMPLING_SEARCH_SPACINGS * spacing)
     pairs = _facing(pairs, face_normals[candidates.faces].astype(np.float32))
-    chosen = poisson_disk(pairs, rng.permutation(edge_distance.size), count, _SEARCH_SPACINGS * spacing)
+    chosen = poisson_disk(pairs, rng.permutation(edge_distance.size), count, SAMPLING_SEARCH_SPACINGS * spacing)
     points = candidates.at(chosen)
     shading_normals = _shading_normals(mesh, points, face_normals)
     axes = _axes(points.positions, _thin_axes(shading_normals, face_normals[points.faces]), creases, spacing)
     limits = _crease_limits(points.positions, axes, creases, spacing)
-    inner = edge_distance > _EDGE_ROW[0] * spacing
+    inner = edge_distance > SAMPLING_EDGE_BAND * spacing
     wide = _grown_scales(candidates.positions, inner, chosen, pairs, axes=axes, limits=limits, spacing=spacing)
-    thin = _THICKNESS * wide.max(axis=1, keepdims=True)
+    thin = SAMPLING_THICKNESS * wide.max(axis=1, keepdims=True)
     albedo = base_colors(mesh, points.faces, points.weights, 0.5 * spacing)
     material = mesh.material
     return Gaussians(
         means=points.positions.astype(np.float32),
         rotations_wxyz=_quaternions(axes),
         scales=np.concatenate([wide, thin], axis=1),
-        opacities=np.full(count, _OPACITY),
+        opacities=np.full(count, SAMPLING_OPACITY),
         sh=(encode_srgb(albedo)[:, None, :] - 0.5) / SH_C0,
         normals=shading_normals,
         albedo=albedo,
@@ -132,8 +128,8 @@ def _face_areas_and_normals(mesh: Mesh) -> tuple[_Floats, _Floats]:
 def _default_count(mesh: Mesh, areas: _Floats) -> int:
     corners = mesh.positions[mesh.indices[areas > 0.0]].reshape(-1, 3).astype(np.float64)
     diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
-    ideal = float(areas.sum()) / (diagonal / DEFAULT_SPACINGS_PER_DIAGONAL) ** 2
-    return int(np.clip(math.ceil(ideal), *DEFAULT_COUNT_RANGE))
+    ideal = float(areas.sum()) / (diagonal / SAMPLING_SPACINGS_PER_DIAGONAL) ** 2
+    return int(np.clip(math.ceil(ideal), *SAMPLING_DEFAULT_COUNTS))
 
 
 def _candidates(mesh: Mesh, areas: _Floats, count: int, rng: np.random.Generator) -> _SurfacePoints:
@@ -162,7 +158,7 @@ def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) 
 def _facing(pairs: Pairs, normals: _Floats) -> Pairs:
     """Without the pairs across a thin wall: the two sides are sampled independently."""
     cosines = np.einsum("ij,ij->i", normals[pairs.first], normals[pairs.second])
-    return pairs.where(cosines > _FACING_COSINE)
+    return pairs.where(cosines > SAMPLING_FACING_COSINE)
 
 
 def _shading_normals(mesh: Mesh, points: _SurfacePoints, face_normals: _Floats) -> _Floats:
@@ -176,7 +172,7 @@ def _shading_normals(mesh: Mesh, points: _SurfacePoints, face_normals: _Floats) 
 
 def _thin_axes(shading_normals: _Floats, flat_normals: _Floats) -> _Floats:
     """Shading normals, but geometric ones where the two disagree so much that discs would stand off the surface."""
-    agree = np.abs(np.einsum("ij,ij->i", shading_normals, flat_normals)) > _AXIS_COSINE
+    agree = np.abs(np.einsum("ij,ij->i", shading_normals, flat_normals)) > SAMPLING_AXIS_COSINE
     return np.where(agree[:, None], shading_normals, flat_normals)
 
 
@@ -209,7 +205,7 @@ def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spa
         ahead = (along[:, axis] < 0.5) & (sideways < np.maximum(reach[:, axis], 0.5 * spacing))
         np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead, axis])
     # The row along the edge reaches up to it; the ones behind keep further away, for their edge is already covered.
-    row = _EDGE_ROW[1] * spacing
+    row = SAMPLING_EDGE_ROW * spacing
     return np.clip(limits, 0.25 * spacing, np.maximum(row, 0.75 * limits))
 
 
@@ -230,18 +226,18 @@ def _grown_scales(
     point, gaussian = _covering_pairs(pairs, chosen, inner)
     step = (candidates[point] - candidates[chosen[gaussian]]).astype(np.float32)
     offset2 = np.einsum("ij,ijk->ik", step, axes[gaussian, :, :2].astype(np.float32)) ** 2
-    size = np.full(chosen.size, _FIRST_SCALE * spacing, dtype=np.float32)
+    size = np.full(chosen.size, SAMPLING_FIRST_SCALE * spacing, dtype=np.float32)
     limits = limits.astype(np.float32)
-    for _ in range(_GROWTH_STEPS):
+    for _ in range(SAMPLING_GROWTH_STEPS):
         scales = np.minimum(size[:, None], limits)
         exponent = (offset2 / scales[gaussian] ** 2).sum(axis=1)
-        clear = np.bincount(point, np.log1p(-_OPACITY * np.exp(-0.5 * exponent)), candidates.shape[0])
-        short = (clear > math.log(1.0 - _COVERED_ALPHA))[point]
+        clear = np.bincount(point, np.log1p(-SAMPLING_OPACITY * np.exp(-0.5 * exponent)), candidates.shape[0])
+        short = (clear > math.log(1.0 - SAMPLING_COVERED_ALPHA))[point]
         point, gaussian, offset2, exponent = point[short], gaussian[short], offset2[short], exponent[short]
         nearest = np.full(candidates.shape[0], np.inf, dtype=np.float32)
         np.minimum.at(nearest, point, exponent)
-        growing = np.unique(gaussian[exponent <= nearest[point] + _GROWTH_REACH])
-        size[growing] *= _GROWTH
+        growing = np.unique(gaussian[exponent <= nearest[point] + SAMPLING_GROWTH_REACH])
+        size[growing] *= SAMPLING_GROWTH
     return np.minimum(size[:, None], limits)
 
 
