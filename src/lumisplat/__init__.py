@@ -6,7 +6,16 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lumisplat.config import Antialiasing, Pipeline, RasterConfig, RenderConfig
+    from lumisplat.config import (
+        Antialiasing,
+        HitDistance,
+        NormalMethod,
+        Pipeline,
+        RasterConfig,
+        RenderConfig,
+        TraceConfig,
+        TraceStrategy,
+    )
     from lumisplat.errors import (
         ConfigError,
         DeviceError,
@@ -36,10 +45,12 @@ _HOME = {
     "FormatError": "errors",
     "Frame": "render.frame",
     "Gaussians": "scene.gaussians",
+    "HitDistance": "config",
     "LumisplatError": "errors",
     "MaterialPbr": "scene.materials",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
+    "NormalMethod": "config",
     "Pipeline": "config",
     "RasterConfig": "config",
     "RenderConfig": "config",
@@ -47,6 +58,8 @@ _HOME = {
     "Scene": "scene.scene",
     "SceneError": "errors",
     "SplatInstance": "scene.scene",
+    "TraceConfig": "config",
+    "TraceStrategy": "config",
     "create_renderer": "render.renderer",
     "demo_cameras": "scene.demo",
     "demo_scene": "scene.demo",
@@ -66,10 +79,12 @@ __all__ = [
     "FormatError",
     "Frame",
     "Gaussians",
+    "HitDistance",
     "LumisplatError",
     "MaterialPbr",
     "Mesh",
     "MeshInstance",
+    "NormalMethod",
     "Pipeline",
     "RasterConfig",
     "RenderConfig",
@@ -77,6 +92,8 @@ __all__ = [
     "Scene",
     "SceneError",
     "SplatInstance",
+    "TraceConfig",
+    "TraceStrategy",
     "create_renderer",
     "demo_cameras",
     "demo_scene",

@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from lumisplat.constants import DEPTH_ISO_TRANSMITTANCE, DILATION_PX2, SH_DEGREE_MAX, TRANSMITTANCE_MIN
+from lumisplat.constants import (
+    DEPTH_ISO_TRANSMITTANCE,
+    DILATION_PX2,
+    HITS_PER_PASS,
+    KERNEL_DEGREE_MAX,
+    SAMPLES_MAX,
+    SH_DEGREE_MAX,
+    TRANSMITTANCE_MIN,
+)
 from lumisplat.errors import ConfigError
 
 
@@ -14,6 +22,37 @@ class Pipeline(Enum):
 
     RASTER = "raster"
     """Sorted, tiled rasterisation."""
+    TRACE = "trace"
+    """Rays through the Gaussians themselves, mirrors and glass included."""
+
+
+class TraceStrategy(Enum):
+    """How a ray turns the Gaussians on its way into one colour."""
+
+    SORTED = "sorted"
+    """All of them in order, until the transmittance is used up: without noise."""
+    STOCHASTIC_HIT = "stochastic-hit"
+    """Each is accepted with its alpha as probability, the nearest accepted one wins (Hu et al., equations 7-8)."""
+    STOCHASTIC_PASS = "stochastic-pass"
+    """The next ``hits_per_pass`` of them in order are shown whole with their joint opacity as probability."""
+
+
+class HitDistance(Enum):
+    """Where along a ray a Gaussian counts as hit: it orders them, and places the surface."""
+
+    PEAK = "peak"
+    """Where its response is largest."""
+    HULL = "hull"
+    """Where the ray enters the ellipsoid outside which the Gaussian is ignored."""
+
+
+class NormalMethod(Enum):
+    """Normal of a single Gaussian."""
+
+    PLANE = "plane"
+    """Of the plane that approximates its largest densities (Kheradmand et al. 2025)."""
+    ELLIPSOID = "ellipsoid"
+    """Of the ellipsoid outside which it is ignored, where the ray enters it."""
 
 
 class Antialiasing(Enum):
@@ -52,6 +91,54 @@ class RasterConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TraceConfig:
+    """Settings of the ray tracer.
+
+    Raises:
+        ConfigError: A value is outside its range.
+    """
+
+    strategy: TraceStrategy = TraceStrategy.SORTED
+    """How Gaussians along a ray are resolved."""
+    hits_per_pass: int = HITS_PER_PASS
+    """Gaussians that a ray collects in a pass, k: one of 4, 8, 16, 32. Changes no sorted image, only its cost; what a
+    stochastic pass shows at once."""
+    kernel_degree: int | None = None
+    """Exponent of the response's distance, 0 (linear) to 5 (quintic), 2 is Gaussian; None: each capture's own."""
+    min_response: float = 0.0
+    """A Gaussian ends where its response falls to this, 0..0.97, if its alpha has not fallen to 1/255 before. NVIDIA
+    trains with 0.0113, the response at three standard deviations."""
+    adaptive_clamping: bool = True
+    """``min_response`` is meant of the response times the opacity."""
+    hit_distance: HitDistance = HitDistance.PEAK
+    """Where along a ray a Gaussian is hit."""
+    normal_method: NormalMethod = NormalMethod.PLANE
+    """Normal of a single Gaussian."""
+    sh_degree: int = SH_DEGREE_MAX
+    """Highest SH degree that is evaluated, 0..3."""
+    transmittance_min: float = TRANSMITTANCE_MIN
+    """A sorted ray is finished where its transmittance would fall to this, 0..1."""
+    depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
+    """Transmittance of the surface that depth, normal and index describe, 0..1."""
+    acceptance_scale: float = 1.0
+    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this, above 0 and up to 1: below 1 it accepts sooner, which
+    is faster and biased towards opaque (Hu et al., figure 4)."""
+    jitter: bool = True
+    """Samples after the first spread over their pixel, which antialiases; the first goes through its centre."""
+
+    def __post_init__(self) -> None:
+        if self.hits_per_pass not in (4, 8, 16, 32):
+            raise ConfigError(f"hits_per_pass is {self.hits_per_pass}, expected 4, 8, 16 or 32")
+        if self.kernel_degree is not None:
+            check_range("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
+        check_range("min_response", self.min_response, 0.0, 0.97)
+        check_range("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
+        check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
+        check_range("acceptance_scale", self.acceptance_scale, 1e-3, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RenderConfig:
     """Settings of a frame.
 
@@ -65,8 +152,19 @@ class RenderConfig:
     """Display-referred sRGB behind everything, 0..1 each; None leaves the frame transparent."""
     raster: RasterConfig = field(default_factory=RasterConfig)
     """Settings of the rasteriser."""
+    trace: TraceConfig = field(default_factory=TraceConfig)
+    """Settings of the ray tracer."""
+    samples: int = 1
+    """Rays a pixel of the ray tracer, averaged as display-referred colours, at least 1."""
+    seed: int = 0
+    """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
+    max_bounces: int = 3
+    """Reflections and refractions that a ray follows, 0..64; what lies beyond is black."""
 
     def __post_init__(self) -> None:
+        check_range("samples", self.samples, 1, SAMPLES_MAX)
+        check_range("seed", self.seed, 0, 2**32 - 1)
+        check_range("max_bounces", self.max_bounces, 0, 64)
         if self.background is not None:
             if len(self.background) != 3:
                 raise ConfigError(f"background is {self.background}, expected three numbers in 0..1 or None")

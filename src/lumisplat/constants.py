@@ -20,6 +20,23 @@ NORMAL_DEGENERATE = 0.2
 """Length (of the alpha-weighted mean of unit normals) below which the sum is degenerate and the view direction is
 used. seeds/000 section 2.1; the figure is NVIDIA's."""
 
+# --- Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing) ---
+
+KERNEL_DEGREE = 2
+"""Exponent of the distance in the response of ordinary captures."""
+
+KERNEL_DEGREE_MAX = 5
+"""Quintic. All degrees respond exp(-4.5) at three standard deviations."""
+
+KERNEL_LINEAR_SLOPE = 0.329630334487
+"""Degree 0 is max(1 - slope * d, 0), which is exp(-4.5) at d = 3. NVIDIA's figure."""
+
+HITS_PER_PASS = 16
+"""Hits that a ray keeps sorted: 3DGRT's k, beyond which registers spill on GPUs."""
+
+SAMPLES_MAX = 16_777_216
+"""Samples of a pixel: the running mean still changes in float32."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3
