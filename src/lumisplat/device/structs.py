@@ -233,3 +233,57 @@ class Triangle:
     row_last: wp.uint16
     face: int
     instance: int
+
+
+@struct
+class Ray:
+    """One ray, world space."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    """Unit."""
+    t_min: float
+    """What is hit no farther than this does not count."""
+    travelled: float
+    """Length of the path before the origin: the eye, unfolded, is this far behind it."""
+
+
+@struct
+class RayData:
+    """Rays, one element each, as ``Ray``."""
+
+    origin: wp.array(dtype=wp.vec3)
+    direction: wp.array(dtype=wp.vec3)
+    t_min: wp.array(dtype=float)
+    travelled: wp.array(dtype=float)
+    t_max: wp.array(dtype=float)
+    """Distance of the nearest mesh; inf: none; not above ``t_min``: there is no ray."""
+    stream: wp.array(dtype=wp.uint32)
+    """Key of the ray's random numbers."""
+
+
+@struct
+class RayMeshHits:
+    """The nearest triangle on each ray."""
+
+    face: wp.array(dtype=int)
+    """First triangle of the mesh in MeshData plus the triangle's own number; -1: none."""
+    instance: wp.array(dtype=int)
+    """Among the mesh instances."""
+    weights: wp.array(dtype=wp.vec2)
+    """Barycentric weights of the second and third corner."""
+
+
+@struct
+class RayRadiance:
+    """What the Gaussians before the nearest mesh give each ray."""
+
+    color: wp.array(dtype=wp.vec3)
+    """Premultiplied, display-referred sRGB."""
+    normal: wp.array(dtype=wp.vec3)
+    """Sum of unit normals, weighted as the colours are; world space."""
+    transmittance: wp.array(dtype=float)
+    depth: wp.array(dtype=float)
+    """Distance of the surface; inf: not reached."""
+    gaussian: wp.array(dtype=int)
+    """Gaussian of the surface, among all of the scene's; -1: not reached."""
