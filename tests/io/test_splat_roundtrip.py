@@ -119,6 +119,43 @@ def test_antialiased_flag_survives(tmp_path: Path, name: str, antialiased: bool,
 
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply"])
+@pytest.mark.parametrize("degree", [0, 2, 4])
+@pytest.mark.parametrize(
+    "comments", [(), ("made by hand", "lumisplat kernel_degree 5"), ("Lumisplat Kernel_Degree  2",)]
+)
+def test_kernel_degree_survives(tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]) -> None:
+    """PLY and compressed PLY keep the degree, whatever old comments say, and state it only where it is not 2."""
+    path = tmp_path / name
+    ls.save(path, capture(20, kernel_degree=degree, comments=comments))
+    once = ls.load(path)
+    ls.save(path, once)
+    assert once.kernel_degree == degree
+    assert ls.load(path).kernel_degree == degree
+    stated = [comment for comment in ls.load(path).comments if "kernel" in comment.lower()]
+    assert len(stated) == (degree != 2 or "Lumisplat Kernel_Degree  2" in comments)
+
+
+@pytest.mark.parametrize("stated", [6, -1, 999_999_999])
+def test_impossible_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
+    """A file that states a degree there is none of is refused by name."""
+    path = tmp_path / "capture.ply"
+    ls.save(path, capture(5))
+    path.write_bytes(path.read_bytes().replace(b"format ", b"comment lumisplat kernel_degree %d\nformat " % stated, 1))
+    with pytest.raises(ls.FormatError, match=f"capture.ply: kernel_degree is {stated}, expected a whole number"):
+        ls.load(path)
+
+
+def test_spz_says_that_it_loses_the_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """SPZ has no place for it: one line where that changes something, none otherwise."""
+    ls.save(tmp_path / "usual.spz", capture(5))
+    assert not caplog.records
+    ls.save(tmp_path / "quartic.spz", capture(5, kernel_degree=4))
+    assert [record.getMessage().partition(": ")[2] for record in caplog.records] == [
+        "SPZ cannot store the kernel degree, 4: left out, save as .ply to keep it"
+    ]
+
+
+@pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply"])
 def test_comments_survive(tmp_path: Path, name: str) -> None:
     """Comments of a PLY are kept, in order and only once."""
     path = tmp_path / name

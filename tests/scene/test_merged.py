@@ -36,9 +36,18 @@ def test_merged_drops_what_not_all_sets_have() -> None:
     assert merged([make(2, 1), make(3, 1, albedo=False)]).albedo is None
 
 
-def test_merged_refuses_nothing_and_mixed_antialiasing() -> None:
-    """No sets, and sets whose opacities mean different things, raise one clear error."""
+def test_settings_are_kept() -> None:
+    """What all sets share about how they are to be rendered, the union and its parts still say."""
+    both = merged([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
+    assert (both.kernel_degree, both.antialiased) == (4, True)
+    assert both.subset(np.array([0, 3])).kernel_degree == 4
+
+
+def test_merged_refuses_nothing_and_mixed_settings() -> None:
+    """No sets, and sets whose opacities or scales mean different things, raise one clear error."""
     with pytest.raises(ls.SceneError, match="nothing to merge"):
         merged([])
     with pytest.raises(ls.SceneError, match="antialiased"):
         merged([make(1, 1), replace(make(1, 1), antialiased=True)])
+    with pytest.raises(ls.SceneError, match="kernel degrees 0, 2"):
+        merged([make(1, 1), replace(make(1, 1), kernel_degree=0)])

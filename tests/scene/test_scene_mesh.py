@@ -76,6 +76,7 @@ def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> N
         ({"metallic": -0.1}, "metallic is -0.1"),
         ({"roughness": 2.0}, "roughness is 2.0"),
         ({"specular": np.nan}, "specular is nan"),
+        ({"transmission": 1.5}, "transmission is 1.5"),
         ({"ior": 0.9}, "ior is 0.9"),
         ({"base_color_texture": np.zeros((4, 4, 3))}, "float64"),
         ({"base_color_texture": np.zeros((4, 4), np.uint8)}, "expected uint8"),

@@ -121,7 +121,8 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     Args:
         path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian and 9, 24 or 45 for SH; reordered) or
             ``.spz`` (version 4).
-        gaussians: What to save. Only ``.ply`` keeps normals and materials; the others log what they leave out.
+        gaussians: What to save. Only ``.ply`` keeps normals and materials, and ``.spz`` no kernel degree; what is
+                left out is logged.
 
     Raises:
         FormatError: An unknown extension, values that the format cannot hold, or the file cannot be written.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import LOGIT_MAX, SCALE_MIN
+from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.source import PathLike
 from lumisplat.scene.arrays import FloatArray, handed_over
@@ -40,6 +40,7 @@ class SplatColumns:
     metallic: Floats | None = None
     opacities_are_logits: bool = True
     antialiased: bool = False
+    kernel_degree: int = KERNEL_DEGREE
     comments: tuple[str, ...] = ()
 
     @property
@@ -108,6 +109,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
             picked(columns.sh),
             **{name: picked(values) for name, values in extras.items() if values is not None},
             antialiased=columns.antialiased,
+            kernel_degree=columns.kernel_degree,
             comments=columns.comments,
         )
     except SceneError as error:
@@ -173,6 +175,7 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
         roughness=gaussians.roughness,
         metallic=gaussians.metallic,
         antialiased=gaussians.antialiased,
+        kernel_degree=gaussians.kernel_degree,
         comments=gaussians.comments,
     )
 

@@ -22,7 +22,7 @@ from lumisplat.io.columns import Floats, SplatColumns, sh_property_names, warn_l
 from lumisplat.io.ply import PlyHeader, ply_header_bytes, read_ply_element, read_ply_rows
 from lumisplat.io.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.source import PathLike
-from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_flag
+from lumisplat.io.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -80,6 +80,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
         sh=_with_rest(header, (rgb - np.float32(0.5)) / np.float32(SH_C0)),
         opacities_are_logits=False,
         antialiased=antialiased_from_comments(header.comments),
+        kernel_degree=kernel_degree_from_comments(header.comments),
         comments=header.comments,
     )
 
@@ -174,7 +175,7 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     if rest.shape[1]:
         elements.append(("sh", ordered.count, "uchar", [f"f_rest_{i}" for i in range(rest.shape[1])]))
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        file.write(ply_header_bytes(comments_with_flag(gaussians), elements))
+        file.write(ply_header_bytes(comments_with_settings(gaussians), elements))
         file.write(np.concatenate(ranges, axis=1).astype("<f4").tobytes())
         file.write(np.stack(words, axis=1).astype("<u4").tobytes())
         file.write(np.clip((rest / 8.0 + 0.5) * 256.0, 0.0, 255.0).astype(np.uint8).tobytes())

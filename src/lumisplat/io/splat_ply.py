@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lumisplat.constants import SH_DEGREE_MAX
+from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.columns import MATERIALS, PROPERTY_NAMES, SplatColumns, columns_from_gaussians, sh_property_names
@@ -25,7 +25,11 @@ REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
 """Brush's spelling, which PlayCanvas's tools also write."""
 
+KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
+"""Ours: no trainer states the degree in its files."""
+
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
+_KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
@@ -37,12 +41,24 @@ def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
     return bool(flags) and (flags[-1]["postshot"] == "1" or (flags[-1]["brush"] or "").lower() == "mip")
 
 
-def comments_with_flag(gaussians: Gaussians) -> tuple[str, ...]:
-    """The comments of a capture, with one that states its antialiased flag where it is set, and none that differs."""
+def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
+    """The kernel degree that header comments state, in range or not; the last one counts, 2 without one."""
+    degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
+    return degrees[-1] if degrees else KERNEL_DEGREE
+
+
+def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
+    """The comments of a capture, with ones that state how to render it where that is not usual, and none that differs.
+
+    What is stated: the antialiased flag and the kernel degree.
+    """
     kept = gaussians.comments
     if antialiased_from_comments(kept) != gaussians.antialiased:
         kept = tuple(comment for comment in kept if not _ANTIALIASED.fullmatch(comment))
         kept += (ANTIALIASED_COMMENT,) * gaussians.antialiased
+    if kernel_degree_from_comments(kept) != gaussians.kernel_degree:
+        kept = tuple(comment for comment in kept if not _KERNEL_DEGREE.fullmatch(comment))
+        kept += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),) * (gaussians.kernel_degree != KERNEL_DEGREE)
     return kept
 
 
@@ -117,6 +133,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
         roughness=optional("roughness"),
         metallic=optional("metallic"),
         antialiased=antialiased_from_comments(header.comments),
+        kernel_degree=kernel_degree_from_comments(header.comments),
         comments=header.comments,
     )
 
@@ -143,7 +160,7 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
     names += [name for field in MATERIALS[1:] for name in PROPERTY_NAMES[field] if name in values]
-    header = ply_header_bytes(comments_with_flag(gaussians), [("vertex", columns.count, "float", names)])
+    header = ply_header_bytes(comments_with_settings(gaussians), [("vertex", columns.count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(header)

@@ -17,6 +17,7 @@ from types import ModuleType
 
 import numpy as np
 
+from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.axes import mirrored
@@ -134,6 +135,12 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
         FormatError: Positions beyond what 24-bit fixed point can hold, or the file cannot be written.
     """
     warn_lost_materials(path, "SPZ", gaussians)
+    if gaussians.kernel_degree != KERNEL_DEGREE:
+        _log.warning(
+            "%s: SPZ cannot store the kernel degree, %s: left out, save as .ply to keep it",
+            os.fspath(path),
+            gaussians.kernel_degree,
+        )
     columns = mirrored(columns_from_gaussians(gaussians), rdf_signs("RUB"))
     thin = np.count_nonzero((columns.log_scales < LOG_SCALE_MIN).any(axis=1))
     if thin:

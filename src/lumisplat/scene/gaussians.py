@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.scene.arrays import FloatArray, float_array, handed_over, normalised, refuse_outside_unit, refuse_rows
 
@@ -49,6 +50,9 @@ class Gaussians:
     """Metalness, 0..1, shape (N,)."""
     antialiased: bool = field(default=False, kw_only=True)
     """The capture was trained with Mip-Splatting opacity compensation, and must be rendered with it."""
+    kernel_degree: int = field(default=KERNEL_DEGREE, kw_only=True)
+    """Exponent of the distance in the response that the capture was trained with, 0 (linear) to 5 (quintic); 2 is the
+    Gaussian of ordinary captures. The ray tracer follows it, the rasteriser draws every capture as Gaussian."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
     """What the file said about itself, kept on conversion."""
 
@@ -71,6 +75,10 @@ class Gaussians:
             raise SceneError("zero Gaussians: there is nothing to render")
         if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
             raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
+        degree = self.kernel_degree
+        whole = isinstance(degree, int | np.integer) and not isinstance(degree, bool)
+        if not whole or not 0 <= degree <= KERNEL_DEGREE_MAX:
+            raise SceneError(f"kernel_degree is {degree}, expected a whole number from 0 to {KERNEL_DEGREE_MAX}")
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
@@ -86,7 +94,8 @@ class Gaussians:
     def __repr__(self) -> str:
         extras = "".join(f", {name}" for name in _OPTIONAL if getattr(self, name) is not None)
         antialiased = ", antialiased" if self.antialiased else ""
-        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}{antialiased}{extras})"
+        kernel = f", kernel_degree={self.kernel_degree}" if self.kernel_degree != KERNEL_DEGREE else ""
+        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}{antialiased}{kernel}{extras})"
 
     @property
     def count(self) -> int:
@@ -115,15 +124,19 @@ class Gaussians:
 def merged(sets: Sequence[Gaussians]) -> Gaussians:
     """One set out of several in the same space, in order; optional arrays are kept where all sets have them.
 
-    SH of lower degree is padded with zeros. ``antialiased`` and comments are the first set's.
+    SH of lower degree is padded with zeros. Comments are the first set's.
 
     Raises:
-        SceneError: There is no set, or some are antialiased and some not.
+        SceneError: There is no set, some are antialiased and some not, or their kernel degrees differ.
     """
     if not sets:
         raise SceneError("zero Gaussian sets: there is nothing to merge")
     if len({one.antialiased for one in sets}) > 1:
         raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
+    degrees = sorted({one.kernel_degree for one in sets})
+    if len(degrees) > 1:
+        listed = ", ".join(map(str, degrees))
+        raise SceneError(f"cannot merge captures of kernel degrees {listed}: their scales mean different things")
     coefficients = max(one.sh.shape[1] for one in sets)
     padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
     columns = [one.arrays() | {"sh": sh} for one, sh in zip(sets, padded, strict=True)]

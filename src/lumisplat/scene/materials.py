@@ -13,7 +13,11 @@ from lumisplat.scene.arrays import is_number, kept
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MaterialPbr:
-    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_specular, KHR_materials_ior).
+    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume}).
+
+    Where roughness is 0 the surface is smooth, and the ray tracer follows what it reflects and lets through: a mirror
+    where metallic, glass where transmission. The rasteriser, and the ray tracer where roughness is above 0, show the
+    base colour alone.
 
     Raises:
         SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
@@ -24,11 +28,15 @@ class MaterialPbr:
     metallic: float = 0.0
     """0 dielectric, 1 metal."""
     roughness: float = 0.5
-    """Perceptual roughness, 0..1."""
+    """Perceptual roughness, 0..1; exactly 0 is smooth."""
     specular: float = 1.0
     """Strength of the dielectric reflection, 0..1."""
     ior: float = 1.5
-    """Index of refraction, >= 1."""
+    """Index of refraction, >= 1; 1 neither reflects nor bends light."""
+    transmission: float = 0.0
+    """Share of the light that is not reflected that goes on through the dielectric, refracted, and tinted by the base
+    colour at each crossing, 0..1. The mesh should be closed, its triangles counter-clockwise from outside: that is how
+    a ray knows whether it enters or leaves."""
     base_color_texture: npt.NDArray[np.uint8] | None = None
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); alpha is ignored."""
     name: str = ""
@@ -41,7 +49,7 @@ class MaterialPbr:
         if len(color) != 3 or not all(0.0 <= c <= 1.0 for c in color):
             raise SceneError(f"base_color is {self.base_color}, expected three numbers in 0..1")
         object.__setattr__(self, "base_color", color)
-        for name in ("metallic", "roughness", "specular"):
+        for name in ("metallic", "roughness", "specular", "transmission"):
             value = getattr(self, name)
             if not is_number(value) or not 0.0 <= value <= 1.0:
                 raise SceneError(f"{name} is {value}, expected 0..1")
