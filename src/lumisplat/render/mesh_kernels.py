@@ -7,7 +7,8 @@
 
 import warp as wp
 
-from lumisplat.device.color import encode_srgb_color, sample_texture
+from lumisplat.device.color import encode_srgb_color
+from lumisplat.device.mesh_surface import surface_color, surface_normal
 from lumisplat.device.structs import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
 from lumisplat.device.surface import instance_of, pixel_ray
 from lumisplat.device.tiles import TILE, TILE_PIXELS, RowFloats, TileFloats, TileInts, tile_corner, tile_pixel
@@ -169,30 +170,9 @@ def shade_hits(
     instance = instances[triangle.instance - splat_instance_count]
     ray = pixel_ray(view, i % view.width, i // view.width)
     weights = barycentric(triangle, ray)
-    c = meshes.indices[triangle.face]
-    color = wp.cw_mul(
-        instance.base_color,
-        weights[0] * meshes.colors[c[0]] + weights[1] * meshes.colors[c[1]] + weights[2] * meshes.colors[c[2]],
-    )
-    if instance.texture_width > 0:
-        uv = weights[0] * meshes.uvs[c[0]] + weights[1] * meshes.uvs[c[1]] + weights[2] * meshes.uvs[c[2]]
-        texel = sample_texture(
-            meshes.texels,
-            meshes.linear_from_byte,
-            instance.texture_first,
-            instance.texture_width,
-            instance.texture_height,
-            uv,
-        )
-        color = wp.cw_mul(color, texel)
-    if instance.has_normals != 0:
-        normal = (
-            weights[0] * meshes.normals[c[0]] + weights[1] * meshes.normals[c[1]] + weights[2] * meshes.normals[c[2]]
-        )
-    else:
-        p0 = meshes.positions[c[0]]
-        normal = wp.cross(meshes.positions[c[1]] - p0, meshes.positions[c[2]] - p0)
-    normal = wp.normalize(instance.world_from_object_normal * normal)
+    corners = meshes.indices[triangle.face]
+    color = surface_color(instance, meshes, corners, weights)
+    normal = surface_normal(instance, meshes, corners, weights)
     if wp.dot(normal, view.world_from_camera * ray) > 0.0:
         normal = -normal
     hits_out.instance[i] = triangle.instance
