@@ -123,6 +123,12 @@ number."""
 CREASE_COSINE = 0.77
 """Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
 
+# --- Meshes ---
+
+TRIANGLE_HEIGHT_MIN = 1e-12
+"""Height of a triangle over its longest edge, at or below which it has no area: corners on a line come out at 1e-16 in
+float64, thin triangles from float32 at 1e-7."""
+
 # --- Placement ---
 
 TRANSFORM_MAX = 1e18

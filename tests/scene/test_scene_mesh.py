@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.triangles import check_triangles
 
 TRIANGLE = {"positions": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], "indices": [[0, 1, 2]]}
 
@@ -47,8 +48,8 @@ def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
     [
         ({"positions": [[0, 0, 0], [1, 0, np.inf], [0, 1, 0]]}, "positions has 1 non-finite"),
         ({"positions": np.zeros((3, 2))}, r"positions has shape \(3, 2\)"),
-        ({"indices": [[0, 1, 3]]}, "indices has indices from 0 to 3, expected 0 to 2"),
-        ({"indices": [[0, 1, -1]]}, "from -1 to 1"),
+        ({"indices": [[0, 1, 3]]}, "the mesh has no triangles but 1 with an index that is no vertex"),
+        ({"indices": [[0, 1, -1], [1, 1, 2]]}, "no triangles but 1 with an index that is no vertex, 1 without area"),
         ({"indices": [[0.0, 1.0, 2.0]]}, "indices must be integers, got float64"),
         ({"indices": [[0, 1]]}, r"indices has shape \(1, 2\), expected \(F, 3\)"),
         ({"indices": np.zeros((0, 3), int)}, "no triangles"),
@@ -62,6 +63,58 @@ def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> N
     """The one line names the array and both sides of the contradiction."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Mesh(**TRIANGLE | changes)  # type: ignore[arg-type]
+
+
+def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    """Indices that are no vertices, repeated ones and corners on a line or a point go; vertices and the rest stay."""
+    positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.25, 0.75, 0], [1, 0, 0], [3e9, 3e9, 0]]
+    whole = [[0, 1, 2], [0, 1, 3]]
+    broken = [[0, 1, 6], [-1, 0, 1], [0, 1, 1], [1, 2, 3], [0, 1, 4], [2, 2, 2]]
+    mesh = ls.Mesh(positions, np.array([*broken[:3], *whole, *broken[3:]]), name="net")
+    np.testing.assert_array_equal(mesh.indices, whole)
+    assert mesh.indices.dtype == np.int32 and not mesh.indices.flags.writeable
+    assert mesh.vertex_count == 6
+    expected = "mesh 'net': triangles left out: 2 with an index that is no vertex, 4 without area"
+    assert [(record.name, record.getMessage()) for record in caplog.records] == [("lumisplat", expected)]
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int64, np.uint64])
+def test_any_integer_is_an_index(kind: type) -> None:
+    """Of whatever size: what is beyond 32 bits is out of range, not wrapped round to a vertex."""
+    far = np.array([[0, 1, 2], [0, 1, np.iinfo(kind).max]], dtype=kind)
+    np.testing.assert_array_equal(ls.Mesh(**TRIANGLE | {"indices": far}).indices, [[0, 1, 2]])
+    if np.dtype(kind).itemsize == 8:
+        far[1] = 2**32 + far[0]
+        assert ls.Mesh(**TRIANGLE | {"indices": far}).face_count == 1
+
+
+@pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
+def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFixture) -> None:
+    """Degenerate is meant of the shape: any size is fine, as is what float32 leaves of three corners on a line."""
+    corners = np.float32([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]]) * np.float32(size)
+    assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
+    assert ls.Mesh(np.float32(TRIANGLE["positions"]) * np.float32(size), [[0, 1, 2]]).face_count == 1
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_corners_on_a_line_have_no_area(seed: int) -> None:
+    """Whole multiples of a step, anywhere, in any direction, are on a line exactly, and found to be."""
+    rng = np.random.default_rng(seed)
+    step, start = rng.integers(-999, 999, (2, 500, 1, 3))
+    corners = (start + step * rng.integers(-99, 99, (500, 3, 1))) * 2.0 ** rng.integers(-40, 40, (500, 1, 1))
+    check = check_triangles(corners.reshape(-1, 3).astype(np.float32), np.arange(1500).reshape(-1, 3))
+    assert (check.without_area, check.out_of_range) == (500, 0)
+
+
+def test_triangles_of_many_blocks() -> None:
+    """Each triangle is judged by its own corners, however many there are."""
+    indices = np.tile(np.array([[0, 1, 2]]), (200_000, 1))
+    bad = np.array([0, 65_535, 65_536, 131_072, 199_999])
+    indices[bad] = [[0, 0, 1], [0, 1, 9], [1, 1, 1], [0, -1, 2], [2, 1, 2]]
+    check = check_triangles(np.float32(TRIANGLE["positions"]), indices)
+    np.testing.assert_array_equal(np.flatnonzero(~check.usable), bad)
+    assert (check.out_of_range, check.without_area) == (2, 3)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_material import GltfMaterials, warn_unread
 from lumisplat.io.gltf_mesh import Skin, read_primitives
+from lumisplat.io.mesh_arrays import TriangleSieve
 from lumisplat.io.quaternions import rotation_matrix
 from lumisplat.io.source import PathLike, parsing
 from lumisplat.scene.mesh import Mesh
@@ -41,9 +42,11 @@ def read_gltf(path: PathLike) -> Scene:
         file = GltfFile(path)
         _check_extensions(file)
         warn_unread(file)
-        meshes = tuple(_place_meshes(file))
-        if not meshes:
+        sieve = TriangleSieve(path)
+        meshes = tuple(_place_meshes(file, sieve))
+        if not meshes and not sieve.problems:
             raise FormatError(path, "has no triangle mesh in its scene")
+        sieve.report(anything_left=bool(meshes))
         return Scene(meshes=meshes)
 
 
@@ -57,7 +60,7 @@ def _check_extensions(file: GltfFile) -> None:
         )
 
 
-def _place_meshes(file: GltfFile) -> Iterator[MeshInstance]:
+def _place_meshes(file: GltfFile, sieve: TriangleSieve) -> Iterator[MeshInstance]:
     world_from_node = _world_transforms(file)
     materials = GltfMaterials(file)
     unskinned: dict[int, list[Mesh]] = {}
@@ -69,10 +72,10 @@ def _place_meshes(file: GltfFile) -> Iterator[MeshInstance]:
         if node.skin is not None:
             # The joints pose it in the world, whatever its own node says (section 3.7.3.3).
             world_from_object = np.eye(4)
-            meshes = read_primitives(file, node.mesh, materials, _read_skin(file, node.skin, world_from_node))
+            meshes = read_primitives(file, node.mesh, materials, sieve, _read_skin(file, node.skin, world_from_node))
         else:
             if node.mesh not in unskinned:
-                unskinned[node.mesh] = read_primitives(file, node.mesh, materials)
+                unskinned[node.mesh] = read_primitives(file, node.mesh, materials, sieve)
             meshes = unskinned[node.mesh]
         for mesh in meshes:
             try:

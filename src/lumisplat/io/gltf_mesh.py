@@ -11,8 +11,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_material import GltfMaterials, base_color_uvs
-from lumisplat.io.mesh_arrays import unit_normals, without_loose_texture
-from lumisplat.scene.arrays import index_array
+from lumisplat.io.mesh_arrays import TriangleSieve, unit_normals, without_loose_texture
 from lumisplat.scene.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -46,27 +45,33 @@ class _Primitive:
         return FormatError(self.file.path, f"{self.where} {problem}")
 
 
-def read_primitives(file: GltfFile, mesh_index: int, materials: GltfMaterials, skin: Skin | None = None) -> list[Mesh]:
-    """The triangle primitives of a mesh; points and lines are left out.
+def read_primitives(
+    file: GltfFile, mesh_index: int, materials: GltfMaterials, sieve: TriangleSieve, skin: Skin | None = None
+) -> list[Mesh]:
+    """The triangle primitives of a mesh; points and lines are left out, and what has no usable triangle.
 
     Args:
         file: The file.
         mesh_index: Which mesh.
         materials: Of the same file.
+        sieve: Of the same file.
         skin: Poses the vertices in the world; None leaves them in mesh space.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
     """
     mesh = file.item("meshes", mesh_index, "a node")
-    return [
-        _mesh(_Primitive(file, item, f"meshes[{mesh_index}].primitives[{k}]"), mesh, materials, skin)
+    meshes = [
+        _mesh(_Primitive(file, item, f"meshes[{mesh_index}].primitives[{k}]"), mesh, materials, sieve, skin)
         for k, item in enumerate(mesh.primitives)
         if item.mode in (None, _TRIANGLES, _STRIP, _FAN)
     ]
+    return [mesh for mesh in meshes if mesh is not None]
 
 
-def _mesh(primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials, skin: Skin | None) -> Mesh:
+def _mesh(
+    primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials, sieve: TriangleSieve, skin: Skin | None
+) -> Mesh | None:
     positions = primitive.floats("POSITION", "VEC3")
     if positions is None:
         raise primitive.error("has no POSITION")
@@ -83,7 +88,10 @@ def _mesh(primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials,
         matrices = _skin_matrices(primitive, skin, len(positions))
         positions = _transformed(matrices, positions)
         normals = None if normals is None else _transformed_normals(matrices, normals)
-    indices = index_array(f"{primitive.where} indices", _triangles(primitive, len(positions)), len(positions))
+    triangles = _triangles(primitive, len(positions))
+    indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
+    if not indices.size:
+        return None
     textured = Mesh(
         positions,
         indices,
@@ -111,7 +119,9 @@ def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64
     if mode == _FAN:
         return corners[np.stack([np.zeros_like(step), step + 1, step + 2], axis=1)]
     odd = step % 2  # every other triangle of a strip runs the other way round
-    return corners[np.stack([step, step + 1 + odd, step + 2 - odd], axis=1)]
+    strip = corners[np.stack([step, step + 1 + odd, step + 2 - odd], axis=1)]
+    # Corners that repeat restart a strip: no triangles, and no fault of the file.
+    return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
 def _morphed(

@@ -4,16 +4,54 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.errors import FormatError
 from lumisplat.io.source import PathLike
-from lumisplat.scene.arrays import index_array
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.triangles import check_triangles, problems
 
 _log = logging.getLogger("lumisplat")
+
+
+@dataclass(slots=True)
+class TriangleSieve:
+    """Leaves out the triangles of a file that no mesh can use, and counts them over all of its meshes."""
+
+    path: PathLike
+    out_of_range: int = 0
+    without_area: int = 0
+
+    def usable(self, positions: npt.NDArray[np.float32], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
+        """Which triangles to keep, shape (F,).
+
+        Args:
+            positions: Shape (V, 3).
+            indices: Triangles, shape (F, 3).
+        """
+        check = check_triangles(positions, indices)
+        self.out_of_range += check.out_of_range
+        self.without_area += check.without_area
+        return check.usable
+
+    @property
+    def problems(self) -> str:
+        """What was left out so far, counted, in one phrase; empty for nothing."""
+        return problems(self.out_of_range, self.without_area)
+
+    def report(self, anything_left: bool) -> None:
+        """Logs what was left out, in one line, if anything was.
+
+        Raises:
+            FormatError: Nothing is left.
+        """
+        if not anything_left:
+            raise FormatError(self.path, f"has no triangles{self.problems and ' but ' + self.problems}")
+        if self.problems:
+            _log.warning("%s: triangles left out: %s", os.fspath(self.path), self.problems)
 
 
 def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
@@ -46,15 +84,11 @@ def unit_normals(
     Args:
         normals: As stored, shape (V, 3).
         positions: Shape (V, 3).
-        indices: Triangles, shape (F, 3).
+        indices: Triangles whose vertices exist, shape (F, 3).
 
     Returns:
-        Shape (V, 3), float32; +z where even the triangles have no area.
-
-    Raises:
-        SceneError: An index is out of range.
+        Shape (V, 3), float32; +z where no triangle is around.
     """
-    indices = index_array("indices", indices, len(positions))
     normals = np.array(normals, dtype=np.float64)
     missing = np.linalg.norm(normals, axis=1) == 0.0
     if missing.any():

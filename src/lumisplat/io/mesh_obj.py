@@ -10,9 +10,8 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.image import read_texture
-from lumisplat.io.mesh_arrays import fan_triangles, flip_v, unit_normals, without_loose_texture
+from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_texture
 from lumisplat.io.source import parsing, read_bytes
-from lumisplat.scene.arrays import index_array
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -70,10 +69,13 @@ def _read(path: Path) -> list[Mesh]:
             materials |= _read_mtl(path.parent / library)
         else:
             _log.warning("%s: material library %s is missing, the default material is used", path, library)
-    return [
-        without_loose_texture(path, _mesh(listing, faces, name, materials.get(name)))
-        for name, faces in listing.faces_from_material.items()
+    sieve = TriangleSieve(path)
+    meshes = [
+        _mesh(listing, faces, name, materials.get(name), sieve) for name, faces in listing.faces_from_material.items()
     ]
+    left = [without_loose_texture(path, mesh) for mesh in meshes if mesh is not None]
+    sieve.report(anything_left=bool(left))
+    return left
 
 
 def _parse_obj(path: Path, text: str) -> _ObjFile:
@@ -134,16 +136,23 @@ def _index(text: str, what: str, count: int) -> int:
     return index
 
 
-def _mesh(listing: _ObjFile, faces: _Faces, name: str, material: MaterialPbr | None) -> Mesh:
-    """Corners that share position, uv and normal become one vertex; vertices keep the order of the file."""
+def _mesh(
+    listing: _ObjFile, faces: _Faces, name: str, material: MaterialPbr | None, sieve: TriangleSieve
+) -> Mesh | None:
+    """Corners that share position, uv and normal become one vertex; vertices keep the order of the file.
+
+    None where no triangle can be used.
+    """
     corners = np.array(faces.corners, dtype=np.int64).reshape(-1, 3)
     key = (corners[:, 0] * (len(listing.uvs) + 1) + corners[:, 1] + 1) * (len(listing.normals) + 1) + corners[:, 2] + 1
     _, first_corner, vertex_from_corner = np.unique(key, return_index=True, return_inverse=True)
     position_index, uv_index, normal_index = corners[first_corner].T
     triangles = vertex_from_corner.reshape(-1)[fan_triangles(np.array(faces.counts))]
-    indices = index_array("indices", triangles, len(first_corner))
     listed = [listing.positions[i] for i in position_index]
     positions = np.array([v[:3] for v in listed]).astype(np.float32)
+    indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
+    if not indices.size:
+        return None
     colors = np.clip([v[3:6] for v in listed], 0.0, 1.0) if all(len(v) >= 6 for v in listed) else None
     if material is None:
         material = MaterialPbr(name=name) if colors is None else MaterialPbr(name=name, base_color=(1.0, 1.0, 1.0))

@@ -8,11 +8,11 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.image import read_texture
-from lumisplat.io.mesh_arrays import fan_triangles, flip_v, unit_normals, without_loose_texture
+from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_texture
 from lumisplat.io.ply import PlyHeader, read_ply_element
 from lumisplat.io.ply_lists import read_ply_lists
 from lumisplat.io.source import parsing
-from lumisplat.scene.arrays import FloatArray, index_array
+from lumisplat.scene.arrays import FloatArray
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -52,7 +52,11 @@ def _read(header: PlyHeader) -> Mesh:
     colors = _colors(vertices)
     uvs = next((uv for uv in (_columns(vertices, *names) for names in _UV_NAMES) if uv is not None), None)
     corners = fan_triangles(polygons.counts)
-    indices = index_array("indices", polygons.items.astype(np.int64)[corners], len(positions))
+    indices = polygons.items.astype(np.int64)[corners]
+    sieve = TriangleSieve(header.path)
+    usable = sieve.usable(positions, indices)
+    sieve.report(anything_left=bool(usable.any()))
+    corners, indices = corners[usable], indices[usable].astype(np.int32)
     if normals is not None:
         normals = unit_normals(normals, positions, indices)
     if "texcoord" in faces and len(faces["texcoord"].items) == 2 * len(polygons.items):

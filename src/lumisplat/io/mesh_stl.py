@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
+from lumisplat.io.mesh_arrays import TriangleSieve
 from lumisplat.io.source import parsing, read_bytes
 from lumisplat.scene.mesh import Mesh
 
@@ -27,7 +28,11 @@ def read_stl(path: Path) -> Mesh:
     """
     with parsing(path, "an STL file"):
         corners = _corners(path, read_bytes(path))
-        return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3), name=path.stem)
+        indices = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+        sieve = TriangleSieve(path)
+        usable = sieve.usable(corners, indices)
+        sieve.report(anything_left=bool(usable.any()))
+        return Mesh(corners, indices[usable], name=path.stem)
 
 
 def _corners(path: Path, data: bytes) -> np.ndarray:

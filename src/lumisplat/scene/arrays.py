@@ -32,20 +32,6 @@ def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
     return array
 
 
-def index_array(name: str, values: npt.ArrayLike, limit: int) -> IntArray:
-    """Returns ``values`` as a read-only int32 array with every entry in ``[0, limit)``; see `float_array`.
-
-    Raises:
-        SceneError: The values are not integers, or an index is out of range.
-    """
-    array = np.asarray(values)
-    if array.dtype.kind not in "iu":
-        raise SceneError(f"{name} must be integers, got {array.dtype}")
-    if array.size and (array.min() < 0 or array.max() >= limit):
-        raise SceneError(f"{name} has indices from {array.min()} to {array.max()}, expected 0 to {limit - 1}")
-    return kept(array, np.int32)
-
-
 def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
     """Returns a read-only float64 affine transform, the identity for ``None``.
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, IntArray, float_array, index_array, normalised, refuse_outside_unit
+from lumisplat.scene.arrays import FloatArray, IntArray, float_array, handed_over, kept, normalised, refuse_outside_unit
 from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.triangles import check_triangles
+
+_log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,11 +20,12 @@ class Mesh:
     """V vertices, F triangles, counter-clockwise seen from outside.
 
     Arrays become read-only, copied unless they are that already. Normals are normalised; those of zero length become
-    the mean of the faces around, weighted by area.
+    the mean of the faces around, weighted by area. Triangles with an index out of range, and those without area, are
+    left out, and a log line counts them; vertices all stay.
 
     Raises:
-        SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, an index is out of range, or
-            there is no triangle.
+        SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, indices are not integers, or no
+            triangle is left.
     """
 
     positions: FloatArray
@@ -40,7 +45,7 @@ class Mesh:
         for name in ("positions", "normals", "uvs", "colors"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, float_array(name, getattr(self, name)))
-        sizes = check_shapes(
+        check_shapes(
             positions=(self.positions, "V 3"),
             normals=(self.normals, "V 3"),
             uvs=(self.uvs, "V 2"),
@@ -48,10 +53,7 @@ class Mesh:
         )
         if self.colors is not None:
             refuse_outside_unit("colors", self.colors)
-        object.__setattr__(self, "indices", index_array("indices", self.indices, sizes["V"]))
-        check_shapes(indices=(self.indices, "F 3"))
-        if self.face_count == 0:
-            raise SceneError("the mesh has no triangles")
+        object.__setattr__(self, "indices", self._usable(np.asarray(self.indices)))
         if self.normals is not None:
             object.__setattr__(self, "normals", normalised("normals", self._filled(self.normals)))
 
@@ -72,6 +74,15 @@ class Mesh:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Corners (min, max) of the bounding box, object space, shape (3,) each."""
         return self.positions.min(axis=0), self.positions.max(axis=0)
+
+    def _usable(self, indices: np.ndarray) -> IntArray:
+        check = check_triangles(self.positions, indices)
+        if not check.usable.any():
+            raise SceneError(f"the mesh has no triangles{check.problems and ' but ' + check.problems}")
+        if check.problems:
+            _log.warning("mesh %r: triangles left out: %s", self.name, check.problems)
+            indices = handed_over(indices[check.usable])
+        return kept(indices, np.int32)
 
     def _filled(self, normals: FloatArray) -> FloatArray:
         missing = np.abs(normals).max(axis=1) == 0.0

@@ -62,7 +62,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     a spacing, for discs blur by themselves (pyramid, Williams 1983); their alpha is ignored.
 
     Args:
-        mesh: Object-space triangles. Triangles of no area are skipped.
+        mesh: Object-space triangles.
         count: Number of Gaussians, 1 to 50,000,000. None: as many as put neighbours 1/300 of the bounding box's
             diagonal apart (``area / (diagonal / 300)^2``, from 1,000 to 1,000,000).
         seed: Seed of the random order; equal seeds give equal results on the same platform and NumPy version.
@@ -72,20 +72,17 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         ``albedo`` (linear), ``roughness`` and ``metallic``.
 
     Raises:
-        SceneError: This is no mesh, it has no area, or ``count`` is not a whole number of 1 to 50,000,000.
+        SceneError: This is no mesh, or ``count`` is not a whole number of 1 to 50,000,000.
     """
     if not isinstance(mesh, Mesh):
         hint = ": give scene.meshes[0].mesh, for example" if isinstance(mesh, Scene) else ""
         raise SceneError(f"gaussians_from_mesh takes a Mesh, got a {type(mesh).__name__}{hint}")
     areas, face_normals = _face_areas_and_normals(mesh)
-    area = float(areas.sum())
-    if not area > 0.0:
-        raise SceneError("the mesh has no area: every triangle is degenerate, nothing can be sampled")
     if count is None:
         count = _default_count(mesh, areas)
     if not isinstance(count, int | np.integer) or not 1 <= count <= SAMPLING_COUNT_MAX:
         raise SceneError(f"count is {count}, expected a whole number from 1 to {SAMPLING_COUNT_MAX:,}")
-    spacing = math.sqrt(area / count)
+    spacing = math.sqrt(float(areas.sum()) / count)
     rng = np.random.default_rng(seed)
     creases = crease_points(mesh, face_normals, spacing / 3.0, limit=SAMPLING_CREASE_POINTS_PER_GAUSSIAN * count)
     candidates = _candidates(mesh, areas, math.ceil(SAMPLING_CANDIDATES_PER_GAUSSIAN * count), rng)
