@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lumisplat.io import load, load_cameras, save, save_cameras
     from lumisplat.render.frame import Frame
     from lumisplat.render.renderer import Renderer, create_renderer, render
-    from lumisplat.scene.camera import Camera
+    from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.demo import demo_cameras, demo_scene
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.materials import MaterialPbr
@@ -40,6 +40,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Antialiasing": "config",
     "Camera": "scene.camera",
+    "CameraModel": "scene.camera",
     "ConfigError": "errors",
     "DeviceError": "errors",
     "FormatError": "errors",
@@ -74,6 +75,7 @@ _HOME = {
 __all__ = [
     "Antialiasing",
     "Camera",
+    "CameraModel",
     "ConfigError",
     "DeviceError",
     "FormatError",

@@ -70,11 +70,13 @@ class Frame:
 
     @property
     def depth_z(self) -> FloatArray:
-        """View depth of the surface, (H, W)."""
-        camera = self.camera
-        x = (np.arange(camera.width, dtype=np.float32) + 0.5 - camera.cx) / camera.fx
-        y = (np.arange(camera.height, dtype=np.float32) + 0.5 - camera.cy) / camera.fy
-        return (self.depth / np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + 1.0)).astype(np.float32)
+        """View depth of the surface, (H, W): negative behind a fisheye; inf where there is none.
+
+        With an aperture, ``depth`` is taken for the distance along the ray through the lens's centre.
+        """
+        cosine = self.camera.ray_directions()[..., 2]
+        nothing = np.full_like(self.depth, np.inf)
+        return np.multiply(self.depth, cosine, out=nothing, where=np.isfinite(self.depth), casting="same_kind")
 
     def premultiplied(self) -> FloatArray:
         """Radiance without the background, (H, W, 3)."""

@@ -9,12 +9,27 @@ import warp as wp
 from lumisplat.buffers import Buffers
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs import MeshHits, Rect, Splat
+from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
 from lumisplat.render import raster_kernels as kernels
 from lumisplat.render.device_scene import DeviceScene, tile_grid
 from lumisplat.render.order import DepthOrder, OrderChunked, OrderParallel, TileLists
 from lumisplat.render.surface import Surface
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
+
+
+def refuse_lens(camera: Camera) -> None:
+    """Raises a `SceneError` for a camera that only rays can draw: the raster is one sharp pinhole image at one time."""
+    problem = None
+    if camera.model is not CameraModel.PINHOLE:
+        problem = f"is {camera.model.value}"
+    elif camera.aperture > 0.0:
+        problem = f"has an aperture of {camera.aperture:g}"
+    elif camera.camera_from_world_end is not None:
+        problem = "has a rolling shutter"
+    if problem:
+        name = f" '{camera.name}'" if camera.name else ""
+        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
 
 
 class SplatRaster:

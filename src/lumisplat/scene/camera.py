@@ -1,9 +1,10 @@
-"""A pinhole camera: x right, y down, z forward; pixel centres at +0.5."""
+"""Cameras: x right, y down, z forward; pixel centres at +0.5."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +14,25 @@ from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import is_number, matrix_4x4
 
 
+class CameraModel(Enum):
+    """Which ray a pixel sees, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` of the pixel's centre (x, y)."""
+
+    PINHOLE = "pinhole"
+    """From the eye along (u, v, 1)."""
+    FISHEYE = "fisheye"
+    """Equidistant: from the eye, ``theta = |(u, v)|`` radians off the axis; fx and fy are pixels per radian. Views of
+    more than 180 degrees are fine; a pixel beyond ``theta = pi`` sees nothing."""
+    ORTHOGRAPHIC = "orthographic"
+    """Along the axis, from (u, v, 0) on the plane through the eye; fx and fy are pixels per scene unit."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Camera:
-    """Pinhole projection ``pixel = (fx x / z + cx, fy y / z + cy)`` of camera-space points (OpenCV axes).
+    """A camera with OpenCV axes: a projection, a pose, and, for rays only, a thin lens and a rolling shutter.
 
     Raises:
-        SceneError: A size or focal length is not positive, or the pose is not a rigid transform.
+        SceneError: A size or focal length is not positive, a pose is not a rigid transform, the lens is impossible, or
+            the two poses of a rolling shutter are half a turn apart.
     """
 
     width: int
@@ -26,35 +40,52 @@ class Camera:
     height: int
     """Image height, pixels."""
     fx: float
-    """Horizontal focal length, pixels."""
+    """Horizontal focal length, pixels; of a fisheye per radian, of an orthographic camera per scene unit."""
     fy: float
-    """Vertical focal length, pixels."""
+    """Vertical focal length, likewise."""
     cx: float
     """Principal point, pixels from the left edge of the image."""
     cy: float
     """Principal point, pixels from the top edge of the image."""
     camera_from_world: npt.NDArray[np.float64]
-    """Rigid transform, shape (4, 4), column vectors."""
+    """Rigid transform, shape (4, 4), column vectors; with a rolling shutter, that at the start of the first row."""
     near: float = NEAR_PLANE
-    """Nothing closer than this view depth is drawn, scene units."""
+    """Nothing closer than this view depth is drawn, scene units; for a fisheye, than this distance."""
     name: str = ""
     """Where the frame comes from: the image's name in a camera file."""
+    model: CameraModel = CameraModel.PINHOLE
+    """Which ray a pixel sees."""
+    aperture: float = 0.0
+    """Radius of the lens, scene units; 0: all is sharp. A disc in the plane through the eye; for a fisheye, square to
+    the ray of each pixel."""
+    focus_distance: float = 1.0
+    """View depth of the plane that the lens shows sharp, scene units; for a fisheye, radius of the sphere."""
+    camera_from_world_end: npt.NDArray[np.float64] | None = None
+    """The pose at the end of the last row, shape (4, 4), of a rolling shutter: row y is exposed when (y + 0.5) / height
+    of the way is done, the eye moving straight and the rotation steadily (slerp). None: all rows at once."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             object.__setattr__(self, name, _pixel_count(name, getattr(self, name)))
-        for name in ("fx", "fy", "near", "cx", "cy"):
+        for name in ("fx", "fy", "near", "cx", "cy", "aperture", "focus_distance"):
             value = getattr(self, name)
             if not is_number(value) or not math.isfinite(value):
                 raise SceneError(f"camera {name} is {value}, expected a finite number")
-            if name in ("fx", "fy", "near") and value <= 0.0:
+            if name in ("fx", "fy", "near", "focus_distance") and value <= 0.0:
                 raise SceneError(f"camera {name} is {value}, expected a positive number")
             object.__setattr__(self, name, float(value))
-        matrix = matrix_4x4("camera_from_world", self.camera_from_world)
-        rotation = matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
-            raise SceneError("camera_from_world is not rigid: its upper 3x3 must be a rotation")
-        object.__setattr__(self, "camera_from_world", matrix)
+        if self.aperture < 0.0:
+            raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
+        if not isinstance(self.model, CameraModel):
+            models = ", ".join(f"CameraModel.{model.name}" for model in CameraModel)
+            raise SceneError(f"camera model is {self.model!r}, expected one of {models}")
+        object.__setattr__(self, "camera_from_world", _rigid("camera_from_world", self.camera_from_world))
+        if self.camera_from_world_end is not None:
+            end = _rigid("camera_from_world_end", self.camera_from_world_end)
+            object.__setattr__(self, "camera_from_world_end", end)
+            sine, cosine = self._turn()
+            if cosine < 0.0 and np.linalg.norm(sine) < 1e-3:
+                raise SceneError("camera_from_world_end is half a turn from camera_from_world: which way round is open")
 
     @classmethod
     def look_at(
@@ -68,6 +99,9 @@ class Camera:
         fov_y: float = 0.8,
         near: float = NEAR_PLANE,
         name: str = "",
+        model: CameraModel = CameraModel.PINHOLE,
+        aperture: float = 0.0,
+        focus_distance: float | None = None,
     ) -> Camera:
         """A camera at ``eye`` that looks at ``target``.
 
@@ -77,9 +111,13 @@ class Camera:
             up: World direction that points up in the image, any length, shape (3,).
             width: Image width, pixels.
             height: Image height, pixels.
-            fov_y: Vertical field of view, radians, 0 to pi.
+            fov_y: Vertical field of view, radians, 0 to pi, for a fisheye to 2 pi. An orthographic camera shows as much
+                as a pinhole camera of that field of view would at the distance of ``target``.
             near: Near plane, scene units.
             name: Name of the frame.
+            model: Which ray a pixel sees.
+            aperture: Radius of the lens, scene units; 0: all is sharp.
+            focus_distance: What the lens shows sharp, scene units; None: ``target``.
 
         Raises:
             SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
@@ -87,18 +125,23 @@ class Camera:
         """
         width, height = _pixel_count("width", width), _pixel_count("height", height)
         eye, target, up = _point("eye", eye), _point("target", target), _point("up", up)
-        if not is_number(fov_y) or not 0.0 < fov_y < math.pi:
-            raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
+        fisheye = model is CameraModel.FISHEYE
+        widest = 2.0 * math.pi if fisheye else math.nextafter(math.pi, 0.0)
+        if not is_number(fov_y) or not 0.0 < fov_y <= widest:
+            raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and {'2 pi' if fisheye else 'pi'}")
         forward = target - eye
         right = np.cross(forward, up)
         if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
             raise SceneError("look_at needs eye and target apart, and up not parallel to the view direction")
-        forward = forward / np.linalg.norm(forward)
+        distance = float(np.linalg.norm(forward))
+        forward = forward / distance
         right = right / np.linalg.norm(right)
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = np.stack([right, np.cross(forward, right), forward])
         camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ eye
-        focal = 0.5 * height / math.tan(0.5 * fov_y)
+        focal = height / fov_y if fisheye else 0.5 * height / math.tan(0.5 * fov_y)
+        if model is CameraModel.ORTHOGRAPHIC:
+            focal /= distance
         return cls(
             width=width,
             height=height,
@@ -109,6 +152,9 @@ class Camera:
             camera_from_world=camera_from_world,
             near=near,
             name=name,
+            model=model,
+            aperture=aperture,
+            focus_distance=distance if focus_distance is None else focus_distance,
         )
 
     @property
@@ -118,13 +164,47 @@ class Camera:
 
     @property
     def eye(self) -> npt.NDArray[np.float64]:
-        """World position of the centre of projection, shape (3,)."""
+        """World position of the centre of projection, shape (3,); orthographic: of the principal point."""
         return self.world_from_camera[:3, 3]
 
     @property
     def fov_y(self) -> float:
-        """Vertical field of view, radians (of a centred principal point)."""
-        return 2.0 * math.atan(0.5 * self.height / self.fy)
+        """Vertical field of view, radians (of a centred principal point); orthographic: 0, as all rays are parallel."""
+        if self.model is CameraModel.FISHEYE:
+            return self.height / self.fy
+        return 2.0 * math.atan(0.5 * self.height / self.fy) if self.model is CameraModel.PINHOLE else 0.0
+
+    @property
+    def shutter_motion(self) -> npt.NDArray[np.float64]:
+        """How far the eye moves from the first row's start to the last row's end, world space, shape (3,)."""
+        return self._world_from_camera_end[:3, 3] - self.eye
+
+    @property
+    def shutter_turn(self) -> npt.NDArray[np.float64]:
+        """How far the camera turns meanwhile: the axis in world space, as long as the angle in radians, shape (3,)."""
+        sine, cosine = self._turn()
+        length = float(np.linalg.norm(sine))
+        return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
+
+    def ray_directions(self) -> npt.NDArray[np.float64]:
+        """Unit directions through the pixels' centres, camera space, shape (H, W, 3).
+
+        Zero where a fisheye sees nothing. Orthographic rays start on the plane through the eye, all others in the eye.
+        """
+        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        v = (np.arange(self.height)[:, None] + 0.5 - self.cy) / self.fy
+        rays = np.zeros((self.height, self.width, 3))
+        if self.model is CameraModel.ORTHOGRAPHIC:
+            rays[..., 2] = 1.0
+        elif self.model is CameraModel.FISHEYE:
+            theta = np.hypot(u, v)
+            shrink = np.sinc(theta / np.pi)  # sin(theta) / theta
+            rays[..., 0], rays[..., 1], rays[..., 2] = shrink * u, shrink * v, np.cos(theta)
+            rays[theta > np.pi] = 0.0
+        else:
+            rays[..., 0], rays[..., 1], rays[..., 2] = u, v, 1.0
+            rays /= np.sqrt(u * u + v * v + 1.0)[..., None]
+        return rays
 
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
         """The same view at another resolution; one given side keeps the aspect ratio (square pixels stay square)."""
@@ -137,6 +217,16 @@ class Camera:
             height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+    @property
+    def _world_from_camera_end(self) -> npt.NDArray[np.float64]:
+        end = self.camera_from_world if self.camera_from_world_end is None else self.camera_from_world_end
+        return np.asarray(np.linalg.inv(end), dtype=np.float64)
+
+    def _turn(self) -> tuple[npt.NDArray[np.float64], float]:
+        """Axis times sine, and cosine, of the turn from the first pose to the last; exactly 0 and about 1 for none."""
+        first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
+        return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
 
 def _pixel_count(name: str, value: float) -> int:
@@ -153,3 +243,11 @@ def _point(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     if point.shape != (3,) or not np.isfinite(point).all():
         raise SceneError(f"camera {name} is {values}, expected three finite numbers")
     return point
+
+
+def _rigid(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    matrix = matrix_4x4(name, values)
+    rotation = matrix[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
+        raise SceneError(f"{name} is not rigid: its upper 3x3 must be a rotation")
+    return matrix

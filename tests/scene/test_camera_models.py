@@ -1,0 +1,201 @@
+"""Fisheye, orthographic and thin-lens cameras and the rolling shutter: their doors, and their rays by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from lumisplat.render.raster import refuse_lens
+from scenes import front_camera, one_gaussian, rotation
+
+FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
+
+
+def posed(turn: np.ndarray, eye: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """camera_from_world of a camera turned so in the world, and standing there."""
+    world_from_camera = turn.copy()
+    world_from_camera[:3, 3] = eye
+    return np.linalg.inv(world_from_camera)
+
+
+def test_pinhole_rays_project_back() -> None:
+    """Rays are of unit length and meet the image at the pixels' centres."""
+    camera = front_camera(7, 5, fx=4.0, fy=5.0, cx=3.0, cy=2.0)
+    rays = camera.ray_directions()
+    assert rays.shape == (5, 7, 3) and rays.dtype == np.float64
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0)
+    np.testing.assert_allclose(4.0 * rays[..., 0] / rays[..., 2] + 3.0, np.tile(np.arange(7) + 0.5, (5, 1)))
+    np.testing.assert_allclose(5.0 * rays[..., 1] / rays[..., 2] + 2.0, np.tile(np.arange(5)[:, None] + 0.5, 7))
+
+
+def test_fisheye_angles_are_distances_in_the_image() -> None:
+    """Of 220 degrees over 220 rows, a pixel 100 rows off the centre looks 100 degrees off the axis: behind itself."""
+    camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=221, height=221, fov_y=np.radians(221.0), model=FISHEYE)
+    rays = camera.ray_directions()
+    assert camera.fov_y == pytest.approx(np.radians(221.0))
+    np.testing.assert_allclose(rays[110, 110], (0.0, 0.0, 1.0), atol=1e-12)
+    angle = np.radians(100.0)
+    np.testing.assert_allclose(rays[110, 210], (np.sin(angle), 0.0, np.cos(angle)), atol=1e-12)
+    np.testing.assert_allclose(rays[10, 110], (0.0, -np.sin(angle), np.cos(angle)), atol=1e-12)
+    diagonal = np.radians(60.0 * np.sqrt(2.0))
+    side = np.sin(diagonal) * np.sqrt(0.5)
+    np.testing.assert_allclose(rays[170, 50], (-side, side, np.cos(diagonal)), atol=1e-12)
+
+
+def test_fisheye_sees_nothing_beyond_its_back() -> None:
+    """A full turn over the height: corners beyond theta = pi have no ray, all others one of unit length."""
+    camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=64, fov_y=2.0 * np.pi, model=FISHEYE)
+    rays = camera.ray_directions()
+    y, x = np.mgrid[:64, :64] + 0.5 - 32.0
+    outside = np.hypot(x, y) > 32.0
+    assert outside[0, 0] and not outside[0, 32]
+    np.testing.assert_array_equal(rays[outside], 0.0)
+    np.testing.assert_allclose(np.linalg.norm(rays[~outside], axis=-1), 1.0)
+
+
+def test_orthographic_rays_are_parallel() -> None:
+    """All along the axis; look_at shows as much as a pinhole camera would at the target."""
+    arguments = {"eye": (0, 0, -4), "target": (0, 0, 0), "width": 30, "height": 20, "fov_y": 0.9}
+    camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(camera.ray_directions(), np.broadcast_to((0.0, 0.0, 1.0), (20, 30, 3)))
+    pinhole = ls.Camera.look_at(**arguments)  # type: ignore[arg-type]
+    assert camera.fx == camera.fy == pytest.approx(pinhole.fx / 4.0)
+    assert camera.fov_y == 0.0
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+def test_scaled_keeps_the_view_of_every_model(model: ls.CameraModel) -> None:
+    """Twice as many pixels: the four that replace one look around where it looked, lens and shutter unchanged."""
+    end = posed(rotation((0.0, 1.0, 0.0), 0.1))
+    camera = front_camera(
+        8, 6, 5.0, model=model, cx=3.0, aperture=0.2, focus_distance=3.0, camera_from_world_end=end, near=0.5
+    )
+    double = camera.scaled(width=16)
+    assert (double.width, double.height, double.fx, double.cx) == (16, 12, 10.0, 6.0)
+    assert (double.model, double.aperture, double.focus_distance, double.near) == (model, 0.2, 3.0, 0.5)
+    np.testing.assert_array_equal(double.camera_from_world_end, end)
+    mean = double.ray_directions().reshape(6, 2, 8, 2, 3).mean(axis=(1, 3))
+    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
+    np.testing.assert_allclose(mean, camera.ray_directions(), atol=0.01)
+
+
+def frame_of(camera: ls.Camera, depth: np.ndarray) -> ls.Frame:
+    """A frame of that depth."""
+    nothing = np.zeros(depth.shape, np.float32)
+    color, index = np.zeros((*depth.shape, 3), np.float32), np.zeros(depth.shape, np.int32)
+    return ls.Frame(color, nothing, depth.astype(np.float32), color, index, index, camera)
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
+    """A plane at view depth 3 has depth_z 3 wherever a ray meets it, and behind a fisheye depth_z is negative."""
+    camera = front_camera(24, 20, 6.0, model=model)
+    z = camera.ray_directions()[..., 2]
+    depth = np.full(z.shape, np.inf)
+    np.divide(3.0, z, out=depth, where=z > 1e-3)
+    behind = (z < -1e-3) & (model is FISHEYE)
+    depth[behind] = 3.0 / -z[behind]
+    depth[0, 0] = np.inf
+    expected = np.where(np.isfinite(depth), np.where(behind, -3.0, 3.0), np.inf)
+    assert behind.any() == (model is FISHEYE)
+    depth_z = frame_of(camera, depth).depth_z
+    assert depth_z.dtype == np.float32
+    np.testing.assert_allclose(depth_z, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model": "fisheye"}, "camera model is 'fisheye', expected one of CameraModel.PINHOLE, CameraModel.FISHEYE"),
+        ({"aperture": -0.1}, "camera aperture is -0.1, expected the radius of a lens"),
+        ({"aperture": np.nan}, "camera aperture is nan, expected a finite number"),
+        ({"focus_distance": 0.0}, "camera focus_distance is 0.0, expected a positive number"),
+        ({"focus_distance": "far"}, "camera focus_distance is far, expected a finite number"),
+        ({"focus_distance": np.inf}, "camera focus_distance is inf, expected a finite number"),
+        ({"camera_from_world_end": np.eye(3)}, r"camera_from_world_end has shape \(3, 3\), expected \(4, 4\)"),
+        ({"camera_from_world_end": 2.0 * np.eye(4)}, "camera_from_world_end has last row"),
+        ({"camera_from_world_end": np.diag([2.0, 2.0, 2.0, 1.0])}, "camera_from_world_end is not rigid"),
+        ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "half a turn from camera_from_world: which way"),
+    ],
+)
+def test_wrong_lenses_are_refused(changes: dict[str, object], message: str) -> None:
+    """The one line says which value and what was expected."""
+    with pytest.raises(ls.SceneError, match=message) as raised:
+        front_camera(**changes)  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "fov_y", "message"),
+    [
+        (FISHEYE, 6.3, "fov_y is 6.3, expected radians between 0 and 2 pi"),
+        (FISHEYE, 0.0, "fov_y is 0.0, expected radians between 0 and 2 pi"),
+        (ORTHOGRAPHIC, 3.2, "fov_y is 3.2, expected radians between 0 and pi"),
+    ],
+)
+def test_fields_of_view_have_bounds(model: ls.CameraModel, fov_y: float, message: str) -> None:
+    """A fisheye sees a full turn at most."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.Camera.look_at((0, 0, 0), (0, 0, 1), fov_y=fov_y, model=model)
+
+
+def test_look_at_focuses_on_its_target() -> None:
+    """Unless told otherwise."""
+    camera = ls.Camera.look_at((1, 2, 3), (1, 2, 8), aperture=0.25)
+    assert (camera.aperture, camera.focus_distance) == (0.25, 5.0)
+    assert ls.Camera.look_at((1, 2, 3), (1, 2, 8), aperture=0.25, focus_distance=2.0).focus_distance == 2.0
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
+def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], angle: float, start: float) -> None:
+    """The first rotation, turned in the world as ``shutter_turn`` says, is the last; the eye moves by the motion."""
+    if np.linalg.norm(axis) < 0.1:
+        return
+    first = rotation((0.3, -0.5, 0.8), start)
+    camera = front_camera(
+        camera_from_world=posed(first, (1.0, 2.0, 3.0)),
+        camera_from_world_end=posed(rotation(axis, angle) @ first, (1.5, 2.0, 2.0)),
+    )
+    expected = np.asarray(axis) / np.linalg.norm(axis) * angle
+    np.testing.assert_allclose(camera.shutter_turn, expected, atol=1e-9)
+    np.testing.assert_allclose(camera.shutter_motion, (0.5, 0.0, -1.0), atol=1e-12)
+
+
+def test_still_shutters_do_not_move_at_all() -> None:
+    """Without an end pose, and with the same pose twice, motion and turn are zero to the bit."""
+    pose = posed(rotation((0.3, -0.5, 0.8), 1.234), (0.1, 0.2, 0.3))
+    for end in (None, pose):
+        camera = front_camera(camera_from_world=pose, camera_from_world_end=end)
+        np.testing.assert_array_equal(camera.shutter_turn, 0.0)
+        np.testing.assert_array_equal(camera.shutter_motion, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"model": FISHEYE}, "camera 'left' is fisheye, which the raster pipeline cannot draw: use Pipeline.TRACE"),
+        ({"model": ORTHOGRAPHIC, "name": ""}, "^camera is orthographic, which"),
+        ({"aperture": 0.1}, "has an aperture of 0.1"),
+        ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
+    ],
+)
+def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, object], message: str) -> None:
+    """One line says what, and which pipeline can."""
+    camera = front_camera(name="left")
+    refuse_lens(camera)
+    with pytest.raises(ls.SceneError, match=message):
+        refuse_lens(replace(camera, **changes))  # type: ignore[arg-type]
+
+
+def test_depth_z_of_a_drawn_frame() -> None:
+    """The raster's own depth and ``ray_directions`` agree: a Gaussian off the axis has its mean's view depth."""
+    scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), 0.3, 0.9)])
+    frame = ls.render(scene, front_camera(), device="cpu")
+    found = np.isfinite(frame.depth)
+    assert found.any()
+    np.testing.assert_allclose(frame.depth_z[found], 3.0, rtol=1e-6)
