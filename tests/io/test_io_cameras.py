@@ -111,6 +111,54 @@ def test_round_trip(tmp_path: Path) -> None:
             assert getattr(loaded, name) == getattr(camera, name)
 
 
+@pytest.mark.parametrize(
+    ("keys", "model"),
+    [
+        ({}, ls.CameraModel.PINHOLE),
+        ({"camera_model": "OPENCV"}, ls.CameraModel.PINHOLE),
+        ({"camera_type": "perspective"}, ls.CameraModel.PINHOLE),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.0, "k4": 0.0}, ls.CameraModel.FISHEYE),
+        ({"is_fisheye": True}, ls.CameraModel.FISHEYE),
+        ({"camera_type": "fisheye"}, ls.CameraModel.FISHEYE),
+        ({"camera_model": "ORTHOPHOTO"}, ls.CameraModel.ORTHOGRAPHIC),
+    ],
+)
+def test_camera_models(tmp_path: Path, keys: dict[str, object], model: ls.CameraModel) -> None:
+    """The names that nerfstudio and instant-ngp give their models; focal lengths mean the same there and here."""
+    (camera,) = load(tmp_path, {**FILE, **keys})
+    assert camera.model is model
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (10, 11, 4.5, 2.5)
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
+    """Each model comes back as itself, also where nerfstudio looks for it: once, for the whole file."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0), width=20, height=10, fov_y=0.7, model=model)
+    save_cameras(tmp_path / "transforms.json", [camera, camera])
+    saved = json.loads((tmp_path / "transforms.json").read_text())
+    names = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "orthographic": "ORTHOPHOTO"}
+    assert saved["camera_model"] == names[model.value]
+    for loaded in load_cameras(tmp_path / "transforms.json"):
+        np.testing.assert_allclose(loaded.ray_directions(), camera.ray_directions(), atol=1e-15)
+        assert (loaded.model, loaded.fx) == (model, camera.fx)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"aperture": 0.1}, r"camera 1 \(late\) has an aperture"),
+        ({"camera_from_world_end": np.eye(4)}, r"camera 1 \(late\) has a rolling shutter"),
+        ({"model": ls.CameraModel.FISHEYE}, "one model, these are fisheye and pinhole"),
+    ],
+)
+def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    """Nothing is left out in silence: a lens, a rolling shutter and mixed models are named, and no file is written."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0), name="late")
+    with pytest.raises(SceneError, match=message):
+        save_cameras(tmp_path / "transforms.json", [camera, replace(camera, **changes)])
+    assert not list(tmp_path.iterdir())
+
+
 def test_saving_nothing_is_refused(tmp_path: Path) -> None:
     """No cameras, no file."""
     with pytest.raises(SceneError, match="no cameras"):
@@ -172,8 +220,11 @@ def without(content: dict, *names: str) -> dict:
         (without(FILE, "fl_x"), "frame 0 .* no intrinsics"),
         (without({**FILE, "camera_angle_x": 4.0}, "fl_x"), "frame 0 .* camera_angle_x 4.0"),
         (without(FILE, "w"), "frame 0 .* no w and h"),
-        ({**FILE, "camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE'"),
-        ({**FILE, "is_fisheye": True}, "camera_model 'OPENCV_FISHEYE'"),
+        ({**FILE, "camera_model": "EQUIRECTANGULAR"}, 'frame 0 .* has camera_model "EQUIRECTANGULAR", expected one of'),
+        ({**FILE, "camera_type": "equirectangular"}, 'has camera_type "equirectangular", expected one of'),
+        ({**FILE, "camera_model": 7}, "has camera_model 7, expected one of OPENCV"),
+        ({**FILE, "frames": [FRAME, {**FRAME, "camera_model": "FOV"}]}, 'frame 1 .* has camera_model "FOV"'),
+        (without({**FILE, "camera_model": "OPENCV_FISHEYE", "camera_angle_x": 1.0}, "fl_x"), "frame 0 .* lacks fl_x"),
         ([{**INRIA, "width": 0}], r"frame 0 \(00001\) camera width is 0"),
         ([INRIA, without(INRIA, "fx")], r"frame 1 \(00001\) lacks fx"),
         ([{**INRIA, "rotation": np.zeros((3, 3)).tolist()}], "frame 0 .* singular"),

@@ -148,8 +148,9 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
 
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
-            ``camera_angle_x``; image sizes are looked up where the file gives none) or INRIA's ``cameras.json``
-            (OpenCV; the principal point is the centre). Lens distortion is ignored with a log line.
+            ``camera_angle_x``; image sizes are looked up where the file gives none; pinhole, equidistant fisheye and
+            orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
+            ignored with a log line.
         width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``.
         height: Image height, pixels, of such frames.
 
@@ -166,10 +167,11 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
 
     Args:
         path: Where to. The file appears complete or not at all.
-        cameras: At least one; names become the frames' file paths.
+        cameras: At least one, all of one model; names become the frames' file paths.
 
     Raises:
-        SceneError: There is no camera.
+        SceneError: There is no camera, models are mixed, or a camera has an aperture or a rolling shutter, for which
+            the format has no place.
         FormatError: The file cannot be written.
     """
     from lumisplat.io import cameras as files

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.atomic import atomic_write
 from lumisplat.io.source import PathLike, parsing, read_bytes
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
 
 _log = logging.getLogger("lumisplat")
 
@@ -31,7 +31,16 @@ _IMAGE_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", ".heic")
 
-_PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE")
+_MODELS = {
+    "OPENCV": CameraModel.PINHOLE,
+    "PINHOLE": CameraModel.PINHOLE,
+    "SIMPLE_PINHOLE": CameraModel.PINHOLE,
+    "PERSPECTIVE": CameraModel.PINHOLE,
+    "OPENCV_FISHEYE": CameraModel.FISHEYE,
+    "FISHEYE": CameraModel.FISHEYE,
+    "ORTHOPHOTO": CameraModel.ORTHOGRAPHIC,
+}
+"""By nerfstudio's names. The first one of each model is written."""
 
 _DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
@@ -48,7 +57,7 @@ def load_cameras(path: PathLike, width: int | None = None, height: int | None = 
                 path, f"invalid JSON at line {error.lineno}: {error.msg}; expected transforms.json or cameras.json"
             ) from None
         if isinstance(content, dict) and isinstance(content.get("frames"), list):
-            _check_camera_model(path, content)
+            _check_lenses(path, content)
             entries, decode = content["frames"], lambda frame: _nerfstudio_camera(path, content, frame, fallback)
         elif isinstance(content, list) and (not content or any("rotation" in entry for entry in content)):
             entries, decode = content, _inria_camera
@@ -63,6 +72,14 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
     """See `lumisplat.io.save_cameras`."""
     if not cameras:
         raise SceneError("no cameras to save")
+    models = {camera.model for camera in cameras}
+    if len(models) > 1:
+        names = " and ".join(sorted(model.value for model in models))
+        raise SceneError(f"a transforms.json holds cameras of one model, these are {names}: save them apart")
+    for k, camera in enumerate(cameras):
+        if camera.aperture > 0.0 or camera.camera_from_world_end is not None:
+            what = "an aperture" if camera.aperture > 0.0 else "a rolling shutter"
+            raise SceneError(f"camera {k} ({camera.name}) has {what}, which a transforms.json cannot hold")
     frames = [
         {
             "file_path": camera.name or f"frame_{k:05d}",
@@ -76,7 +93,8 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
         }
         for k, camera in enumerate(cameras)
     ]
-    text = json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1)
+    model = next(name for name, model in _MODELS.items() if model in models)
+    text = json.dumps({"camera_model": model, "frames": frames}, indent=1)
     with atomic_write(path) as temporary:
         Path(temporary).write_text(text + "\n", encoding="utf-8")
 
@@ -97,14 +115,25 @@ def _decoded(path: Path, index: int, entry: Any, decode: Callable[[Any], Camera]
     raise FormatError(path, f"frame {index}{f' ({name})' if name else ''} {problem}")
 
 
-def _check_camera_model(path: Path, content: Mapping[str, Any]) -> None:
-    model = "OPENCV_FISHEYE" if content.get("is_fisheye") else content.get("camera_model", "OPENCV")
-    if model not in _PINHOLE_MODELS:
-        raise FormatError(path, f"has camera_model {model!r}, expected one of {', '.join(_PINHOLE_MODELS)}")
+def _check_lenses(path: Path, content: Mapping[str, Any]) -> None:
+    """Says which distortions are ignored, once for the whole file."""
     frames = [frame for frame in content["frames"] if isinstance(frame, dict)]
     distorted = [name for name in _DISTORTIONS if any(values.get(name) for values in (content, *frames))]
     if distorted:
         _log.warning("%s: lens distortion (%s) is ignored", path, ", ".join(distorted))
+
+
+def _model(values: Mapping[str, Any]) -> CameraModel:
+    """The model of a frame.
+
+    Raises:
+        SceneError: It is none of ours.
+    """
+    key = "camera_model" if "camera_model" in values else "camera_type"
+    name = "OPENCV_FISHEYE" if values.get("is_fisheye") else values.get(key, "OPENCV")
+    if not isinstance(name, str) or name.upper() not in _MODELS:
+        raise SceneError(f"has {key} {_shown(name)}, expected one of {', '.join(_MODELS)}")
+    return _MODELS[name.upper()]
 
 
 def _nerfstudio_camera(
@@ -115,8 +144,10 @@ def _nerfstudio_camera(
     pose = _numbers(rows, (len(rows) if isinstance(rows, list) and len(rows) == 3 else 4, 4), "transform_matrix")
     world_from_camera = _rigid(pose) @ _OPENGL_FROM_OPENCV
     width, height = _image_size(path, values, fallback)
-    fx = _number(values, "fl_x") if "fl_x" in values else _focal(values, "camera_angle_x", width)
-    fy = _number(values, "fl_y") if "fl_y" in values else _focal(values, "camera_angle_y", height, default=fx)
+    model = _model(values)
+    angles = values if model is CameraModel.PINHOLE else {}  # others have no agreed meaning for them
+    fx = _number(values, "fl_x") if "fl_x" in values or not angles else _focal(angles, "camera_angle_x", width)
+    fy = _number(values, "fl_y") if "fl_y" in values else _focal(angles, "camera_angle_y", height, default=fx)
     return Camera(
         width=width,  # type: ignore[arg-type] # whole numbers, or refused there
         height=height,  # type: ignore[arg-type]
@@ -126,6 +157,7 @@ def _nerfstudio_camera(
         cy=_number(values, "cy") if "cy" in values else 0.5 * height,
         camera_from_world=_inverse_rigid(world_from_camera),
         name=_frame_name(values.get("file_path", "")),
+        model=model,
     )
 
 
