@@ -134,6 +134,10 @@ float64, thin triangles from float32 at 1e-7."""
 TRANSFORM_MAX = 1e18
 """Largest entry of a transform and of its inverse: squares of it still fit into float32."""
 
+SIMILARITY_TOLERANCE = 1e-4
+"""How far a capture's axes may be from equal length (squared) and from right angles (cosine): rounding of poses that
+were stored with five digits."""
+
 # --- Limits of 32-bit indices ---
 
 IMAGE_PIXELS_MAX = 200_000_000

@@ -18,18 +18,41 @@ def test_similarity_is_kept() -> None:
     assert np.array_equal(ls.SplatInstance(random_gaussians(0, 3)).transform, np.eye(4))
 
 
+STRETCHED = np.diag([1.0, 2.0, 1.0])
+SHEARED = np.eye(3) + 0.2 * np.eye(3, k=1)
+TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
+
+
 @pytest.mark.parametrize(
-    "matrix",
-    [np.diag([1.0, 2.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0, 1.0]), np.eye(4) + np.eye(4, k=1) * 0.2],
-    ids=["stretched", "mirrored", "sheared"],
+    ("linear", "reason"),
+    [
+        (STRETCHED, "scales the axes by 1, 2 and 1"),
+        (TURN @ STRETCHED, "scales the axes by 3, 6 and 3"),
+        (np.diag([-1.0, 1.0, 1.0]), r"mirrors \(determinant -1\)"),
+        (-TURN, r"mirrors \(determinant -27\)"),
+        (np.diag([1.0, 1.0, 1.001]), "scales the axes by 1, 1 and 1.001"),
+        # y leans towards x by atan(0.2), z towards y.
+        (SHEARED, r"scales .* and shears \(its axes meet at 78.69, 78.913 and 90 degrees\)"),
+        (STRETCHED @ TURN, "scales the axes by .* and shears .*"),
+        (np.diag([1.0, -2.0, 1.0]), r"mirrors \(determinant -2\) and scales the axes by 1, 2 and 1"),
+    ],
 )
-def test_splats_take_similarities_only(matrix: np.ndarray) -> None:
-    """What would not keep Gaussians and their SH valid is refused; a mesh takes any invertible transform."""
-    matrix = matrix.copy()
-    matrix[3] = (0.0, 0.0, 0.0, 1.0)
-    with pytest.raises(ls.SceneError, match="rotation, uniform scale and translation only"):
+def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
+    """What would not keep Gaussians and their SH valid is refused with the figures; a mesh takes what is invertible."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = linear
+    taken = "rotation, uniform scale and translation only"
+    with pytest.raises(ls.SceneError, match=f"^world_from_object {reason}: a splat instance takes {taken}$"):
         ls.SplatInstance(random_gaussians(0, 3), matrix)
     ls.MeshInstance(quad(1.0), matrix)
+
+
+@pytest.mark.parametrize("noise", [1e-5, -1e-5])
+def test_rounded_poses_are_similarities(noise: float) -> None:
+    """Matrices that went through a file with five digits are still taken."""
+    matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
+    matrix[:3, :3] += noise
+    ls.SplatInstance(random_gaussians(0, 3), matrix)
 
 
 @pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, 0.0, 1.0]), np.full((4, 4), np.nan), np.eye(3), np.ones((4, 4))])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import matrix_4x4
 from lumisplat.scene.gaussians import Gaussians
@@ -19,7 +20,8 @@ class SplatInstance:
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
 
     Raises:
-        SceneError: The asset is none, or ``world_from_object`` mirrors, shears or scales its axes differently.
+        SceneError: The asset is none, or ``world_from_object`` mirrors, shears or scales the axes differently; the
+            message says which, and by how much.
     """
 
     gaussians: Gaussians
@@ -31,10 +33,7 @@ class SplatInstance:
         if not isinstance(self.gaussians, Gaussians):
             raise SceneError(f"a splat instance holds Gaussians, got a {type(self.gaussians).__name__}")
         matrix = matrix_4x4("world_from_object", self.world_from_object)
-        gram = matrix[:3, :3] @ matrix[:3, :3].T
-        scale2 = np.trace(gram) / 3.0
-        if not np.allclose(gram, scale2 * np.eye(3), atol=1e-4 * scale2) or np.linalg.det(matrix[:3, :3]) < 0.0:
-            raise SceneError("a splat instance takes rotation, uniform scale and translation only")
+        _refuse_dissimilar(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
     @property
@@ -111,6 +110,28 @@ class Scene:
             raise SceneError("an empty scene has no bounds")
         worlds = [points @ matrix[:3, :3].T + matrix[:3, 3] for points, matrix in clouds]
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+
+
+def _refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
+    """Raises a SceneError with the figures unless the matrix, shape (3, 3), turns and scales uniformly."""
+    gram = linear.T @ linear
+    gram /= np.trace(gram) / 3.0
+    factors = np.linalg.norm(linear, axis=0)
+    x, y, z = linear.T / factors[:, None]
+    determinant = np.linalg.det(linear)
+    reasons = []
+    if determinant < 0.0:
+        reasons.append(f"mirrors (determinant {determinant:.4g})")
+    if np.abs(np.diag(gram) - 1.0).max() > SIMILARITY_TOLERANCE:
+        reasons.append("scales the axes by {:.6g}, {:.6g} and {:.6g}".format(*factors))
+    if np.abs(gram - np.diag(np.diag(gram))).max() > SIMILARITY_TOLERANCE:
+        angles = np.degrees(np.arccos(np.clip([x @ y, y @ z, z @ x], -1.0, 1.0)))
+        reasons.append("shears (its axes meet at {:.5g}, {:.5g} and {:.5g} degrees)".format(*angles))
+    if reasons:
+        said = " and ".join(reasons)
+        raise SceneError(
+            f"world_from_object {said}: a splat instance takes rotation, uniform scale and translation only"
+        )
 
 
 def _instances(name: str, items: Iterable[object], asset: type, instance: type) -> tuple:
