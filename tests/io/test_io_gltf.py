@@ -166,6 +166,60 @@ def test_material_extensions_and_defaults(tmp_path: Path) -> None:
     assert second.mesh.material.base_color == (1.0, 1.0, 1.0)
 
 
+GLASS = {
+    "KHR_materials_transmission": {"transmissionFactor": 0.75},
+    "KHR_materials_ior": {"ior": 1.45},
+    "KHR_materials_volume": {"thicknessFactor": 0.01},
+}
+
+
+def test_glass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A solid that transmits is read without a word; factors left out are those of the extensions."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["materials"][0] = {
+        "extensions": GLASS,
+        "pbrMetallicRoughness": {"roughnessFactor": 0, "metallicFactor": 0},
+    }
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = one(read(tmp_path, gltf)).mesh.material
+        assert (material.transmission, material.ior, material.roughness) == (0.75, 1.45, 0.0)
+        gltf.json["materials"][0]["extensions"] = {"KHR_materials_transmission": {}, "KHR_materials_ior": {}}
+        material = one(read(tmp_path, gltf)).mesh.material
+        assert (material.transmission, material.ior, material.specular) == (0.0, 1.5, 1.0)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"KHR_materials_volume": {}},
+            "1 thin-walled materials bend light as solid bodies do, .* (first materials[0] 'painted')",
+        ),
+        ({"KHR_materials_volume": {"thicknessFactor": 0}}, "1 thin-walled"),
+        (
+            {"KHR_materials_transmission": {"transmissionFactor": 1.0, "transmissionTexture": {"index": 0}}},
+            "transmissionTexture and attenuation of 1 materials are not read (first materials[0] 'painted')",
+        ),
+        (
+            {"KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 2}},
+            "transmissionTexture and attenuation of 1 materials",
+        ),
+    ],
+)
+def test_what_is_lost_of_glass_is_announced(
+    tmp_path: Path, changes: dict, line: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Thin walls, and transmission that varies over the surface or with depth, give a line each."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["materials"][0]["extensions"] = GLASS | changes
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert one(read(tmp_path, gltf)).mesh.material.ior == 1.45
+    (record,) = caplog.records
+    for part in line.split(".*"):
+        assert part in record.message
+
+
 def test_unread_materials_are_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A metallic-roughness texture gives a line with its material; transparency one for the whole file; else none."""
     gltf = quad_gltf()

@@ -41,6 +41,14 @@ def test_obj_material_and_unit_normals(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals, [(0, 0, 1)] * 4)
 
 
+def test_obj_index_of_refraction(tmp_path: Path) -> None:
+    """Ni is the ior; below 1, as some exporters write it, it means nothing and becomes 1."""
+    path = write_obj(tmp_path)
+    for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
+        (tmp_path / "quad.mtl").write_text(f"newmtl painted\nNi {stored}\n")
+        assert read_one(path).material.ior == ior
+
+
 def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
     """Each material becomes a mesh instance with only the vertices that it uses."""
     write_obj(tmp_path)

@@ -1,4 +1,9 @@
-"""glTF materials and their base colour textures (glTF 2.0 section 3.9 and KHR_materials_{ior,specular})."""
+"""glTF materials: factors, base colour textures (glTF 2.0 section 3.9), KHR_materials_{ior,specular,transmission}.
+
+glTF tells solid bodies, to which KHR_materials_volume gives a thickness, from thin walls, through which light goes
+straight. Ours are all solid: a thin wall bends light as a body would, with a log line. Exporters write solid glass
+without its volume more often than window panes, and a pane that is modelled with both faces looks the same.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,11 @@ _log = logging.getLogger("lumisplat")
 
 
 def warn_unread(file: GltfFile) -> None:
-    """Logs what of the file's materials is not read: one line per metallic-roughness texture, one on transparency."""
+    """Logs what of the file's materials is not read.
+
+    One line per material with a metallic-roughness texture; one each on alpha, on thin walls, and on what varies or
+    darkens transmission, for all materials that have it.
+    """
     materials = file.model.materials or []
     for index, material in enumerate(materials):
         pbr = material.pbrMetallicRoughness
@@ -33,10 +42,31 @@ def warn_unread(file: GltfFile) -> None:
                 _or(getattr(pbr, "metallicFactor", None), 1.0),
                 _or(getattr(pbr, "roughnessFactor", None), 1.0),
             )
-    transparent = [_label(index, m) for index, m in enumerate(materials) if m.alphaMode in ("MASK", "BLEND")]
-    if transparent:
-        first = transparent[0]
-        _log.warning("%s: %d transparent materials are drawn opaque (first %s)", file.path, len(transparent), first)
+    lines = {
+        "%d transparent materials are drawn opaque (first %s)": lambda m: m.alphaMode in ("MASK", "BLEND"),
+        "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": _is_thin,
+        "transmissionTexture and attenuation of %d materials are not read (first %s)": _has_varied_transmission,
+    }
+    for line, concerns in lines.items():
+        labels = [_label(index, material) for index, material in enumerate(materials) if concerns(material)]
+        if labels:
+            _log.warning("%s: " + line, file.path, len(labels), labels[0])
+
+
+def _is_thin(material: pygltflib.Material) -> bool:
+    is_solid = _extension(material, "volume").get("thicknessFactor", 0.0) > 0.0
+    return _extension(material, "transmission").get("transmissionFactor", 0.0) > 0.0 and not is_solid
+
+
+def _has_varied_transmission(material: pygltflib.Material) -> bool:
+    return "transmissionTexture" in _extension(material, "transmission") or (
+        "attenuationDistance" in _extension(material, "volume")
+    )
+
+
+def _extension(material: pygltflib.Material, name: str) -> dict[str, Any]:
+    """``KHR_materials_{name}`` of a material, empty where it has none."""
+    return (material.extensions or {}).get(f"KHR_materials_{name}", {})
 
 
 def _label(index: int, material: pygltflib.Material) -> str:
@@ -68,14 +98,14 @@ class GltfMaterials:
         pbr = material.pbrMetallicRoughness
         texture = getattr(pbr, "baseColorTexture", None)
         texels = self._texture(texture.index, material.name) if texture is not None else None
-        extensions = material.extensions or {}
         return MaterialPbr(
             base_color=tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3],
             metallic=_or(getattr(pbr, "metallicFactor", None), 1.0),
             roughness=_or(getattr(pbr, "roughnessFactor", None), 1.0),
-            specular=extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0),
+            specular=_extension(material, "specular").get("specularFactor", 1.0),
             # The extension allows 0 as a switch of older assets; less than 1 means nothing here.
-            ior=max(extensions.get("KHR_materials_ior", {}).get("ior", 1.5), 1.0),
+            ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
+            transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
             base_color_texture=texels,
             name=material.name or "",
         )

@@ -45,7 +45,8 @@ def read_obj(path: Path) -> Mesh | Scene:
     """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
 
     `Kd` is taken as linear, `map_Kd` and vertex colours as sRGB, as Blender writes and reads them; `Pr` and `Pm` are
-    roughness and metallic. A missing material library leaves the default material, with a log line.
+    roughness and metallic, `Ni` is the index of refraction; no transparency is read. A missing material library leaves
+    the default material, with a log line.
 
     Returns:
         A mesh; a scene of one mesh per material where there are several.
@@ -183,6 +184,8 @@ def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
             elif keyword == "map_Kd":
                 texture = path.parent / _without_options(argument).replace("\\", "/")
                 current["base_color_texture"] = read_texture(texture, wanted_by=path)
+            elif keyword == "Ni":
+                current["ior"] = max(_numbers(argument, 1)[0], 1.0)
             elif keyword in ("Pr", "Pm"):
                 value = min(max(_numbers(argument, 1)[0], 0.0), 1.0)
                 current["roughness" if keyword == "Pr" else "metallic"] = value
