@@ -1,8 +1,8 @@
 """glTF materials: factors, base colour textures (glTF 2.0 section 3.9), KHR_materials_{ior,specular,transmission}.
 
 glTF tells solid bodies, to which KHR_materials_volume gives a thickness, from thin walls, through which light goes
-straight. Ours are all solid: a thin wall bends light as a body would, with a log line. Exporters write solid glass
-without its volume more often than window panes, and a pane that is modelled with both faces looks the same.
+straight. Ours are all solid: a thin wall bends light as a body would, with a log line. That is right for solid glass
+whose volume the exporter left out, and for a pane that is modelled with both of its faces.
 """
 
 from __future__ import annotations

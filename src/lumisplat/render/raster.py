@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.constants import KERNEL_DEGREE, TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs import MeshHits, Rect, Splat
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
@@ -16,6 +17,9 @@ from lumisplat.render.device_scene import DeviceScene, tile_grid
 from lumisplat.render.order import DepthOrder, OrderChunked, OrderParallel, TileLists
 from lumisplat.render.surface import Surface
 from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.scene import Scene
+
+_log = logging.getLogger("lumisplat")
 
 
 def refuse_lens(camera: Camera) -> None:
@@ -43,6 +47,19 @@ class SplatRaster:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
         self._launcher, self._buffers, self._order = launcher, buffers, order
+        self._warned_of_degrees: set[int] = set()
+
+    def warn_of_degree(self, scene: Scene) -> None:
+        """Logs once for each kernel degree that is not the raster's own, which is Gaussian."""
+        degrees = {instance.gaussians.kernel_degree for instance in scene.splats} - {KERNEL_DEGREE}
+        for degree in sorted(degrees - self._warned_of_degrees):
+            _log.warning(
+                "a capture has kernel degree %d, which the raster pipeline draws as degree %d: its shapes come out "
+                "right with Pipeline.TRACE",
+                degree,
+                KERNEL_DEGREE,
+            )
+        self._warned_of_degrees |= degrees
 
     def project(self, scene: DeviceScene) -> tuple[Any, Any, Any]:
         """Splats, depth keys and tile rectangles of all Gaussians of the scene."""
