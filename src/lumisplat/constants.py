@@ -37,6 +37,10 @@ HITS_PER_PASS = 16
 SAMPLES_MAX = 16_777_216
 """Samples of a pixel: the running mean still changes in float32."""
 
+SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
+"""From a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
+2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3

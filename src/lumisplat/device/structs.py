@@ -287,3 +287,35 @@ class RayRadiance:
     """Distance of the surface; inf: not reached."""
     gaussian: wp.array(dtype=int)
     """Gaussian of the surface, among all of the scene's; -1: not reached."""
+
+
+@struct
+class LensData:
+    """A camera as rays leave it for one sample of each pixel. Lives in a 1-element array."""
+
+    world_from_camera: wp.mat33
+    """Rotation at the start of the first row."""
+    eye: wp.vec3
+    """World space, then."""
+    turn_axis: wp.vec3
+    """World space, unit: what the camera turns about while the rows are exposed."""
+    turn_angle: float
+    """Until the end of the last row, radians."""
+    motion: wp.vec3
+    """Of the eye until then, world space."""
+    focal: wp.vec2
+    """Pixels; fisheye: per radian, orthographic: per scene unit."""
+    center: wp.vec2
+    """Principal point, pixels."""
+    model: int
+    """PINHOLE, FISHEYE or ORTHOGRAPHIC of ``lumisplat.device.rays``."""
+    width: int
+    height: int
+    near: float
+    aperture: float
+    """Radius of the lens; 0: none."""
+    focus_distance: float
+    offset: wp.vec2
+    """Where in each pixel the sample lies, 0..1."""
+    sample: int
+    seed: wp.uint32

@@ -1,0 +1,68 @@
+"""Counter-based random numbers: a pure function of (pixel, sample, dimension, seed), the same on every device.
+
+Each step mixes a counter, adds it to what came before, and mixes the sum, with the two-round permutation of 32 bits
+that the hash prospector finds least biased (https://github.com/skeeto/hash-prospector, [16 21f0aaad 15 d35a2d97 15]).
+A step is one-to-one in its counter: the samples of a pixel, the pixels of a sample and the dimensions of a stream never
+share a word. Adding the counter without mixing it first would be cheaper, but counters that differ in high bits only
+would then give related words.
+
+Bits are shifted and combined by name instead of by operator, so that the functions also run as plain Python.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
+MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
+ORIGIN = wp.constant(wp.uint32(0x6C756D69))
+"""Where streams start: any number but 0, of which the permutation makes 0."""
+
+BITS_16 = wp.constant(wp.uint32(16))
+BITS_15 = wp.constant(wp.uint32(15))
+BITS_8 = wp.constant(wp.uint32(8))
+UNIT = wp.constant(wp.float32(2.0**-24))
+
+# Dimensions below 2^31 are the Gaussians', by their index among all of the scene's. Others count down from the last.
+LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Dimension of a camera ray's distance from the lens's centre."""
+LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
+"""Dimension of the direction from it."""
+BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
+"""Dimension of the first stream that ``branch_stream`` starts; the others follow downwards."""
+
+
+@wp.func
+def mix(word: wp.uint32) -> wp.uint32:
+    """A permutation of the 32-bit words in which each input bit flips about half of the output's."""
+    word = wp.bit_xor(word, wp.rshift(word, BITS_16)) * MULTIPLIER_1
+    word = wp.bit_xor(word, wp.rshift(word, BITS_15)) * MULTIPLIER_2
+    return wp.bit_xor(word, wp.rshift(word, BITS_15))
+
+
+@wp.func
+def stream_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
+    """Key of the random numbers of one sample of a pixel, with ``pixel = y * width + x``."""
+    stream = mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
+    return mix(stream + mix(wp.uint32(sample)))
+
+
+@wp.func
+def branch_stream(stream: wp.uint32, branch: int) -> wp.uint32:
+    """Key of the random numbers of the ray that continues another one, by ``branch`` (0: reflected, 1: refracted).
+
+    The numbers that decided what the first ray met must not decide it again.
+    """
+    return mix(stream + mix(BRANCH_LAST - wp.uint32(branch)))
+
+
+@wp.func
+def draw_mixed(stream: wp.uint32, mixed: wp.uint32) -> float:
+    """As ``draw``, of a dimension that went through ``mix`` already: for many streams that share it."""
+    return float(int(wp.rshift(mix(stream + mixed), BITS_8))) * UNIT
+
+
+@wp.func
+def draw(stream: wp.uint32, dimension: wp.uint32) -> float:
+    """A number of a stream, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
+    return draw_mixed(stream, mix(dimension))

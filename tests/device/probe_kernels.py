@@ -1,0 +1,35 @@
+"""Kernels that show what the functions of lumisplat.device give on a device, many at once."""
+
+import warp as wp
+
+from lumisplat.device.random import branch_stream, draw, stream_of
+from lumisplat.device.rays import camera_ray
+from lumisplat.device.structs import LensData, Ray
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def probe_random(
+    pixels: wp.array(dtype=int),
+    samples: wp.array(dtype=int),
+    seeds: wp.array(dtype=wp.uint32),
+    dimensions: wp.array(dtype=wp.uint32),
+    streams: wp.array(dtype=wp.uint32),
+    branches: wp.array(dtype=wp.uint32),
+    draws: wp.array(dtype=float),
+):
+    """Streams, the streams of their second branch, and draws."""
+    i = wp.tid()
+    stream = stream_of(pixels[i], samples[i], seeds[i])
+    streams[i] = stream
+    branches[i] = branch_stream(stream, 1)
+    draws[i] = draw(stream, dimensions[i])
+
+
+@wp.kernel
+def probe_rays(lens: wp.array(dtype=LensData), rays: wp.array(dtype=Ray)):
+    """The rays of all pixels."""
+    i = wp.tid()
+    view = lens[0]
+    rays[i] = camera_ray(view, i % view.width, i // view.width)

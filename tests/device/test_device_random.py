@@ -1,0 +1,204 @@
+"""Random numbers: known answers, the same everywhere, uniform, and independent of whatever they are told apart by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import probe_kernels
+import pytest
+import warp as wp
+
+from lumisplat.device import random
+from lumisplat.launcher import Launcher
+from random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, streams
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+PIXELS = np.arange(1 << 18, dtype=np.uint32)
+LAST = 2**32 - 1
+LIMIT = 5.0
+"""Standard deviations: good numbers exceed it once in 1.7 million, so all 500 comparisons pass with probability 0.9997;
+and as nothing here depends on chance, once and for all."""
+
+
+# --- Statistics ---
+
+
+def chi_square_z(counts: np.ndarray) -> float:
+    """Chi-square of equal expectations, as a standard normal number (Wilson and Hilferty 1931)."""
+    expected = counts.sum() / counts.size
+    freedom = counts.size - 1
+    variance = 2.0 / (9.0 * freedom)
+    ratio = ((counts - expected) ** 2).sum() / expected / freedom
+    return float((np.cbrt(ratio) - (1.0 - variance)) / math.sqrt(variance))
+
+
+def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
+    """How unequally pairs fall on a grid of 16 x 16, by bits 1-4 and 9-12 of their draws, and their correlation."""
+    cells = [
+        ((first >> shift) & 15).astype(np.int64) * 16 + ((second >> shift) & 15)
+        for shift in (np.uint32(28), np.uint32(20))
+    ]
+    x, y = (words.astype(np.float64) / 2.0**32 - 0.5 for words in (first, second))
+    correlation = 12.0 * float(np.mean(x * y)) * math.sqrt(x.size)
+    return [*(chi_square_z(np.bincount(cell, minlength=256)) for cell in cells), correlation]
+
+
+# --- Values ---
+
+
+@pytest.mark.parametrize(
+    ("pixel", "sample", "seed", "stream"),
+    [
+        (0, 0, 0, 0x89ED2DF0),
+        (1, 0, 0, 0x23F4A3E5),
+        (0, 1, 0, 0xCD9AE90B),
+        (0, 0, 1, 0xD32952A8),
+        (230_399, 255, LAST, 0x1701EFB9),
+        (2**31 - 1, 2**24 - 1, 12345, 0x8B5F3FF8),
+    ],
+)
+def test_streams_are_known(pixel: int, sample: int, seed: int, stream: int) -> None:
+    """Images of a seed stay what they are: these were computed once, with integers of any size."""
+    assert int(random.stream_of(pixel, sample, wp.uint32(seed))) == stream
+
+
+@pytest.mark.parametrize(
+    ("stream", "dimension", "value"),
+    [
+        (0, 0, 0),
+        (0, 1, 10_361_252),
+        (0x12345678, 152_745, 5_214_623),
+        (LAST, LAST, 131_804),
+        (0x89ED2DF0, LAST - 1, 1_094_224),
+    ],
+)
+def test_draws_are_known(stream: int, dimension: int, value: int) -> None:
+    """Multiples of 2^-24."""
+    assert random.draw(wp.uint32(stream), wp.uint32(dimension)) == value * 2.0**-24
+
+
+def test_the_permutation_is_the_published_one() -> None:
+    """Written a third time, with Python's own integers."""
+    for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
+        x = word
+        x = ((x ^ x >> 16) * 0x21F0AAAD) % 2**32
+        x = ((x ^ x >> 15) * 0xD35A2D97) % 2**32
+        assert int(random.mix(wp.uint32(word))) == int(mix(np.uint32(word))) == x ^ x >> 15
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_devices_agree_with_python(device: str) -> None:
+    """Kernels, the NumPy twin and the functions called from Python give the same bits, for the largest counters too."""
+    rng = np.random.default_rng(1)
+    count = 20_000
+    pixels, samples = rng.integers(0, 2**31, count, dtype=np.int32), rng.integers(0, 2**24, count, dtype=np.int32)
+    seeds, dimensions = (rng.integers(0, 2**32, count, dtype=np.uint32) for _ in range(2))
+    pixels[:2], samples[:2], seeds[:2], dimensions[:2] = (0, 2**31 - 1), (0, 2**24 - 1), (0, LAST), (0, LAST)
+    inputs = [wp.array(values, device=device) for values in (pixels, samples, seeds, dimensions)]
+    outputs = [wp.zeros(count, dtype=dtype, device=device) for dtype in (wp.uint32, wp.uint32, float)]
+    Launcher(device, threads=1).run(probe_kernels.probe_random, count, *inputs, *outputs)
+    keys, branches, drawn = (array.numpy() for array in outputs)
+    expected = streams(pixels, samples, seeds)
+    np.testing.assert_array_equal(keys, expected)
+    np.testing.assert_array_equal(branches, absorbed(expected, BRANCH_LAST - 1))
+    np.testing.assert_array_equal(drawn, draws(expected, dimensions))
+    for i in range(50):
+        stream = random.stream_of(int(pixels[i]), int(samples[i]), wp.uint32(int(seeds[i])))
+        assert int(stream) == keys[i]
+        assert int(random.branch_stream(stream, 1)) == branches[i]
+        assert random.draw(stream, wp.uint32(int(dimensions[i]))) == drawn[i]
+        assert random.draw_mixed(stream, random.mix(wp.uint32(int(dimensions[i])))) == drawn[i]
+
+
+def test_draws_stay_below_one() -> None:
+    """Of the last word too: 24 bits fit a float32 exactly."""
+    inverse = pow(0xD35A2D97, -1, 2**32), pow(0x21F0AAAD, -1, 2**32)
+    word = LAST  # the permutation backwards, to find what it turns into 0xFFFFFFFF
+    word ^= word >> 15 ^ word >> 30
+    word = word * inverse[0] % 2**32
+    word ^= word >> 15 ^ word >> 30
+    word = word * inverse[1] % 2**32
+    word ^= word >> 16
+    assert int(random.mix(wp.uint32(word))) == LAST
+    stream = (word - int(random.mix(wp.uint32(9)))) % 2**32
+    assert random.draw(wp.uint32(stream), wp.uint32(9)) == 1.0 - 2.0**-24
+
+
+def test_dimensions_of_lenses_and_branches_are_no_gaussians() -> None:
+    """They count down from the last, without meeting each other or an index."""
+    taken = [int(value) for value in (random.LENS_RADIUS, random.LENS_ANGLE, random.BRANCH_LAST)]
+    assert taken == [LENS_RADIUS, LENS_ANGLE, BRANCH_LAST] == [LAST, LAST - 1, LAST - 2]
+
+
+# --- Statistics ---
+
+
+@pytest.mark.parametrize("dimension", [0, 1, 7, 152_745, 2**31 - 1, LAST - 3, LAST - 1, LAST])
+def test_draws_are_uniform(dimension: int) -> None:
+    """Over the pixels, over the samples of a pixel and over seeds, by the first 12 bits and by the 12 after them."""
+    for key in (streams(PIXELS), streams(77, PIXELS), streams(77, 5, PIXELS)):
+        words = absorbed(key, dimension)
+        for bits in (words >> 20, (words >> 8) & 0xFFF):
+            assert abs(chi_square_z(np.bincount(bits, minlength=4096))) < LIMIT
+
+
+@pytest.mark.parametrize("key", [0, 1, 12345, LAST])
+def test_the_dimensions_of_a_stream_are_uniform(key: int) -> None:
+    """One ray's draws for all Gaussians, and neighbours in index are independent."""
+    words = absorbed(np.uint32(key), PIXELS)
+    assert abs(chi_square_z(np.bincount(words >> 20, minlength=4096))) < LIMIT
+    assert np.abs(pair_z(words[:-1], words[1:])).max() < LIMIT
+    assert np.abs(pair_z(words[::2], words[1::2])).max() < LIMIT
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 16, 255, 4096, 65_537, 1 << 20, 1 << 24, 1 << 28, 1 << 29, 1 << 30, 1 << 31])
+def test_gaussians_are_independent(step: int) -> None:
+    """Whether one is accepted says nothing of another, however their indices differ."""
+    key = streams(PIXELS)
+    for index in (0, 1, 1000):
+        assert np.abs(pair_z(absorbed(key, index), absorbed(key, (index + step) % 2**32))).max() < LIMIT
+
+
+@pytest.mark.parametrize("offset", [1, 2, 16, 640, 1920, 65_536])
+def test_pixels_are_independent(offset: int) -> None:
+    """Neighbours along a row and across rows, for Gaussians and for the lens."""
+    key = streams(PIXELS)
+    for dimension in (0, 12345, LAST):
+        words = absorbed(key, dimension)
+        assert np.abs(pair_z(words[:-offset], words[offset:])).max() < LIMIT
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 255, 256, 65_536, 1 << 23])
+def test_samples_and_seeds_are_independent(step: int) -> None:
+    """A pixel's next samples, and the same sample of other seeds."""
+    first = streams(PIXELS, seed=3)
+    for second in (streams(PIXELS, step, 3), streams(PIXELS, 0, 3 + step)):
+        for dimension in (0, 12345, LAST):
+            assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
+
+
+def test_lens_points_and_branches_are_independent() -> None:
+    """The two numbers of a lens point; and what a ray draws for a Gaussian before and after a mirror or a pane."""
+    key = streams(PIXELS)
+    assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT
+    reflected, refracted = absorbed(key, BRANCH_LAST), absorbed(key, BRANCH_LAST - 1)
+    for index in (0, 1, 12345):
+        words = [absorbed(stream, index) for stream in (key, reflected, refracted)]
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            assert np.abs(pair_z(words[i], words[j])).max() < LIMIT
+
+
+def test_streams_are_not_shared() -> None:
+    """The pixels of a sample, and the samples of a pixel, all have their own: mixing is one-to-one."""
+    assert np.unique(streams(PIXELS)).size == PIXELS.size
+    assert np.unique(streams(7, PIXELS)).size == PIXELS.size
+
+
+def test_the_statistics_can_fail() -> None:
+    """They find what is wrong with a counter that is not mixed first, and with the lower bits of a multiplication."""
+    key = streams(PIXELS)
+    with np.errstate(over="ignore"):
+        first, second = mix(key + np.uint32(5)), mix(key + np.uint32(5) + np.uint32(1 << 29))
+        assert np.abs(pair_z(first, second)).max() > 2.0 * LIMIT
+        assert abs(chi_square_z(np.bincount((PIXELS * np.uint32(0x21F0AAAD)) >> 20, minlength=4096))) > LIMIT

@@ -1,0 +1,313 @@
+"""Rays of cameras on the device: against float64, and by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import probe_kernels
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from camera_oracle import camera_rays, unit
+from lumisplat.config import RenderConfig, TraceConfig
+from lumisplat.constants import SUBPIXEL_STEPS
+from lumisplat.device.rays import camera_ray, disk_point, turned
+from lumisplat.device.structs import CameraData, LensData, Ray
+from lumisplat.device.surface import pixel_ray
+from lumisplat.launcher import Launcher
+from lumisplat.render.device_scene import table_dtype
+from lumisplat.render.lens import lens_table, subpixel
+from scenes import front_camera, rotation
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+MODELS = list(ls.CameraModel)
+FISHEYE, ORTHOGRAPHIC, PINHOLE = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC, ls.CameraModel.PINHOLE
+
+
+def device_rays(
+    camera: ls.Camera, sample: int = 0, seed: int = 0, jitter: bool = True, device: str = "cpu"
+) -> np.ndarray:
+    """The rays of all pixels, (H, W) records."""
+    config = RenderConfig(seed=seed, trace=TraceConfig(jitter=jitter))
+    lens = wp.zeros(1, dtype=LensData, device=device)
+    lens.assign(lens_table(camera, config, sample))
+    rays = wp.zeros(camera.width * camera.height, dtype=Ray, device=device)
+    Launcher(device, threads=1).run(probe_kernels.probe_rays, rays.shape[0], lens, rays)
+    return rays.numpy().reshape(camera.height, camera.width)
+
+
+def moved_pose(angle: float = 0.7, eye: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> np.ndarray:
+    """A camera_from_world that is turned and moved."""
+    world_from_camera = rotation((0.2, 1.0, -0.4), angle)
+    world_from_camera[:3, 3] = eye
+    return np.linalg.inv(world_from_camera)
+
+
+def lens_camera(model: ls.CameraModel, **changes: object) -> ls.Camera:
+    """A camera of every feature at once, wide enough that a fisheye sees behind itself and has corners without rays."""
+    features = {
+        "camera_from_world": moved_pose(),
+        "camera_from_world_end": moved_pose(1.3, (0.6, -0.8, 2.5)),
+        "aperture": 0.3,
+        "focus_distance": 2.5,
+        "near": 0.2,
+        "cx": 19.7,
+        "cy": 15.1,
+    }
+    return front_camera(40, 30, 7.0, **{"model": model} | features | changes)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("features", [{}, {"aperture": 0.0}, {"camera_from_world_end": None}])
+def test_rays_agree_with_float64(model: ls.CameraModel, features: dict[str, object], device: str) -> None:
+    """Origin, direction and first distance of every pixel, of the first samples and of a late one."""
+    camera = lens_camera(model, **features)
+    for sample, seed in ((0, 0), (1, 0), (2, 7), (1_000_003, 2**32 - 1)):
+        rays = device_rays(camera, sample, seed, device=device)
+        origins, directions, near = camera_rays(camera, sample, seed)
+        missing = np.isnan(near)
+        assert missing.any() == (model is FISHEYE)
+        np.testing.assert_array_equal(rays["direction"][missing], 0.0)
+        np.testing.assert_allclose(rays["origin"][~missing], origins[~missing], atol=3e-6)
+        np.testing.assert_allclose(rays["direction"][~missing], directions[~missing], atol=3e-6)
+        np.testing.assert_allclose(rays["t_min"][~missing], near[~missing], rtol=1e-5)
+        np.testing.assert_array_equal(rays["travelled"], 0.0)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_rays_are_those_of_the_host(model: ls.CameraModel) -> None:
+    """Without a lens, the first sample's directions are ``ray_directions``: what depth_z is measured with."""
+    camera = front_camera(40, 30, 7.0, model=model)
+    np.testing.assert_allclose(device_rays(camera)["direction"], camera.ray_directions(), atol=1e-6)
+
+
+def test_pinhole_rays_are_those_of_the_raster() -> None:
+    """Both pipelines look through the same points: the centres of the pixels, from the same near plane."""
+    camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0, near=0.25)
+    data = CameraData()
+    data.focal, data.center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
+    rays = device_rays(camera)
+    for y, x in ((0, 0), (47, 63), (13, 5)):
+        through = np.array(pixel_ray(data, x, y))
+        np.testing.assert_allclose(rays["direction"][y, x], through / np.linalg.norm(through), atol=1e-7)
+        assert rays["t_min"][y, x] == pytest.approx(0.25 * np.linalg.norm(through), rel=1e-6)
+    np.testing.assert_array_equal(rays["origin"], 0.0)
+
+
+def test_functions_run_in_python() -> None:
+    """A pixel's ray called from Python is the kernel's."""
+    camera = lens_camera(FISHEYE)
+    rays = device_rays(camera, 3, 5)
+    row = lens_table(camera, RenderConfig(seed=5), 3)[0]
+    lens = LensData()
+    for name in row.dtype.names:
+        kind = type(getattr(lens, name))
+        value = row[name].tolist()
+        setattr(lens, name, kind(*np.ravel(value).tolist()) if row[name].ndim else kind(value))
+    ray = camera_ray(lens, 11, 20)
+    np.testing.assert_allclose(np.array(ray.origin), rays["origin"][20, 11], atol=1e-6)
+    np.testing.assert_allclose(np.array(ray.direction), rays["direction"][20, 11], atol=1e-6)
+    assert np.array_equal(np.array(camera_ray(lens, 0, 0).direction), (0.0, 0.0, 0.0))
+
+
+# --- Models, by hand ---
+
+
+def test_fisheye_of_220_degrees() -> None:
+    """110 degrees at the middle of an edge, behind the camera; near is a distance."""
+    camera = ls.Camera.look_at(
+        (1, 2, 3), (1, 2, 9), (0, -1, 0), width=222, height=220, fov_y=np.radians(220.0), near=0.4, model=FISHEYE
+    )
+    rays = device_rays(camera)
+    angle = np.radians(109.5)
+    mean = unit(rays["direction"][0, 110] + rays["direction"][0, 111])
+    np.testing.assert_allclose(mean, (0.0, -np.sin(angle), np.cos(angle)), atol=1e-4)
+    angle = np.hypot(np.radians(109.5), np.radians(10.5))
+    np.testing.assert_allclose(rays["direction"][120, 220][2], np.cos(angle), atol=1e-6)
+    np.testing.assert_array_equal(rays["t_min"], np.float32(0.4))
+    np.testing.assert_array_equal(rays["origin"], np.broadcast_to((1.0, 2.0, 3.0), (220, 222, 3)))
+
+
+def test_orthographic_rays_start_on_the_plane_through_the_eye() -> None:
+    """10 pixels a unit: pixel (x, y) sees what is 0.1 (x - cx, y - cy) off the axis."""
+    rays = device_rays(front_camera(20, 10, 10.0, model=ORTHOGRAPHIC, near=0.5))
+    np.testing.assert_array_equal(rays["direction"], np.broadcast_to((0.0, 0.0, 1.0), (10, 20, 3)))
+    np.testing.assert_allclose(rays["origin"][2, 17], (0.75, -0.25, 0.0), atol=1e-7)
+    np.testing.assert_allclose(rays["origin"][9, 0], (-0.95, 0.45, 0.0), atol=1e-7)
+    np.testing.assert_array_equal(rays["t_min"], np.float32(0.5))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_scaled_keeps_the_rays(model: ls.CameraModel) -> None:
+    """At three times the size, the middle one of each nine pixels has the ray of the one they replace."""
+    camera = lens_camera(model, aperture=0.0, camera_from_world_end=None)
+    large, small = device_rays(camera.scaled(width=120)), device_rays(camera)
+    for name in ("origin", "direction", "t_min"):
+        np.testing.assert_allclose(large[name][1::3, 1::3], small[name], atol=1e-5)
+
+
+# --- Samples ---
+
+
+def test_samples_walk_the_pixel() -> None:
+    """The centre first, then by the R2 sequence, the same for all pixels; without jitter always the centre."""
+    assert subpixel(0) == (0.5, 0.5)
+    np.testing.assert_allclose(subpixel(1), (0.2548776662466927, 0.0698402909980532), atol=1e-15)
+    np.testing.assert_allclose(subpixel(2), (0.0097553324933854, 0.6396805819961064), atol=1e-15)
+    camera = front_camera(8, 6, 5.0)
+    rays = device_rays(camera, 2)["direction"].astype(np.float64)
+    x = rays[..., 0] / rays[..., 2] * 5.0 + 4.0 - np.arange(8)
+    y = rays[..., 1] / rays[..., 2] * 5.0 + 3.0 - np.arange(6)[:, None]
+    np.testing.assert_allclose(x, 0.0097553, atol=2e-6)
+    np.testing.assert_allclose(y, 0.6396806, atol=2e-6)
+    np.testing.assert_array_equal(device_rays(camera, 2, jitter=False), device_rays(camera, 0))
+
+
+def test_r2_steps_solve_their_equation() -> None:
+    """1/g and 1/g^2 of the plastic number, g^3 = g + 1."""
+    x, y = SUBPIXEL_STEPS
+    assert 1.0 / x**3 == pytest.approx(1.0 / x + 1.0, abs=1e-14)
+    assert y == pytest.approx(x * x, abs=1e-15)
+
+
+def test_samples_fill_the_pixel_evenly() -> None:
+    """Of 64 samples in a row, up to three lie in each of 32 cells, which leaves one empty at most; chance leaves four."""
+    for first in (0, 17, 1_000_003):
+        points = np.array([subpixel(n) for n in range(first, first + 64)])
+        x, y = (points * (8, 4)).astype(int).T
+        counts = np.bincount(y * 8 + x, minlength=32)
+        assert (counts == 0).sum() <= 1 and counts.max() <= 3
+
+
+# --- Lens ---
+
+
+def test_disk_points_are_uniform_over_the_disk() -> None:
+    """Equal shares of (u, v) fall on equal areas: rings and sectors of a disk."""
+    grid = (np.arange(40) + 0.5) / 40.0
+    points = np.array([disk_point(float(u), float(v)) for u in grid for v in grid])
+    radius = np.linalg.norm(points, axis=1)
+    assert radius.max() < 1.0
+    ring = (radius**2 * 8.0).astype(int)
+    sector = ((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * 8.0).astype(int)
+    np.testing.assert_array_equal(np.bincount(ring * 8 + sector, minlength=64), 25)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_lens_rays_meet_in_focus(model: ls.CameraModel) -> None:
+    """All samples of a pixel pass through one point: at view depth 2.5, for a fisheye at distance 2.5."""
+    camera = front_camera(12, 10, 3.0, model=model, aperture=0.4, focus_distance=2.5)
+    sharp = replace(camera, aperture=0.0)
+    center = device_rays(sharp)
+    if model is FISHEYE:
+        focus = 2.5 * center["direction"]
+    else:
+        focus = center["origin"] + center["direction"] * (2.5 / center["direction"][..., 2:])
+        np.testing.assert_allclose(focus[..., 2], 2.5, rtol=1e-6)
+    found = np.linalg.norm(center["direction"], axis=-1) > 0.5
+    starts = []
+    for sample in range(20):
+        rays = device_rays(camera, sample, jitter=False)
+        starts.append(rays["origin"])
+        away = focus - rays["origin"]
+        miss = np.linalg.norm(np.cross(away, rays["direction"]), axis=-1)
+        assert miss[found].max() < 2e-6
+        assert (np.einsum("yxi,yxi->yx", away, rays["direction"])[found] > 0.0).all()
+    assert np.ptp(np.array(starts)[:, found], axis=0).max() > 0.4
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_circle_of_confusion(model: ls.CameraModel) -> None:
+    """At half and at twice the focus distance, blur is a uniform disk of |depth / focus - 1| apertures."""
+    camera = front_camera(64, 64, 64.0 / 1.2, model=model, aperture=0.2, focus_distance=2.0, near=1e-3)
+    center, rays = device_rays(replace(camera, aperture=0.0)), device_rays(camera, 5, jitter=False)
+    for depth in (1.0, 4.0):
+        if model is FISHEYE:  # on the plane that touches the sphere of that radius where the centre's ray meets it
+            plane = np.einsum("yxi,yxi->yx", center["direction"], rays["direction"])
+            start = np.einsum("yxi,yxi->yx", center["direction"], rays["origin"])
+            points = rays["origin"] + ((depth - start) / plane)[..., None] * rays["direction"]
+            middle = depth * center["direction"]
+        else:
+            points, middle = (
+                r["origin"] + ((depth - r["origin"][..., 2]) / r["direction"][..., 2])[..., None] * r["direction"]
+                for r in (rays, center)
+            )
+        distance = np.linalg.norm(points - middle, axis=-1) / (0.2 * abs(depth / 2.0 - 1.0))
+        assert 0.98 < distance.max() < 1.0 + 1e-4
+        # Uniform over the disk: the squared distance is uniform in 0..1, mean 1/2, variance 1/12; 4,096 pixels.
+        assert abs((distance**2).mean() - 0.5) < 4.0 / np.sqrt(12.0 * distance.size)
+        assert np.abs((points - middle).mean(axis=(0, 1))).max() < 4.0 * 0.5 * 0.2 * abs(depth / 2.0 - 1.0) / 64.0
+
+
+def test_lens_of_a_fisheye_is_square_to_each_ray() -> None:
+    """Also where the ray looks sideways or back, so that blur has one size all over the image."""
+    camera = front_camera(40, 40, 9.0, model=FISHEYE, aperture=0.3, focus_distance=2.0)
+    rays, center = device_rays(camera, 1, jitter=False), device_rays(replace(camera, aperture=0.0))
+    assert center["direction"][..., 2].min() < -0.5
+    along = np.einsum("yxi,yxi->yx", rays["origin"], center["direction"])
+    assert np.abs(along).max() < 1e-6
+
+
+def test_seeds_and_samples_choose_the_lens_point() -> None:
+    """The same ones give the same rays to the bit; others give others."""
+    camera = lens_camera(PINHOLE)
+    first = device_rays(camera, 4, 9)
+    np.testing.assert_array_equal(first, device_rays(camera, 4, 9))
+    assert (first["origin"] != device_rays(camera, 4, 10)["origin"]).any(axis=-1).mean() > 0.99
+    assert (first["origin"] != device_rays(camera, 5, 9)["origin"]).any(axis=-1).mean() > 0.99
+
+
+# --- Rolling shutter ---
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_still_shutters_change_nothing(model: ls.CameraModel) -> None:
+    """The same pose twice gives the rays of one pose, to the bit."""
+    once = lens_camera(model, camera_from_world_end=None)
+    twice = replace(once, camera_from_world_end=once.camera_from_world)
+    np.testing.assert_array_equal(device_rays(once, 3), device_rays(twice, 3))
+
+
+def test_moving_eyes_move_evenly_from_row_to_row() -> None:
+    """10 rows and 5 units: row y starts at 0.5 y + 0.25, all its pixels together, and looks where it looked."""
+    end = np.eye(4)
+    end[0, 3] = -5.0
+    camera = front_camera(8, 10, 6.0, camera_from_world_end=end)
+    rays = device_rays(camera)
+    expected = np.zeros((10, 8, 3))
+    expected[..., 0] = 0.5 * np.arange(10)[:, None] + 0.25
+    np.testing.assert_allclose(rays["origin"], expected, atol=1e-6)
+    np.testing.assert_array_equal(rays["direction"], device_rays(front_camera(8, 10, 6.0))["direction"])
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_quarter_turns_turn_evenly(model: ls.CameraModel) -> None:
+    """A quarter turn about the y axis over 9 rows: the middle row has turned by 45 degrees, row y by 10 y + 5."""
+    end = np.linalg.inv(rotation((0.0, 1.0, 0.0), 0.5 * np.pi))
+    still = front_camera(9, 9, 6.0, model=model)
+    rays, before = device_rays(replace(still, camera_from_world_end=end)), device_rays(still)
+    axis = rays["direction"][4, 4]
+    np.testing.assert_allclose(axis, (np.sqrt(0.5), 0.0, np.sqrt(0.5)), atol=1e-6)
+    for y in range(9):
+        turn = rotation((0.0, 1.0, 0.0), np.radians(10.0 * y + 5.0))[:3, :3]
+        for name in ("origin", "direction"):
+            np.testing.assert_allclose(rays[name][y], before[name][y] @ turn.T, atol=2e-6)
+
+
+def test_turned_is_a_rotation() -> None:
+    """Right-handed; nothing at all for no angle."""
+    vector = wp.vec3(0.3, -0.2, 0.9)
+    axis = np.array([1.0, 2.0, -2.0]) / 3.0
+    expected = rotation((1.0, 2.0, -2.0), 2.0)[:3, :3] @ np.array(vector)
+    np.testing.assert_allclose(np.array(turned(vector, wp.vec3(*axis), 2.0)), expected, atol=1e-6)
+    np.testing.assert_array_equal(np.array(turned(vector, wp.vec3(0.0, 0.0, 0.0), 0.0)), np.array(vector))
+
+
+def test_the_table_is_the_struct() -> None:
+    """Every field of the struct is filled: a forgotten one would stay zero."""
+    table = lens_table(lens_camera(FISHEYE), RenderConfig(seed=3), 4)
+    assert table.shape == (1,) and table.dtype == table_dtype(LensData)
+    assert [name for name in table.dtype.names if not np.any(table[name])] == []
