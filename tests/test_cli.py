@@ -79,6 +79,89 @@ def test_settings_reach_the_renderer(work):
         np.testing.assert_array_equal(color, expected)
 
 
+TRACE_OPTIONS = (
+    *("--strategy", "stochastic-pass", "--samples", "3", "--seed", "7", "--max-bounces", "5", "--kernel-degree", "4"),
+    *("--min-response", "0.0113", "--hit-distance", "hull", "--normals", "ellipsoid", "--hits-per-pass", "32"),
+    *("--no-jitter", "--sh-degree", "1", "--transmittance-min", "0.01"),
+)
+
+
+def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
+    """The settings that a command asks its renderer for; nothing is rendered."""
+    asked = []
+
+    def refuse(config: ls.RenderConfig, *_: object, **__: object) -> None:
+        asked.append(config)
+        raise ls.DeviceError("not today")
+
+    monkeypatch.setattr("lumisplat.create_renderer", refuse, raising=False)
+    assert work.run(*args).err.endswith("error: not today\n")
+    return asked[0]
+
+
+def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
+    """Every option arrives at its setting; those that both pipelines have at both."""
+    config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
+    assert config == ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE,
+        samples=3,
+        seed=7,
+        max_bounces=5,
+        raster=ls.RasterConfig(sh_degree=1, transmittance_min=0.01),
+        trace=ls.TraceConfig(
+            strategy=ls.TraceStrategy.STOCHASTIC_PASS,
+            hits_per_pass=32,
+            kernel_degree=4,
+            min_response=0.0113,
+            hit_distance=ls.HitDistance.HULL,
+            normal_method=ls.NormalMethod.ELLIPSOID,
+            sh_degree=1,
+            transmittance_min=0.01,
+            jitter=False,
+        ),
+    )
+    assert not caplog.records
+
+
+def test_options_are_at_the_defaults_of_the_settings(work, monkeypatch):
+    """What --help calls a default is the library's."""
+    assert configured(work, monkeypatch, "render", "@mesh.obj") == ls.RenderConfig()
+    assert configured(work, monkeypatch, "bench", "@mesh.obj") == ls.RenderConfig()
+
+
+def test_bench_settings(work, monkeypatch):
+    """Bench times the pipeline and the strategy that it is told."""
+    args = ("bench", "@mesh.obj", "--pipeline", "trace", "--strategy", "stochastic-hit")
+    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+
+
+@pytest.mark.parametrize(
+    ("args", "line"),
+    [
+        (
+            ("render", *TRACE_OPTIONS),
+            "not used by --pipeline raster: --strategy, --samples, --seed, --max-bounces, --kernel-degree, "
+            "--min-response, --hit-distance, --normals, --hits-per-pass, --no-jitter (they are of --pipeline trace)",
+        ),
+        (
+            ("render", "--pipeline", "trace", "--antialiasing", "on"),
+            "not used by --pipeline trace: --antialiasing (they are of --pipeline raster)",
+        ),
+        (
+            ("bench", "--strategy", "stochastic-hit"),
+            "not used by --pipeline raster: --strategy (they are of --pipeline trace)",
+        ),
+    ],
+    ids=["render raster", "render trace", "bench raster"],
+)
+def test_options_of_the_other_pipeline(work, monkeypatch, caplog, args, line):
+    """What is asked for in vain is said in one line."""
+    command, *options = args
+    configured(work, monkeypatch, command, "@mesh.obj", *options)
+    assert [record.getMessage() for record in caplog.records] == [line]
+
+
 def test_render_without_cameras_shows_the_scene(work):
     """A capture alone gives one picture, in which there is something to see, framed for the size asked for."""
     args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
@@ -174,6 +257,18 @@ def test_info(work):
         assert text in outcome.out
 
 
+def test_info_says_what_is_unusual(work):
+    """The kernel degree is shown where it is not that of nearly all captures; a mesh shows its surface."""
+    assert "kernel degree" not in work.run("info", "@capture.ply").out
+    work.path("scene.toml").write_text(
+        '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
+        '[[meshes]]\npath = "mesh.obj"\nmaterial = { roughness = 0.0, transmission = 1.0, ior = 1.33 }\n'
+    )
+    shown = " ".join(work.run("info", "@scene.toml").out.split())
+    assert "kernel degree 4" in shown
+    assert "metallic 0 roughness 0 specular 1 ior 1.33 transmission 1" in shown
+
+
 def test_info_tells_entries_apart(work):
     """Meshes of one entry are numbered and named, and frames are listed under the names of their files."""
     work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
@@ -207,6 +302,18 @@ def test_demo(work, monkeypatch):
     assert work.run(*args, "-o", "@again.png").status == 0
     first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
     assert np.abs(first.astype(int) - again).max() <= 1
+
+
+def test_convert_keeps_the_kernel_degree(work, caplog):
+    """A capture trained with another kernel is still one in the other format, or one line says that it is not."""
+    gaussians = ls.load(work.path("capture.ply"))
+    assert isinstance(gaussians, ls.Gaussians)
+    ls.save(work.path("quartic.ply"), replace(gaussians, kernel_degree=4))
+    assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0
+    assert ls.load(work.path("copy.compressed.ply")).kernel_degree == 4  # type: ignore[union-attr]
+    assert not caplog.records
+    assert work.run("convert", "@copy.compressed.ply", "@copy.spz").status == 0
+    assert ["cannot store the kernel degree, 4" in record.getMessage() for record in caplog.records] == [True]
 
 
 @pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])
@@ -244,7 +351,9 @@ def test_help_and_version(capsys):
     for command in ("render", "info", "convert", "demo", "bench"):
         assert command in listed
         assert main([command, "--help"]) == 0
-        assert "--debug" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert "--debug" in shown
+        assert ("ray tracer options" in shown) == (command == "render")
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"lumisplat {ls.__version__}\n"
 

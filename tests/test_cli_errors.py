@@ -34,6 +34,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     place.write_cameras("zero_width.json", w=0)
     place.write_cameras("singular.json", transform_matrix=SINGULAR)
     place.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
+    place.path("quintic.toml").write_text('[[splats]]\npath = "capture.ply"\nkernel_degree = 9\n')
     place.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
     return place
 
@@ -64,6 +65,13 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--background", "nan,0,0"), "background"),
         (("render", "@capture.ply", "--aov", "depth,dept"), "'dept'"),
         (("render", "@capture.ply", "--sh-degree", "4"), "sh_degree"),
+        (("render", "@capture.ply", "--samples", "0"), "samples is 0"),
+        (("render", "@capture.ply", "--seed", "-1"), "seed is -1"),
+        (("render", "@capture.ply", "--max-bounces", "65"), "max_bounces is 65"),
+        (("render", "@capture.ply", "--kernel-degree", "6"), "kernel_degree is 6"),
+        (("render", "@capture.ply", "--min-response", "nan"), "min_response is nan"),
+        (("render", "@capture.ply", "--transmittance-min", "2"), "transmittance_min is 2"),
+        (("render", "@quintic.toml"), "splats[0]: kernel_degree is 9"),
         (("info",), "no file"),
         (("info", "@missing.ply"), "missing.ply"),
         (("info", "@no_frames.json"), "no_frames.json"),
@@ -117,6 +125,10 @@ def test_output_that_cannot_be_written(work, output, named):
         (("paint",), "paint"),
         (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
         (("render", "x.ply", "--width", "wide"), "'wide'"),
+        (("render", "x.ply", "--strategy", "random"), "'random' for argument '--strategy'"),
+        (("render", "x.ply", "--hits-per-pass", "17"), "'17' for argument '--hits-per-pass'"),
+        (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree"),
+        (("bench", "x.ply", "--pipeline", "rays"), "'rays' for argument '--pipeline'"),
         (("render", "x.ply", "--aov"), "'--aov'"),
         (("convert", "x.ply"), "OUT .ply, .compressed.ply or .spz. (required) (see lumisplat convert --help)"),
     ],

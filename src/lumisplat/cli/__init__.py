@@ -28,7 +28,9 @@ A scene to look at, nothing to download: lumisplat demo -o out
 
 A first look at a capture: lumisplat render garden.ply -o garden.png
 
-A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out"""
+A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out
+
+Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
 
 _Command = (
     Annotated[Render, subcommand("render")]

@@ -15,6 +15,7 @@ import lumisplat as ls
 from lumisplat.cli.console import byte_size, print_table, progress_bars
 from lumisplat.cli.options import DeviceCommand, load_scene
 from lumisplat.cli.stats import count_rows, stage_rows, stage_times
+from lumisplat.cli.tracing import PipelineName, StrategyName, warn_unused
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +32,10 @@ class Bench(DeviceCommand):
     """transforms.json (nerfstudio) or cameras.json (INRIA)."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image width; the aspect ratio is kept."""
+    pipeline: PipelineName = "raster"
+    """As for render."""
+    strategy: StrategyName = "sorted"
+    """As for render, with --pipeline trace."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Steady frames to time."""
 
@@ -38,10 +43,14 @@ class Bench(DeviceCommand):
         """Measures and prints a table."""
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
+        config = ls.RenderConfig(
+            pipeline=ls.Pipeline(self.pipeline), trace=ls.TraceConfig(strategy=ls.TraceStrategy(self.strategy))
+        )
+        warn_unused(["--strategy"] if self.pipeline == "raster" and self.strategy != "sorted" else [], self.pipeline)
         cameras = None if self.cameras is None else ls.load_cameras(self.cameras)
         with progress_bars() as report:
             started = time.perf_counter()
-            renderer = self.start_renderer(report)
+            renderer = self.start_renderer(report, config)
             ready = time.perf_counter()
             scene = load_scene(self.scene, drop_invalid=False, report=report) if self.scene else ls.demo_scene(report)
             loaded = time.perf_counter()

@@ -80,6 +80,8 @@ def _gaussian_rows(gaussians: ls.Gaussians) -> Rows:
         ("memory", byte_size(sum(array.nbytes for array in arrays.values()))),
         ("antialiased", "yes (Mip-Splatting)" if gaussians.antialiased else "no"),
     ]
+    if gaussians.kernel_degree != 2:  # all but a few captures
+        rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
     extras = [name for name in ("normals", "albedo", "roughness", "metallic") if name in arrays]
     if extras:
         rows.append(("also has", ", ".join(extras)))
@@ -97,10 +99,16 @@ def _mesh_rows(mesh: ls.Mesh) -> Rows:
         ("bounds", _box(*mesh.bounds())),
         ("has", ", ".join(has) or "positions only"),
         ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
+        ("surface", _surface(material)),
     ]
     if texture is not None:
         rows.append(("texture", f"{texture.shape[1]} x {texture.shape[0]}"))
     return rows
+
+
+def _surface(material: ls.MaterialPbr) -> str:
+    names = ("metallic", "roughness", "specular", "ior", "transmission")
+    return "   ".join(f"{name} {getattr(material, name):.3g}" for name in names)
 
 
 def _camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
