@@ -174,7 +174,7 @@ def test_r2_steps_solve_their_equation() -> None:
 
 
 def test_samples_fill_the_pixel_evenly() -> None:
-    """Of 64 samples in a row, up to three lie in each of 32 cells, which leaves one empty at most; chance leaves four."""
+    """Of 64 samples in a row, up to three lie in each of 32 cells and at most one is empty; chance leaves four."""
     for first in (0, 17, 1_000_003):
         points = np.array([subpixel(n) for n in range(first, first + 64)])
         x, y = (points * (8, 4)).astype(int).T
