@@ -232,6 +232,18 @@ def test_stats(work):
     assert "color" in read_image(work.path("a.npz"))
 
 
+def test_stats_of_rays(work):
+    """Rays have no tiles and no list of what is visible."""
+    args = ("@capture.ply", "--pipeline", "trace", "--device", "cpu", "--width", "32")
+    for outcome in (
+        work.run("render", *args, "-o", "@a.png", "--stats"),
+        work.run("bench", *args, "--repeats", "1"),
+    ):
+        assert outcome.status == 0
+        assert "Gaussians" in outcome.out and "memory" in outcome.out and "all stages" in outcome.out
+        assert "tile pairs" not in outcome.out and "visible" not in outcome.out
+
+
 def test_scene_of_several_files(work):
     """Several files make one scene: the mesh hides nothing of the capture in front of it, and both are there."""
     args = ("--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")

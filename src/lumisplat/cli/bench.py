@@ -71,7 +71,7 @@ class Bench(DeviceCommand):
             ("first frame", f"{first_ms:8.1f} ms"),
             (f"frame, median of {self.repeats}", f"{statistics.median(frame_ms):8.1f} ms"),
             *stage_rows(medians),
-            *count_rows(frame),
+            *count_rows(frame, self.pipeline),
         ]
         peak = _peak_bytes()
         if peak is not None:

@@ -79,7 +79,7 @@ class Render(DeviceCommand):
                 frame.save(shot.path, layers)
                 report("rendering", done / len(shots))
                 if self.stats and done == len(shots):
-                    print_stats(frame)
+                    print_stats(frame, self.pipeline)
         print(_summary(shots))
 
     def _config(self) -> ls.RenderConfig:
