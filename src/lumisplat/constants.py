@@ -34,12 +34,65 @@ KERNEL_LINEAR_SLOPE = 0.329630334487
 HITS_PER_PASS = 16
 """Hits that a ray keeps sorted: 3DGRT's k, beyond which registers spill on GPUs."""
 
+NODE_WIDTH = 8
+"""Children of a node of a bounding volume hierarchy: their boxes fill a vector register."""
+
+BOX_MARGIN = 1e-6
+"""Boxes grow by this share of their size and of their distance from the origin: rounding must not lose a hit."""
+
+TRAVERSE_MARGIN = 1e-6
+"""Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
+
+PASS_REWIND = 1e-4
+"""A new pass looks back by this share of the distance: the hits of a box may be rounded out of it."""
+
+HITS_HELD_CPU = 64
+"""Hits that a ray keeps sorted on the CPU at least, where they cost little and save passes: 1.7 times faster than 16."""
+
+COHERENT_SPREAD = 0.15
+"""Rays of a packet whose directions differ by more than this from their mean are traced one by one."""
+
+TREE_SURFACE_LEVELS = 10
+"""Levels of a tree that are split by surface area; below, in the middle, which bounds the depth of any input."""
+
+TRAVERSE_STACK = 256
+"""Nodes that may wait: the levels of both trees times the children that all but one of a node's leave there."""
+
+REBUILD_COST = 1.5
+"""A refitted tree is built anew where its cost, relative to its root's surface, has grown by this factor."""
+
+MORTON_QUANTILE = 0.01
+"""Share of the Gaussians on each side that the grid of Morton codes leaves out: strays must not coarsen it."""
+
+SAH_BINS = 16
+"""Places at which a build tries to split a node along each axis (Wald 2007)."""
+
 SAMPLES_MAX = 16_777_216
 """Samples of a pixel: the running mean still changes in float32."""
 
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 """From a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
 2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""
+
+# --- Rays that meet meshes, mirrors and glass ---
+
+TRIANGLE_BOX_MARGIN = 2.0**-19
+"""Boxes of triangles grow by this share of the mesh's size: 32 roundings of a coordinate. Without it, 2 % of the rays
+aimed at the edges of a cube from inside leave it."""
+
+INSTANCE_BOX_MARGIN = 1e-3
+"""Boxes of mesh instances grow by this share of their diagonal. Rays from afar start there, near enough for accuracy;
+how far off rounding may put the start, from a thousand diagonals away, is well below it."""
+
+RAY_START_BACK = 4e-6
+"""Share of the way to a box by which rays start before it: 64 roundings, for boxes farther away than that."""
+
+SPAWN_ERROR = 2.0**-23
+"""Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
+roundings, where at most 8 add up. Reflected and refracted rays start this far off the surface, no farther."""
+
+BOUNCE_WEIGHT_MIN = 1.0 / 512.0
+"""Share of a pixel below which a reflection or refraction is not followed: half a step of an 8-bit image."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
@@ -163,6 +216,9 @@ DEPTH_KEY_CULLED = 0xFFFFFFFF
 
 DEPTH_KEY_NONFINITE = 0xFFFFFFFE
 """Depth key of what is dropped because a projected value is NaN or infinite."""
+
+RAY_BLOCK_PX = 4
+"""Side of the blocks of pixels whose rays follow one another, so that neighbours meet the same boxes."""
 
 SORT_DIGIT_BITS_MAX = 12
 """Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the

@@ -1,0 +1,145 @@
+"""Data of ray tracing: Gaussians as rays meet them, the trees that hold them, and bundles of rays."""
+
+import warp as wp
+
+from lumisplat.constants import NODE_WIDTH
+from lumisplat.device.structs import GaussianData, struct
+
+Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
+ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
+
+NO_CHILD = wp.constant(2**31 - 1)
+"""Link of an empty child."""
+
+FAR = wp.constant(wp.float32(1.0e30))
+"""Stands for infinity where arithmetic goes on with it: distances are compared to it, and empty boxes are made of it."""
+
+
+@struct
+class KernelData:
+    """How Gaussians respond: what their bounds depend on."""
+
+    degree: int
+    """Exponent of the distance, 0 (linear) to 5."""
+    falloff: float
+    """a of the response exp(-a d^degree); the slope of the linear one."""
+    min_response: float
+    adaptive: int
+    """1: ``min_response`` is meant of the response times the opacity."""
+
+
+@struct
+class Particle:
+    """A Gaussian as rays meet it, 64 bytes: one cache line."""
+
+    canonical_from_object: wp.mat33
+    """Inverse of rotation times scale."""
+    mean: wp.vec3
+    """Object space."""
+    log_opacity: float
+    reach2: float
+    """Squared canonical distance beyond which it is ignored; negative: it never counts."""
+    index: int
+    """In its asset."""
+    unused: int
+    """Fills the line."""
+
+
+@struct
+class Box:
+    """Axis-aligned box; inverted where there is nothing."""
+
+    low: wp.vec3
+    high: wp.vec3
+
+
+@struct
+class Node:
+    """A node of a bounding volume hierarchy: the boxes of its children, one lane each."""
+
+    low_x: Children
+    low_y: Children
+    low_z: Children
+    high_x: Children
+    high_y: Children
+    high_z: Children
+    link: ChildLinks
+    """Child node, or ~place of an item in the order of the tree; NO_CHILD and an inverted box where there is none."""
+
+
+@struct
+class TreeAsset:
+    """A Gaussian set as rays meet it."""
+
+    nodes: wp.array(dtype=Node)
+    """The root first."""
+    particles: wp.array(dtype=Particle)
+    """In the order of the tree."""
+    gaussians: GaussianData
+
+
+@struct
+class TreeInstance:
+    """One placement of a TreeAsset."""
+
+    object_from_world: wp.mat33
+    """Rotation and uniform scale."""
+    object_from_world_offset: wp.vec3
+    world_from_object: wp.mat33
+    """Rotation only."""
+    object_per_world: float
+    """Length in object space of a unit of the world."""
+    kernel: KernelData
+    first: int
+    """Index of the instance's first Gaussian among all of the scene's."""
+    asset: int
+
+
+@struct
+class TraceData:
+    """Settings of the ray tracer, in a 1-element array."""
+
+    strategy: int
+    """SORTED, HIT or PASS of ``lumisplat.device.strategy``."""
+    hits_per_pass: int
+    """Of the stochastic pass."""
+    hull: int
+    """1: Gaussians are hit where rays enter their ellipsoid."""
+    ellipsoid_normal: int
+    """1: normals are those of that ellipsoid."""
+    sh_degree: int
+    transmittance_min: float
+    depth_iso_transmittance: float
+    acceptance_scale: float
+
+
+@struct
+class Shaft:
+    """Bound of a bundle of rays: at distance t, all are within ``radius + spread * t`` of ``origin + t * axis``."""
+
+    origin: wp.vec3
+    axis: wp.vec3
+    radius: float
+    spread: float
+
+
+@struct
+class Slabs:
+    """A shaft made ready to be cut with boxes.
+
+    Six planes, up and down along three axes. As the shaft widens, each bounds t by ``b * factor + term``, b being its
+    distance from the box's plane: from above (far) where the shaft leaves the slab through it, from below (near)
+    where it comes in. Factors and terms of the bound that a plane does not give make it void.
+    """
+
+    low: wp.vec3
+    """Lower end of the shaft's start."""
+    high: wp.vec3
+    up_far: wp.vec3
+    up_far_void: wp.vec3
+    up_near: wp.vec3
+    up_near_void: wp.vec3
+    down_far: wp.vec3
+    down_far_void: wp.vec3
+    down_near: wp.vec3
+    down_near_void: wp.vec3

@@ -1,0 +1,495 @@
+"""Gaussians along rays: a bundle of neighbouring rays walks the trees together.
+
+One item is one packet of ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes becomes vector instructions,
+1 on CUDA. A packet descends nearest child first and keeps, for each of its rays, the nearest hits sorted by (t, index). Whatever
+lies before all nodes that still wait is final, and is blended at once. A ray whose list overflows forgets its farthest
+hit, and starts again behind the last one blended: that is a pass. So the result is that of sorting all hits.
+
+The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a stochastic
+pass is drawn whenever k hits were blended.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
+from lumisplat.device.gaussian import alpha_from_log
+from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, gaussian_color, gaussian_facing
+from lumisplat.device.random import draw, draw_mixed, mix
+from lumisplat.device.structs import Pixel, RayData, RayRadiance
+from lumisplat.device.surface import blend_sample, instance_of
+from lumisplat.device.trace_structs import FAR, Node, Shaft, Slabs, TraceData, TreeAsset, TreeInstance
+from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
+
+OPTIONS = {
+    "enable_backward": False,
+    # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds are to be fused.
+    "max_unroll": 4,
+    "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
+    " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
+}
+wp.set_module_options(OPTIONS)
+
+SORTED = 0
+HIT = 1
+PASS = 2
+
+STRATEGY_HIT = wp.constant(HIT)
+STRATEGY_PASS = wp.constant(PASS)
+WIDTH = wp.constant(NODE_WIDTH)
+NO_INDEX = wp.constant(2**31 - 1)
+REWIND = wp.constant(wp.float32(PASS_REWIND))
+SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
+
+StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
+StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
+
+
+@wp.func
+def empty_pixel() -> Pixel:
+    """Nothing blended yet."""
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = -1
+    return pixel
+
+
+@functools.cache
+def integrator(lanes: int, hits: int) -> Any:
+    """The kernel for packets of ``lanes`` rays that keep ``hits`` hits each."""
+    LANES = lanes
+    HITS = hits
+    Floats = wp.types.vector(length=lanes, dtype=wp.float32)
+    Ints = wp.types.vector(length=lanes, dtype=wp.int32)
+    HitFloats = wp.types.vector(length=lanes * hits, dtype=wp.float32)
+    HitInts = wp.types.vector(length=lanes * hits, dtype=wp.int32)
+
+    @wp.func
+    def shaft_of(rays: RayData, first: int, limit: Floats) -> Shaft:
+        """Bounds the rays whose limit is not negative."""
+        shaft = Shaft()
+        count = float(0.0)
+        for lane in range(LANES):
+            if limit[lane] > 0.0:
+                shaft.origin += rays.origin[first + lane]
+                shaft.axis += rays.direction[first + lane]
+                count += 1.0
+        shaft.origin = shaft.origin / count
+        shaft.axis = shaft.axis / count
+        for lane in range(LANES):
+            if limit[lane] > 0.0:
+                shaft.radius = wp.max(shaft.radius, wp.length(rays.origin[first + lane] - shaft.origin))
+                shaft.spread = wp.max(shaft.spread, wp.length(rays.direction[first + lane] - shaft.axis))
+        return shaft
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def integrate_gaussians(
+        start: int,
+        settings: wp.array(dtype=TraceData),
+        instances: wp.array(dtype=TreeInstance),
+        assets: wp.array(dtype=TreeAsset),
+        top_nodes: wp.array(dtype=Node),
+        rays: RayData,
+        radiance_out: RayRadiance,
+    ):
+        """Longer than a kernel should be: its lists live on the stack, and Warp passes vectors by value."""
+        first = (start + wp.tid()) * LANES
+        view = settings[0]
+        slots = int(HITS)
+        if view.strategy == STRATEGY_HIT:
+            slots = int(1)
+
+        whole = Floats()
+        live = int(0)
+        for lane in range(LANES):
+            radiance_out.color[first + lane] = wp.vec3(0.0)
+            radiance_out.normal[first + lane] = wp.vec3(0.0)
+            radiance_out.transmittance[first + lane] = 1.0
+            radiance_out.depth[first + lane] = wp.inf
+            radiance_out.gaussian[first + lane] = -1
+            whole[lane] = -FAR
+            if rays.t_max[first + lane] > rays.t_min[first + lane]:
+                whole[lane] = wp.min(rays.t_max[first + lane], FAR)
+                live += 1
+        if live == 0:
+            return
+        # Rays that part are no bundle: each goes alone.
+        bundles = int(1)
+        shaft = shaft_of(rays, first, whole)
+        if shaft.spread > SPREAD_MAX:
+            bundles = int(LANES)
+        for bundle in range(bundles):
+            t_min = Floats()
+            limit = Floats()  # hits at or behind it do not count; negative: the ray is done
+            for lane in range(LANES):
+                limit[lane] = whole[lane]
+                if bundles > 1 and lane != bundle:
+                    limit[lane] = -FAR
+                t_min[lane] = rays.t_min[first + lane]
+            if bundles > 1:
+                if limit[bundle] < 0.0:
+                    continue
+                shaft = shaft_of(rays, first, limit)
+
+            # What is blended so far, and what of the current stochastic pass.
+            transmittance = Floats(1.0)
+            red = Floats()
+            green = Floats()
+            blue = Floats()
+            normal_x = Floats()
+            normal_y = Floats()
+            normal_z = Floats()
+            depth = Floats(wp.inf)
+            surface = Ints(-1)
+            taken = Ints()
+            last_t = Floats(-FAR)
+            last_index = Ints(-1)
+            # Hits up to here belong to earlier passes. Not the last one blended: rounding may deliver a hit late.
+            start_t = Floats(-FAR)
+            start_index = Ints(-1)
+
+            again = int(1)
+            while again != 0:
+                again = int(0)
+                # The lists: of each ray its hits from head to tail, side by side in their order.
+                hit_t = HitFloats()
+                hit_alpha = HitFloats()
+                hit_index = HitInts()
+                head = Ints()
+                tail = Ints()
+                next_t = Floats(FAR)  # of the nearest hit in the list
+                cut_t = Floats()  # hits from (cut_t, cut_index) on are left to another pass
+                cut_index = Ints(-1)
+                begin = float(FAR)
+                reach = float(-FAR)
+                for lane in range(LANES):
+                    head[lane] = lane * HITS
+                    tail[lane] = lane * HITS
+                    cut_t[lane] = limit[lane]
+                    start_t[lane] = last_t[lane]
+                    start_index[lane] = last_index[lane]
+                    if limit[lane] > 0.0:
+                        before = start_t[lane] - REWIND * wp.abs(start_t[lane])
+                        begin = lesser(begin, larger(t_min[lane], wp.where(view.hull != 0, -FAR, before)))
+                        reach = larger(reach, limit[lane])
+                nearest = float(FAR)
+
+                # The nodes that wait, nearest on top; below each, the distance before which all up to it are empty.
+                entry = StackFloats()
+                floor = StackFloats()
+                link = StackInts()
+                owner = StackInts()  # instance whose tree the node is of; -1: the tree of the instances
+                owner[0] = -1
+                top = int(1)
+                current = int(-2)
+                instance = TreeInstance()
+                slabs = Slabs()
+                ox = Floats()
+                oy = Floats()
+                oz = Floats()
+                dx = Floats()
+                dy = Floats()
+                dz = Floats()
+                while top > 0:
+                    top -= 1
+                    if entry[top] <= reach:
+                        if owner[top] != current:
+                            current = owner[top]
+                            if current < 0:
+                                slabs = slabs_of(shaft)
+                            else:
+                                instance = instances[current]
+                                slabs = slabs_of(shaft_in_object(shaft, instance))
+                                for lane in range(LANES):
+                                    o = instance.object_from_world * rays.origin[first + lane]
+                                    o += instance.object_from_world_offset
+                                    d = instance.object_from_world * rays.direction[first + lane]
+                                    ox[lane] = o[0]
+                                    oy[lane] = o[1]
+                                    oz[lane] = o[2]
+                                    dx[lane] = d[0]
+                                    dy[lane] = d[1]
+                                    dz[lane] = d[2]
+                        node = Node()
+                        if current < 0:
+                            node = top_nodes[link[top]]
+                        else:
+                            node = assets[instance.asset].nodes[link[top]]
+                        links = node.link
+                        entries = enter_children(node, slabs, begin)
+                        base = int(top)
+                        for c in range(WIDTH):
+                            if entries[c] <= reach:
+                                if links[c] >= 0 or current < 0:
+                                    # A node waits in its place among its siblings; an instance as its root.
+                                    j = int(top)
+                                    while j > base and entry[wp.max(j - 1, 0)] < entries[c]:
+                                        entry[j] = entry[j - 1]
+                                        link[j] = link[j - 1]
+                                        owner[j] = owner[j - 1]
+                                        j -= 1
+                                    entry[j] = entries[c]
+                                    link[j] = wp.max(links[c], 0)
+                                    owner[j] = wp.where(links[c] < 0, ~links[c], current)
+                                    top += 1
+                                else:
+                                    particle = assets[instance.asset].particles[~links[c]]
+                                    index = instance.first + particle.index
+                                    w = particle.canonical_from_object
+                                    mean = particle.mean
+                                    t = Floats()
+                                    peak = Floats()
+                                    alpha = Floats()
+                                    distance2 = Floats()
+                                    for lane in range(LANES):
+                                        x = ox[lane] - mean[0]
+                                        y = oy[lane] - mean[1]
+                                        z = oz[lane] - mean[2]
+                                        cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
+                                        cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
+                                        cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
+                                        ex = w[0, 0] * dx[lane] + w[0, 1] * dy[lane] + w[0, 2] * dz[lane]
+                                        ey = w[1, 0] * dx[lane] + w[1, 1] * dy[lane] + w[1, 2] * dz[lane]
+                                        ez = w[2, 0] * dx[lane] + w[2, 1] * dy[lane] + w[2, 2] * dz[lane]
+                                        per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
+                                        ex = ex * per_unit
+                                        ey = ey * per_unit
+                                        ez = ez * per_unit
+                                        # A cross product: c + t e would cancel for thin Gaussians.
+                                        kx = cy * ez - cz * ey
+                                        ky = cz * ex - cx * ez
+                                        kz = cx * ey - cy * ex
+                                        d2 = kx * kx + ky * ky + kz * kz
+                                        distance2[lane] = d2
+                                        peak[lane] = -(cx * ex + cy * ey + cz * ez) * per_unit
+                                        t[lane] = peak[lane] - per_unit * wp.sqrt(
+                                            wp.where(view.hull != 0, larger(particle.reach2 - d2, 0.0), 0.0)
+                                        )
+                                        alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * d2)
+                                    found = int(0)
+                                    for lane in range(LANES):
+                                        behind = wp.where(t[lane] > start_t[lane], 1, 0) | (
+                                            wp.where(t[lane] == start_t[lane], 1, 0)
+                                            & wp.where(index > start_index[lane], 1, 0)
+                                        )
+                                        ahead = wp.where(t[lane] < cut_t[lane], 1, 0) | (
+                                            wp.where(t[lane] == cut_t[lane], 1, 0)
+                                            & wp.where(index < cut_index[lane], 1, 0)
+                                        )
+                                        met = wp.where(distance2[lane] <= particle.reach2, 1, 0) & wp.where(
+                                            peak[lane] > t_min[lane], 1, 0
+                                        )
+                                        counts = behind & ahead & met
+                                        t[lane] = wp.where(counts != 0, t[lane], FAR)
+                                        found += counts
+                                    if found > 0 and instance.kernel.degree != 2:
+                                        for lane in range(LANES):
+                                            alpha[lane] = alpha_of_degree(
+                                                instance.kernel, particle.log_opacity, distance2[lane]
+                                            )
+                                    if found > 0 and view.strategy == STRATEGY_HIT:
+                                        dimension = mix(wp.uint32(index))
+                                        for lane in range(LANES):
+                                            number = draw_mixed(rays.stream[first + lane], dimension)
+                                            t[lane] = wp.where(
+                                                number * view.acceptance_scale < alpha[lane], t[lane], FAR
+                                            )
+                                    if found > 0:
+                                        for lane in range(LANES):
+                                            if t[lane] < FAR:
+                                                bottom = lane * HITS
+                                                low = head[lane]
+                                                end = tail[lane]
+                                                keep = int(1)
+                                                if end == bottom + slots and low > bottom:
+                                                    for j in range(low, end):
+                                                        hit_t[bottom + j - low] = hit_t[j]
+                                                        hit_alpha[bottom + j - low] = hit_alpha[j]
+                                                        hit_index[bottom + j - low] = hit_index[j]
+                                                    end = bottom + end - low
+                                                    low = bottom
+                                                    head[lane] = low
+                                                if end == bottom + slots:
+                                                    # Full: the farthest has to wait for another pass.
+                                                    cut_t[lane] = hit_t[end - 1]
+                                                    cut_index[lane] = hit_index[end - 1]
+                                                    if t[lane] < cut_t[lane] or (
+                                                        t[lane] == cut_t[lane] and index < cut_index[lane]
+                                                    ):
+                                                        end -= 1
+                                                    else:
+                                                        cut_t[lane] = t[lane]
+                                                        cut_index[lane] = index
+                                                        keep = int(0)
+                                                if keep != 0:
+                                                    j = int(end)
+                                                    while j > low and hit_t[wp.max(j - 1, 0)] > t[lane]:
+                                                        hit_t[j] = hit_t[j - 1]
+                                                        hit_alpha[j] = hit_alpha[j - 1]
+                                                        hit_index[j] = hit_index[j - 1]
+                                                        j -= 1
+                                                    while (
+                                                        j > low
+                                                        and hit_t[wp.max(j - 1, 0)] == t[lane]
+                                                        and hit_index[wp.max(j - 1, 0)] > index
+                                                    ):
+                                                        hit_t[j] = hit_t[j - 1]
+                                                        hit_alpha[j] = hit_alpha[j - 1]
+                                                        hit_index[j] = hit_index[j - 1]
+                                                        j -= 1
+                                                    hit_t[j] = t[lane]
+                                                    hit_alpha[j] = alpha[lane]
+                                                    hit_index[j] = index
+                                                    end += 1
+                                                tail[lane] = end
+                                                next_t[lane] = hit_t[low]
+                                                nearest = lesser(nearest, hit_t[low])
+                                                if view.strategy == STRATEGY_HIT:
+                                                    cut_t[lane] = hit_t[low]
+                                                    cut_index[lane] = hit_index[low]
+                                        reach = float(-FAR)
+                                        for lane in range(LANES):
+                                            reach = larger(reach, cut_t[lane])
+                        below = float(FAR)
+                        if base > 0:
+                            below = floor[wp.max(base - 1, 0)]
+                        for j in range(base, top):
+                            floor[j] = lesser(entry[j], below)
+
+                    # Hits before everything that waits are final.
+                    bound = float(FAR)
+                    if top > 0:
+                        bound = floor[top - 1]
+                    if view.strategy == STRATEGY_HIT and top > 0:
+                        bound = -FAR
+                    if nearest < bound:
+                        nearest = float(FAR)
+                        reach = float(-FAR)
+                        for lane in range(LANES):
+                            if next_t[lane] < bound:
+                                r = first + lane
+                                eye = rays.origin[r] - rays.direction[r] * rays.travelled[r]
+                                pixel = Pixel()
+                                pixel.color = wp.vec3(red[lane], green[lane], blue[lane])
+                                pixel.normal = wp.vec3(normal_x[lane], normal_y[lane], normal_z[lane])
+                                pixel.transmittance = transmittance[lane]
+                                pixel.splat = surface[lane]
+                                low = head[lane]
+                                end = tail[lane]
+                                while low < end and hit_t[low] < bound:
+                                    index = hit_index[low]
+                                    opacity = hit_alpha[low]
+                                    if view.strategy == STRATEGY_HIT:
+                                        opacity = float(1.0)
+                                    which = instance_of(instances, index)
+                                    placed = instances[which]
+                                    i = index - placed.first
+                                    object_eye = placed.object_from_world * eye + placed.object_from_world_offset
+                                    gaussians = assets[placed.asset].gaussians
+                                    color = gaussian_color(gaussians, i, object_eye, view.sh_degree)
+                                    normal = wp.vec3()
+                                    if view.ellipsoid_normal != 0:
+                                        normal = ellipsoid_normal(
+                                            placed.kernel,
+                                            gaussians,
+                                            i,
+                                            placed.object_from_world * rays.origin[r]
+                                            + placed.object_from_world_offset,
+                                            placed.object_from_world * rays.direction[r],
+                                        )
+                                    else:
+                                        normal = gaussian_facing(gaussians, i, object_eye)
+                                    surface_before = pixel.splat
+                                    pixel = blend_sample(
+                                        pixel,
+                                        color,
+                                        placed.world_from_object * normal,
+                                        index,
+                                        opacity,
+                                        view.transmittance_min,
+                                        view.depth_iso_transmittance,
+                                    )
+                                    if pixel.splat != surface_before:
+                                        depth[lane] = larger(hit_t[low], 0.0)
+                                    if hit_t[low] > last_t[lane] or (
+                                        hit_t[low] == last_t[lane] and index > last_index[lane]
+                                    ):
+                                        last_t[lane] = hit_t[low]
+                                        last_index[lane] = index
+                                    low += 1
+                                    if view.strategy == STRATEGY_PASS:
+                                        taken[lane] = taken[lane] + 1
+                                        if taken[lane] == view.hits_per_pass:
+                                            taken[lane] = 0
+                                            seen = 1.0 - pixel.transmittance
+                                            if draw(rays.stream[r], wp.uint32(index)) < seen:
+                                                pixel.color = pixel.color / seen
+                                                pixel.normal = pixel.normal / seen
+                                                pixel.transmittance = 0.0
+                                                limit[lane] = -FAR
+                                                if pixel.splat < 0:
+                                                    pixel.splat = index
+                                                    depth[lane] = larger(last_t[lane], 0.0)
+                                            else:
+                                                pixel = empty_pixel()
+                                                depth[lane] = wp.inf
+                                    if pixel.transmittance < 0.0:
+                                        pixel.transmittance = -pixel.transmittance
+                                        limit[lane] = -FAR
+                                    if limit[lane] < 0.0:
+                                        low = end
+                                        cut_t[lane] = -FAR
+                                red[lane] = pixel.color[0]
+                                green[lane] = pixel.color[1]
+                                blue[lane] = pixel.color[2]
+                                normal_x[lane] = pixel.normal[0]
+                                normal_y[lane] = pixel.normal[1]
+                                normal_z[lane] = pixel.normal[2]
+                                transmittance[lane] = pixel.transmittance
+                                surface[lane] = pixel.splat
+                                next_t[lane] = FAR
+                                if low < end:
+                                    next_t[lane] = hit_t[low]
+                                else:
+                                    low = lane * HITS
+                                    tail[lane] = low
+                                head[lane] = low
+                            nearest = lesser(nearest, next_t[lane])
+                            reach = larger(reach, cut_t[lane])
+                        if reach < 0.0:
+                            top = int(0)
+                if view.strategy != STRATEGY_HIT:
+                    for lane in range(LANES):
+                        if cut_t[lane] < limit[lane]:
+                            again = int(1)
+
+            for lane in range(LANES):
+                if bundles == 1 or lane == bundle:
+                    r = first + lane
+                    color = wp.vec3(red[lane], green[lane], blue[lane])
+                    normal = wp.vec3(normal_x[lane], normal_y[lane], normal_z[lane])
+                    if taken[lane] > 0 and limit[lane] > 0.0:
+                        # The last pass of the ray, with fewer hits.
+                        seen = 1.0 - transmittance[lane]
+                        if draw(rays.stream[r], wp.uint32(last_index[lane])) < seen:
+                            color = color / seen
+                            normal = normal / seen
+                            transmittance[lane] = 0.0
+                            if surface[lane] < 0:
+                                surface[lane] = last_index[lane]
+                                depth[lane] = larger(last_t[lane], 0.0)
+                        else:
+                            color = wp.vec3(0.0)
+                            normal = wp.vec3(0.0)
+                            transmittance[lane] = 1.0
+                            surface[lane] = -1
+                            depth[lane] = wp.inf
+                    radiance_out.color[r] = color
+                    radiance_out.normal[r] = normal
+                    radiance_out.transmittance[r] = transmittance[lane]
+                    radiance_out.depth[r] = depth[lane]
+                    radiance_out.gaussian[r] = surface[lane]
+
+    return integrate_gaussians
