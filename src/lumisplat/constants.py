@@ -87,7 +87,7 @@ how far off rounding may put the start, from a thousand diagonals away, is well 
 RAY_START_BACK = 4e-6
 """Share of the way to a box by which rays start before it: 64 roundings, for boxes farther away than that."""
 
-SPAWN_ERROR = 2.0**-23
+SPAWN_ERROR = 2.0**-24
 """Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
 roundings, where at most 8 add up. Reflected and refracted rays start this far off the surface, no farther."""
 
@@ -223,6 +223,9 @@ RAY_BLOCK_PX = 4
 SORT_DIGIT_BITS_MAX = 12
 """Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
 usual 24 bits of key."""
+
+RAY_BANDS_PER_THREAD = 32
+"""Bands a CPU thread gets when rays are traced: packets differ more in cost than tiles do."""
 
 TILE_BANDS_PER_THREAD = 12
 """Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""

@@ -26,11 +26,12 @@ class FrameStats:
     gaussian_count: int
     """Gaussians in the scene, over all instances."""
     visible_count: int
-    """Gaussians that can touch the image."""
+    """Gaussians that can touch the image; of the rasteriser."""
     nonfinite_count: int
-    """Gaussians dropped because a projected value was NaN or infinite."""
+    """Gaussians that the rasteriser dropped because a projected value was NaN or infinite; samples that the ray tracer
+    shows black because their colour was."""
     pair_count: int
-    """(tile, Gaussian) pairs."""
+    """(tile, Gaussian) pairs; of the rasteriser."""
     triangle_count: int
     """Triangles in the scene, over all instances."""
     memory_bytes: int
@@ -62,6 +63,8 @@ class Frame:
     """``srgb``: display-referred, as captures were trained (an unlit frame)."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     """What ``color`` lies over, in ``color_space``; None: transparent."""
+    samples: int = 1
+    """Rays a pixel that ``color`` and ``alpha`` are the mean of."""
     stats: FrameStats | None = None
 
     def __repr__(self) -> str:

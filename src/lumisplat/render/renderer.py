@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import RenderConfig
-from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX
-from lumisplat.errors import SceneError
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
+from lumisplat.errors import ConfigError, SceneError
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.render import mesh_kernels, order_kernels, raster_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.frame import Frame, FrameStats
 from lumisplat.render.mesh import MeshRaster
-from lumisplat.render.order import OrderChunked, OrderParallel
-from lumisplat.render.raster import SplatRaster
+from lumisplat.render.order import OrderChunked, OrderCounts, OrderParallel
+from lumisplat.render.raster import SplatRaster, refuse_lens
 from lumisplat.render.surface import Surface
+from lumisplat.render.trace import RayTracer, trace_modules
+from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -28,30 +30,43 @@ class Renderer:
     """
 
     def __init__(self, config: RenderConfig, launcher: Launcher, progress: Progress | None = None) -> None:
-        launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
         self.config = config
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self._scene = DeviceScene(launcher.device)
-        self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
-        self._meshes = MeshRaster(launcher, self._buffers, self._order)
-        self._splats = SplatRaster(launcher, self._buffers, self._order)
+        if config.pipeline is Pipeline.TRACE:
+            launcher.load(trace_modules(launcher, config), progress)
+            self._trees = TreeScene(launcher)
+            self._tracer = RayTracer(launcher, self._buffers, config)
+        else:
+            launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
+            self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
+            self._meshes = MeshRaster(launcher, self._buffers, self._order)
+            self._splats = SplatRaster(launcher, self._buffers, self._order)
 
     @property
     def device(self) -> str:
         """Warp name of the device, e.g. ``cpu`` or ``cuda:0``."""
         return self._launcher.device
 
-    def render(self, scene: Scene, camera: Camera) -> Frame:
+    def render(
+        self, scene: Scene, camera: Camera, *, resume: Frame | None = None, progress: Progress | None = None
+    ) -> Frame:
         """Renders one frame.
 
         Args:
-            scene: What to draw. Assets already seen by this renderer are not uploaded again.
+            scene: What to draw. Assets already seen by this renderer are not uploaded again; where one of as many
+                Gaussians takes the place of another, the ray tracer follows it as if it had moved.
             camera: From where.
+            resume: A ray-traced frame of the same view and settings: ``config.samples`` more are added to its mean, as
+                if all had been rendered at once.
+            progress: Called with a label and the fraction of the samples done, 0..1.
 
         Raises:
+            ConfigError: ``resume`` has another size or background, is not ray traced, or has too many samples.
             DeviceError: The device is out of memory.
-            SceneError: The scene is none, or it or the image is larger than 32-bit indices reach.
+            SceneError: The scene is none, it or the image is larger than 32-bit indices reach, or the rasteriser is to
+                draw a camera that is not a pinhole.
         """
         if not isinstance(scene, Scene):
             raise SceneError(f"render takes a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
@@ -61,14 +76,60 @@ class Renderer:
             raise SceneError(
                 f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
             )
+        first = 0 if resume is None else self._resumed(resume, camera)
         self._launcher.stage_ms = {}
+        if self.config.pipeline is Pipeline.TRACE:
+            return self._trace(scene, camera, first, progress)
+        return self._raster(scene, camera)
+
+    def _raster(self, scene: Scene, camera: Camera) -> Frame:
+        refuse_lens(camera)
+        self._splats.warn_of_degree(scene)
         with self._launcher.stage("sync"):
             self._scene.sync(scene, camera, self.config)
         self._draw(camera)
         while not self._order.finish():
             self._draw(camera)
         with self._launcher.stage("download"):
-            return self._frame(scene, camera)
+            return self._frame(scene, camera, self._order.counts, samples=1)
+
+    def _trace(self, scene: Scene, camera: Camera, first: int, progress: Progress | None) -> Frame:
+        with self._launcher.stage("sync"):
+            self._scene.sync(scene, camera, self.config)
+            self._scene.sync_rays(scene)
+        with self._launcher.stage("build"):
+            self._trees.sync(scene, self._scene, self.config)
+        count = self.config.samples
+        for sample in range(first, first + count):
+            self._tracer.draw_sample(self._scene, self._trees, camera, sample)
+            if progress:
+                progress("tracing", (sample - first + 1) / count)
+        with self._launcher.stage("download"):
+            counts = OrderCounts(visible=0, nonfinite=self._tracer.nonfinite_count(camera), pairs=0)
+            return self._frame(scene, camera, counts, samples=first + count)
+
+    def _resumed(self, frame: Frame, camera: Camera) -> int:
+        """Puts a frame back into the surface buffers; the number of the next sample."""
+        if self.config.pipeline is not Pipeline.TRACE:
+            raise ConfigError("only Pipeline.TRACE resumes a frame: the rasteriser draws it in one go")
+        if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != self.config.background:
+            height, width = frame.color.shape[:2]
+            raise ConfigError(
+                f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
+                f"{camera.width} x {camera.height} over {self.config.background}"
+            )
+        if frame.samples + self.config.samples > SAMPLES_MAX:
+            raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
+        images = {
+            "color": frame.color,
+            "alpha": frame.alpha,
+            "depth": frame.depth,
+            "normal": frame.normal,
+            "gaussian": frame.gaussian_index,
+            "instance": frame.instance_index,
+        }
+        Surface.of(self._buffers, camera).upload(images)
+        return frame.samples
 
     def _draw(self, camera: Camera) -> None:
         key = (camera.width, camera.height, self._scene.version, self._buffers.allocations, self._order.growth)
@@ -88,9 +149,9 @@ class Renderer:
         with stage("composite"):
             self._splats.composite(self._scene, camera, splats, lists, hits)
 
-    def _frame(self, scene: Scene, camera: Camera) -> Frame:
+    def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int) -> Frame:
         images = Surface.of(self._buffers, camera).download()
-        counts = self._order.counts
+        tree_bytes = self._trees.bytes if self.config.pipeline is Pipeline.TRACE else 0
         return Frame(
             color=images["color"],
             alpha=images["alpha"],
@@ -100,6 +161,7 @@ class Renderer:
             instance_index=images["instance"],
             camera=camera,
             background=self.config.background,
+            samples=samples,
             stats=FrameStats(
                 stage_ms=self._launcher.stage_ms,
                 gaussian_count=scene.gaussian_count,
@@ -107,7 +169,7 @@ class Renderer:
                 nonfinite_count=counts.nonfinite,
                 pair_count=counts.pairs,
                 triangle_count=scene.face_count,
-                memory_bytes=self._scene.bytes + self._buffers.bytes,
+                memory_bytes=self._scene.bytes + self._buffers.bytes + tree_bytes,
             ),
         )
 

@@ -43,6 +43,10 @@ class Surface:
             setattr(data, name, array)
         return cls(data, block, (camera.height, camera.width))
 
+    def upload(self, images: dict[str, np.ndarray]) -> None:
+        """Puts images back that ``download`` gave."""
+        self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in FIELDS]))
+
     def download(self) -> dict[str, np.ndarray]:
         """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
         words = self.block.numpy()

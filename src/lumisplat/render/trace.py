@@ -1,0 +1,159 @@
+"""Host pass: rays through Gaussians and meshes, into the surface buffers (Moenne-Loccoz et al. 2024)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.constants import HITS_HELD_CPU, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
+from lumisplat.device.structs import LensData, RayData, RayRadiance
+from lumisplat.device.trace_structs import TraceData
+from lumisplat.launcher import Launcher
+from lumisplat.render import bounce_kernels, build_kernels, mesh_hits_kernels, ray_kernels, trace_kernels
+from lumisplat.render.bounce import Bounces
+from lumisplat.render.device_scene import DeviceScene, table_dtype
+from lumisplat.render.lens import lens_table
+from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.surface import Surface
+from lumisplat.render.tree_scene import TreeScene
+from lumisplat.scene.camera import Camera
+
+_STRATEGIES = {
+    TraceStrategy.SORTED: trace_kernels.SORTED,
+    TraceStrategy.STOCHASTIC_HIT: trace_kernels.HIT,
+    TraceStrategy.STOCHASTIC_PASS: trace_kernels.PASS,
+}
+PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
+
+
+class RayTracer:
+    """Follows rays through Gaussians and from mesh to mesh.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings; they do not change.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
+        self._integrate = integrator_of(launcher, config)
+        self._mesh_hits = MeshHitFinder(launcher, buffers)
+        self._bounces = Bounces(launcher, buffers, self._mesh_hits)
+        self._settings = buffers.get("trace.settings", TraceData, 1)
+        self._settings.assign(trace_table(config.trace))
+        self._lens = buffers.get("trace.lens", LensData, 1)
+
+    def draw_sample(self, scene: DeviceScene, trees: TreeScene, camera: Camera, sample: int) -> None:
+        """Adds one ray a pixel to the surface buffers.
+
+        Args:
+            scene: After ``sync`` and ``sync_rays``.
+            trees: Of the same scene.
+            camera: From where.
+            sample: Its number; 0 starts anew.
+        """
+        stage, run = self._launcher.stage, self._launcher.run_banded
+        self._lens.assign(lens_table(camera, self._config, sample))
+        with stage("rays"):
+            rays = self._buffers.struct("trace.rays", RayData, ray_count(camera))
+            run(ray_kernels.start_rays, rays.t_max.shape[0], self._lens, rays)
+        hits, radiance, colors = self.look(scene, trees, rays)
+        with stage("store"):
+            surface = Surface.of(self._buffers, camera).data
+            run(
+                ray_kernels.store_rays,
+                rays.t_max.shape[0],
+                *(self._lens, wp.vec3(*(self._config.background or (0.0, 0.0, 0.0))), rays, radiance, hits, colors),
+                *(trees.instances, scene.mesh_instances, scene.mesh_data, surface, self._nonfinite(camera)),
+            )
+
+    def nonfinite_count(self, camera: Camera) -> int:
+        """Samples since the first whose colour was NaN or infinite."""
+        return int(self._nonfinite(camera).numpy().sum())
+
+    def _nonfinite(self, camera: Camera) -> Any:
+        return self._buffers.get("trace.nonfinite", wp.int32, camera.width * camera.height)
+
+    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, RayRadiance, Any]:
+        """What rays meet and see: nearest triangles, radiance before them, and colours over all that is behind.
+
+        Args:
+            scene: After ``sync`` and ``sync_rays``.
+            trees: Of the same scene.
+            rays: A multiple of ``PACKET_RAYS``; ``t_max`` moves to the meshes.
+        """
+        stage = self._launcher.stage
+        with stage("mesh"):
+            hits = self._mesh_hits.find(scene, rays, "trace.hits")
+        with stage("gaussians"):
+            radiance = self.integrate(trees, rays, "trace.radiance")
+        with stage("bounce"):
+            colors = self._bounces.resolve(
+                scene,
+                rays,
+                hits,
+                radiance,
+                trace=lambda rays: self.integrate(trees, rays, "trace.branch_radiance"),
+                bounces=self._config.max_bounces,
+            )
+        return hits, radiance, colors
+
+    def integrate(self, trees: TreeScene, rays: RayData, name: str) -> RayRadiance:
+        """What the Gaussians up to ``t_max`` give rays.
+
+        Args:
+            trees: Of the Gaussians.
+            rays: A multiple of ``PACKET_RAYS``.
+            name: Of the buffers that hold the result.
+        """
+        count = rays.t_max.shape[0]
+        radiance = self._buffers.struct(name, RayRadiance, count)
+        self._launcher.run_banded(
+            self._integrate,
+            count // self._lanes,
+            *(self._settings, trees.instances, trees.assets, trees.top_nodes, rays, radiance),
+            bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
+        )
+        return radiance
+
+
+def integrator_of(launcher: Launcher, config: RenderConfig) -> Any:
+    """The kernel that follows rays on a device, for these settings."""
+    hits = config.trace.hits_per_pass
+    if launcher.is_parallel:
+        return trace_kernels.integrator(1, hits)
+    return trace_kernels.integrator(PACKET_RAYS, max(hits, HITS_HELD_CPU))
+
+
+def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
+    """The kernel modules that tracing needs."""
+    return [build_kernels, mesh_hits_kernels, bounce_kernels, ray_kernels, integrator_of(launcher, config).module]
+
+
+def ray_count(camera: Camera) -> int:
+    """Rays of an image: whole blocks."""
+    return PACKET_RAYS * (-(-camera.width // RAY_BLOCK_PX)) * (-(-camera.height // RAY_BLOCK_PX))
+
+
+def trace_table(config: TraceConfig) -> np.ndarray:
+    """The 1-element table that kernels read the tracer's settings from."""
+    row = table = np.zeros(1, dtype=table_dtype(TraceData))
+    is_sorted = config.strategy is TraceStrategy.SORTED
+    row["strategy"] = _STRATEGIES[config.strategy]
+    row["hits_per_pass"] = config.hits_per_pass
+    row["hull"] = config.hit_distance is HitDistance.HULL
+    row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
+    row["sh_degree"] = config.sh_degree
+    # What stops a sorted ray early would bias a stochastic one.
+    row["transmittance_min"] = config.transmittance_min if is_sorted else -1.0
+    # A stochastic hit is a surface, whatever the threshold.
+    is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
+    row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
+    row["acceptance_scale"] = config.acceptance_scale
+    return table

@@ -1,0 +1,192 @@
+"""The scene's Gaussians as rays meet them: a tree an asset, and over them a tree of the instances."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import RenderConfig
+from lumisplat.constants import BOX_MARGIN, KERNEL_LINEAR_SLOPE, NODE_WIDTH
+from lumisplat.device.trace_structs import FAR, NO_CHILD, KernelData, Node, TreeAsset, TreeInstance
+from lumisplat.launcher import Launcher
+from lumisplat.render.build import GaussianTree
+from lumisplat.render.device_scene import DeviceScene, SplatAsset, table_dtype
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class HeldTree:
+    """The tree of an asset."""
+
+    gaussians: Gaussians
+    kernel: KernelData
+    tree: GaussianTree
+
+
+class TreeScene:
+    """Trees of a scene's Gaussians, built when rays first meet them, and refitted when their Gaussians move.
+
+    Args:
+        launcher: Runs the kernels.
+    """
+
+    def __init__(self, launcher: Launcher) -> None:
+        self._launcher = launcher
+        self._buffers = Buffers(launcher.device)
+        self._held: list[HeldTree] = []
+        self.assets: Any = None
+        """What the instances place, as TreeAsset."""
+        self.instances: Any = None
+        """In scene order, as TreeInstance."""
+        self.top_nodes: Any = None
+        """Tree of the instances' world boxes; its leaves are ~instance."""
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the trees, bytes."""
+        return self._buffers.bytes + sum(held.tree.bytes for held in self._held)
+
+    def sync(self, scene: Scene, device_scene: DeviceScene, config: RenderConfig) -> None:
+        """Builds or refits what changed, and writes where the instances are.
+
+        Args:
+            scene: What ``device_scene`` was synchronised with last.
+            device_scene: Its Gaussians on the device.
+            config: Its kernel settings are those that the bounds follow.
+        """
+        assets = device_scene.assets
+        if [id(asset.gaussians) for asset in assets] != [id(held.gaussians) for held in self._held]:
+            self._held = [self._tree_of(place, asset, assets, config) for place, asset in enumerate(assets)]
+            self.assets = wp.array(
+                self._asset_rows(assets) or [TreeAsset()], dtype=TreeAsset, device=self._launcher.device
+            )
+        place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
+        places = [place_of[id(instance.gaussians)] for instance in scene.splats]
+        self.instances = self._buffers.get("instances", TreeInstance, len(places))
+        if places:
+            self.instances.assign(self._instance_table(scene, places))
+        nodes = tree_of_boxes(*self._world_boxes(scene, places))
+        self.top_nodes = self._buffers.get("top_nodes", Node, len(nodes))
+        self.top_nodes.assign(nodes)
+
+    def _tree_of(self, place: int, asset: SplatAsset, assets: list[SplatAsset], config: RenderConfig) -> HeldTree:
+        """The tree that there is; that of the asset whose place this one took, refitted; or a new one."""
+        held = next((held for held in self._held if held.gaussians is asset.gaussians), None)
+        if held is not None:
+            return held
+        kernel = kernel_data(asset.gaussians, config)
+        used = {id(asset.gaussians) for asset in assets}
+        before = self._held[place] if place < len(self._held) else None
+        if (
+            before is not None
+            and id(before.gaussians) not in used
+            and before.gaussians.count == asset.gaussians.count
+            and before.kernel.degree == kernel.degree
+        ):
+            before.tree.refit(asset.data)
+            return HeldTree(asset.gaussians, kernel, before.tree)
+        return HeldTree(asset.gaussians, kernel, GaussianTree(self._launcher, asset.data, kernel))
+
+    def _asset_rows(self, assets: list[SplatAsset]) -> list[TreeAsset]:
+        rows = []
+        for asset, held in zip(assets, self._held, strict=True):
+            row = TreeAsset()
+            row.nodes, row.particles, row.gaussians = held.tree.nodes, held.tree.particles, asset.data
+            rows.append(row)
+        return rows
+
+    def _instance_table(self, scene: Scene, places: list[int]) -> np.ndarray:
+        world_from_object = np.array([instance.transform for instance in scene.splats])
+        object_from_world = np.linalg.inv(world_from_object)
+        scales = np.array([instance.scale for instance in scene.splats])
+        table = np.zeros(len(places), dtype=table_dtype(TreeInstance))
+        table["object_from_world"] = object_from_world[:, :3, :3]
+        table["object_from_world_offset"] = object_from_world[:, :3, 3]
+        table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
+        table["object_per_world"] = 1.0 / scales
+        table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
+        table["asset"] = places
+        for row, place in zip(table, places, strict=True):
+            kernel = self._held[place].kernel
+            for name in ("degree", "falloff", "min_response", "adaptive"):
+                row["kernel"][name] = getattr(kernel, name)
+        return table
+
+    def _world_boxes(self, scene: Scene, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        bounds = [held.tree.bounds() for held in self._held]
+        lows, highs = np.full((len(places), 3), np.inf), np.full((len(places), 3), -np.inf)
+        for i, (instance, place) in enumerate(zip(scene.splats, places, strict=True)):
+            low, high = bounds[place]
+            if (low <= high).all():
+                corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+                world = corners @ instance.transform[:3, :3].T + instance.transform[:3, 3]
+                margin = BOX_MARGIN * np.abs(world).max(axis=0)
+                lows[i], highs[i] = world.min(axis=0) - margin, world.max(axis=0) + margin
+        return lows, highs
+
+
+def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
+    """How the Gaussians of a capture respond: by the setting, or by the capture's own degree."""
+    trace = config.trace
+    kernel = KernelData()
+    kernel.degree = gaussians.kernel_degree if trace.kernel_degree is None else trace.kernel_degree
+    kernel.falloff = KERNEL_LINEAR_SLOPE if kernel.degree == 0 else 4.5 / 3.0**kernel.degree
+    kernel.min_response = trace.min_response
+    kernel.adaptive = int(trace.adaptive_clamping)
+    return kernel
+
+
+def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
+    """A small tree, built on the host: groups of boxes are halved along their longest side, as often as there is room.
+
+    Args:
+        lows: Lower corners, shape (M, 3).
+        highs: Upper corners, shape (M, 3); boxes that are inverted are left out.
+
+    Returns:
+        Nodes, the root first; leaves are ~number of the box.
+    """
+    rows: list[np.ndarray] = []
+
+    def add(items: np.ndarray) -> int:
+        row = empty_node()
+        rows.append(row)
+        number = len(rows) - 1
+        for c, group in enumerate(_dealt(items, lows + highs)):
+            for k, axis in enumerate("xyz"):
+                row[f"low_{axis}"][0, c] = lows[group, k].min()
+                row[f"high_{axis}"][0, c] = highs[group, k].max()
+            row["link"][0, c] = ~group[0] if len(group) == 1 else add(group)
+        return number
+
+    add(np.flatnonzero((lows <= highs).all(axis=1)))
+    return np.concatenate(rows)
+
+
+def empty_node() -> np.ndarray:
+    """A 1-element table of a node without children."""
+    row = np.zeros(1, dtype=table_dtype(Node))
+    for axis in "xyz":
+        row[f"low_{axis}"], row[f"high_{axis}"] = FAR, -FAR
+    row["link"] = NO_CHILD
+    return row
+
+
+def _dealt(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
+    """Items in at most as many groups as a node has children."""
+    groups = [items] if len(items) else []
+    while len(groups) < NODE_WIDTH:
+        largest = max(range(len(groups)), key=lambda g: len(groups[g]), default=0)
+        if not groups or len(groups[largest]) < 2:
+            break
+        group = groups[largest]
+        spans = np.ptp(centers[group], axis=0)
+        ordered = group[np.argsort(centers[group, spans.argmax()], kind="stable")]
+        groups[largest : largest + 1] = np.array_split(ordered, 2)
+    return groups
