@@ -9,7 +9,7 @@ from lumisplat.constants import ALPHA_MIN, BOX_MARGIN
 from lumisplat.device.gaussian import ALPHA_LIMIT, alpha_from_log, gaussian_normal
 from lumisplat.device.sh import sh_color
 from lumisplat.device.structs import GaussianData
-from lumisplat.device.trace_structs import FAR, Box, KernelData, Particle, TreeInstance
+from lumisplat.device.trace_structs import FAR, Box, KernelData, Particle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -70,7 +70,7 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 
 @wp.func
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
-    """The tightest axis-aligned box of the ellipsoid outside which Gaussian ``i`` is ignored; inverted if it never counts.
+    """The tightest axis-aligned box of where Gaussian ``i`` counts; inverted if it never does.
 
     Grown by a few units in the last place, as the box and the ray's own arithmetic are rounded.
     """
@@ -92,7 +92,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 def ellipsoid_normal(
     kernel: KernelData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3
 ) -> wp.vec3:
-    """Unit normal, against the ray, of the ellipsoid where Gaussian ``i`` ends, where the ray enters it; object space."""
+    """Unit normal of the ellipsoid where Gaussian ``i`` ends, where the ray enters it, against the ray; object space."""
     canonical = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     start = canonical * (origin - gaussians.means[i])
     along = wp.normalize(canonical * direction)

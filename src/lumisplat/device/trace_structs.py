@@ -12,7 +12,7 @@ NO_CHILD = wp.constant(2**31 - 1)
 """Link of an empty child."""
 
 FAR = wp.constant(wp.float32(1.0e30))
-"""Stands for infinity where arithmetic goes on with it: distances are compared to it, and empty boxes are made of it."""
+"""Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
 
 
 @struct

@@ -1,7 +1,8 @@
 """Where bundles of rays enter boxes.
 
-A bundle is bounded by a shaft: a ray that widens linearly. Seen from the shaft, a box's six planes move as it widens, and
-each bounds the distances at which the bundle can be inside by a linear inequality. A single ray is a shaft of no width.
+A bundle is bounded by a shaft: a ray that widens linearly. Seen from the shaft, a box's six planes move as it widens,
+and each bounds the distances at which the bundle can be inside by a linear inequality. A single ray is a shaft of no
+width.
 """
 
 import warp as wp

@@ -1,7 +1,7 @@
 """Host pass: a tree over the Gaussians of an asset, and its refit when they move.
 
-The tree is eight children wide and holds one Gaussian a leaf. It is built level by level from the root, so that children come
-after their parents and a refit runs backwards through the levels.
+The tree is eight children wide and holds one Gaussian a leaf. It is built level by level from the root, so that
+children come after their parents and a refit runs backwards through the levels.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class GaussianTree:
 
     @property
     def cost(self) -> float:
-        """Surface of all nodes over the root's: how many nodes a random ray that meets the root is expected to visit."""
+        """Surface of all nodes over the root's: as many a random ray that meets the root is expected to visit."""
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if areas[0] > 0.0 else 1.0
 

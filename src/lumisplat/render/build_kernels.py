@@ -1,8 +1,9 @@
 """Bounding volume hierarchies over the boxes of Gaussians, level by level from the root, and the refit of their boxes.
 
-``box_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU) and ``split_by_code`` (CUDA): one item is one node of a
-level, whose items come to lie child by child. ``link_nodes``: one item is one node of a level. ``gather_particles``: one
-item is one particle, in the order of the tree. ``refit_nodes``: one item is one node of a level.
+``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU) and ``split_by_code`` (CUDA): one
+item is one node of a level, whose items come to lie child by child. ``link_nodes``, ``refit_nodes``: one item is one
+node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order of
+the tree.
 """
 
 import warp as wp
@@ -77,8 +78,10 @@ def partition_range(
 
 @wp.func
 def split_range(boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: int, end: int) -> int:
-    """Splits items in two where the surface area heuristic costs least (Wald 2007), and returns where; in the middle if
-    all centres coincide."""
+    """Splits items in two where the surface area heuristic costs least (Wald 2007), and returns where.
+
+    In the middle if all centres coincide.
+    """
     center_low = wp.vec3(wp.inf)
     center_high = wp.vec3(-wp.inf)
     for i in range(begin, end):

@@ -1,12 +1,13 @@
 """Gaussians along rays: a bundle of neighbouring rays walks the trees together.
 
-One item is one packet of ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes becomes vector instructions,
-1 on CUDA. A packet descends nearest child first and keeps, for each of its rays, the nearest hits sorted by (t, index). Whatever
-lies before all nodes that still wait is final, and is blended at once. A ray whose list overflows forgets its farthest
-hit, and starts again behind the last one blended: that is a pass. So the result is that of sorting all hits.
+One item is one packet of ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes becomes vector
+instructions, 1 on CUDA. A packet descends nearest child first and keeps, for each of its rays, the nearest hits sorted
+by (t, index). Whatever lies before all nodes that still wait is final, and is blended at once. A ray whose list
+overflows forgets its farthest hit, and starts again behind the last one blended: that is a pass. So the result is that
+of sorting all hits.
 
-The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a stochastic
-pass is drawn whenever k hits were blended.
+The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
+stochastic pass is drawn whenever k hits were blended.
 """
 
 import functools
@@ -395,8 +396,7 @@ def integrator(lanes: int, hits: int) -> Any:
                                             placed.kernel,
                                             gaussians,
                                             i,
-                                            placed.object_from_world * rays.origin[r]
-                                            + placed.object_from_world_offset,
+                                            placed.object_from_world * rays.origin[r] + placed.object_from_world_offset,
                                             placed.object_from_world * rays.direction[r],
                                         )
                                     else:
