@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import warp as wp
+from rich.progress import Progress
 
 import lumisplat as ls
 from cli_files import Workplace
 from lumisplat.cli import main
+from lumisplat.cli.console import progress_bars
 from lumisplat.cli.framing import framing_camera
 from lumisplat.io.image import read_image
 from scenes import front_camera, random_gaussians
@@ -242,6 +245,46 @@ def test_stats_of_rays(work):
         assert outcome.status == 0
         assert "Gaussians" in outcome.out and "memory" in outcome.out and "all stages" in outcome.out
         assert "tile pairs" not in outcome.out and "visible" not in outcome.out
+
+
+def test_render_by_rays(work, monkeypatch):
+    """--pipeline trace gives what the library traces, here glass before a capture; samples are reported one by one."""
+    work.path("scene.toml").write_text(
+        '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
+        '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
+        "material = { roughness = 0.0, transmission = 1.0, base_color = [1.0, 0.5, 1.0] }\n"
+    )
+    reports = []
+
+    @contextmanager
+    def recorded():
+        yield lambda label, fraction: reports.append((label, fraction))
+
+    monkeypatch.setattr("lumisplat.cli.render.progress_bars", recorded)
+    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    options = ("--strategy", "stochastic-hit", "--samples", "3", "--seed", "5")
+    assert work.run(*args, "--pipeline", "trace", *options).status == 0
+    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=3, seed=5, trace=trace)
+    scene, camera = ls.load(work.path("scene.toml")), ls.load_cameras(work.path("cameras.json"))[0]
+    assert isinstance(scene, ls.Scene)
+    expected = ls.render(scene, camera, config, device="cpu")
+    found = read_image(work.path("a.npz"))
+    np.testing.assert_array_equal(found["color"], expected.color)
+    assert found["alpha"][24, 32] == 1.0 and found["instance_index"][24, 32] == 1
+    assert [fraction for label, fraction in reports if label == "tracing"] == pytest.approx([1 / 3, 2 / 3, 1.0])
+
+
+def test_a_bar_ends_and_begins_anew(monkeypatch):
+    """Bars are gone when done, and one whose label comes again, as that of samples in each picture, starts at zero."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    shown = []
+    with progress_bars() as report:
+        bars = next(cell.cell_contents for cell in report.__closure__ if isinstance(cell.cell_contents, Progress))
+        for label, fraction in [("a", 0.0), ("b", 0.5), ("a", 1.0), ("b", 1.0), ("b", 0.25), ("c", 1.0)]:
+            report(label, fraction)
+            shown.append([(task.description, task.completed) for task in bars.tasks])
+    assert shown == [[("a", 0.0)], [("a", 0.0), ("b", 0.5)], [("b", 0.5)], [], [("b", 0.25)], [("b", 0.25)]]
 
 
 def test_scene_of_several_files(work):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,20 @@ def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None
         assert renderer.render(scene, camera).color[24, 32] == pytest.approx([0.9, 0.0, 0.09], abs=1e-5)
     for scene in (ls.Scene([joined(blue, red)]), ls.Scene([blue, red])):
         assert renderer.render(scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
+
+
+def test_other_kernels_are_announced_once(way: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A capture of another kernel degree is drawn as Gaussian, and a renderer says so once for each degree."""
+    gaussian = random_gaussians(21, 30)
+    quartic, linear = (replace(gaussian, kernel_degree=degree) for degree in (4, 0))
+    renderer = renderer_of(way)
+    expected = renderer.render(ls.Scene([gaussian]), front_camera())
+    assert not caplog.records
+    for _ in range(2):
+        np.testing.assert_array_equal(renderer.render(ls.Scene([quartic]), front_camera()).color, expected.color)
+    renderer.render(ls.Scene([gaussian, linear, quartic]), front_camera())
+    said = [record.getMessage() for record in caplog.records]
+    assert [line.partition(",")[0] for line in said] == [f"a capture has kernel degree {degree}" for degree in (4, 0)]
 
 
 def test_instances_sort_together(renderer: ls.Renderer) -> None:

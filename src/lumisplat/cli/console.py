@@ -11,7 +11,10 @@ Report = Callable[[str, float], None]
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Shows a bar for each label that is reported until it is done; on a terminal only, and gone afterwards."""
+    """Shows a bar for each label from its first report until it is done, and anew when it begins again.
+
+    On a terminal only, and gone afterwards.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
@@ -21,9 +24,13 @@ def progress_bars() -> Iterator[Report]:
         tasks = {}
 
         def report(label: str, fraction: float) -> None:
+            if fraction >= 1.0:
+                if label in tasks:
+                    bars.remove_task(tasks.pop(label))
+                return
             if label not in tasks:
                 tasks[label] = bars.add_task(label, total=1.0)
-            bars.update(tasks[label], completed=fraction, visible=fraction < 1.0)
+            bars.update(tasks[label], completed=fraction)
 
         yield report
 

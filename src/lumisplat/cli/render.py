@@ -75,7 +75,7 @@ class Render(DeviceCommand):
             make_folder(shots[0].path.parent)
             report("rendering", 0.0)
             for done, shot in enumerate(shots, start=1):
-                frame = renderer.render(scene, shot.camera)
+                frame = renderer.render(scene, shot.camera, progress=report)
                 frame.save(shot.path, layers)
                 report("rendering", done / len(shots))
                 if self.stats and done == len(shots):

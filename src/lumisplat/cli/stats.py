@@ -31,9 +31,5 @@ def count_rows(frame: ls.Frame, pipeline: PipelineName) -> list[tuple[str, str]]
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
     if pipeline == "raster":
-        rows += [
-            ("visible", f"{stats.visible_count:,}"),
-            ("tile pairs", f"{stats.pair_count:,}"),
-            ("not finite", f"{stats.nonfinite_count:,}"),
-        ]
-    return [*rows, ("memory", byte_size(stats.memory_bytes))]
+        rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
+    return [*rows, ("not finite", f"{stats.nonfinite_count:,}"), ("memory", byte_size(stats.memory_bytes))]
