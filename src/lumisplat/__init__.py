@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     )
     from lumisplat.io import load, load_cameras, save, save_cameras
     from lumisplat.render.frame import Frame
-    from lumisplat.render.renderer import Renderer, create_renderer, render
+    from lumisplat.render.rays import RayHits
+    from lumisplat.render.renderer import Renderer, create_renderer, render, trace_rays, transmittance
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.demo import demo_cameras, demo_scene
     from lumisplat.scene.gaussians import Gaussians
@@ -54,6 +55,7 @@ _HOME = {
     "NormalMethod": "config",
     "Pipeline": "config",
     "RasterConfig": "config",
+    "RayHits": "render.rays",
     "RenderConfig": "config",
     "Renderer": "render.renderer",
     "Scene": "scene.scene",
@@ -70,6 +72,8 @@ _HOME = {
     "render": "render.renderer",
     "save": "io",
     "save_cameras": "io",
+    "trace_rays": "render.renderer",
+    "transmittance": "render.renderer",
 }
 
 __all__ = [
@@ -89,6 +93,7 @@ __all__ = [
     "NormalMethod",
     "Pipeline",
     "RasterConfig",
+    "RayHits",
     "RenderConfig",
     "Renderer",
     "Scene",
@@ -105,6 +110,8 @@ __all__ = [
     "render",
     "save",
     "save_cameras",
+    "trace_rays",
+    "transmittance",
 ]
 
 

@@ -47,7 +47,7 @@ PASS_REWIND = 1e-4
 """A new pass looks back by this share of the distance: the hits of a box may be rounded out of it."""
 
 HITS_HELD_CPU = 64
-"""Hits that a ray keeps sorted on the CPU at least: they cost little there and save passes; 1.7 times faster than 16."""
+"""Hits that a ray keeps sorted on the CPU at least: they cost little there and save passes, 1.7 times faster."""
 
 COHERENT_SPREAD = 0.15
 """Rays of a packet whose directions differ by more than this from their mean are traced one by one."""
@@ -87,7 +87,7 @@ how far off rounding may put the start, from a thousand diagonals away, is well 
 RAY_START_BACK = 4e-6
 """Share of the way to a box by which rays start before it: 64 roundings, for boxes farther away than that."""
 
-SPAWN_ERROR = 2.0**-25
+SPAWN_ERROR = 2.0**-20
 """Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
 roundings, where at most 8 add up. Reflected and refracted rays start this far off the surface, no farther."""
 
@@ -223,6 +223,9 @@ RAY_BLOCK_PX = 4
 SORT_DIGIT_BITS_MAX = 12
 """Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
 usual 24 bits of key."""
+
+RAY_BATCH = 2**20
+"""Rays of a query that are on the device at once: some 200 MiB."""
 
 RAY_BANDS_PER_THREAD = 32
 """Bands a CPU thread gets when rays are traced: packets differ more in cost than tiles do."""

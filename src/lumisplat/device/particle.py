@@ -92,7 +92,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 def ellipsoid_normal(
     kernel: KernelData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3
 ) -> wp.vec3:
-    """Unit normal of the ellipsoid where Gaussian ``i`` ends, where the ray enters it, against the ray; object space."""
+    """Unit normal, against the ray, where it enters the ellipsoid in which Gaussian ``i`` counts; object space."""
     canonical = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     start = canonical * (origin - gaussians.means[i])
     along = wp.normalize(canonical * direction)

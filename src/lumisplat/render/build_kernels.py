@@ -1,6 +1,6 @@
 """Bounding volume hierarchies over the boxes of Gaussians, level by level from the root, and the refit of their boxes.
 
-``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU) and ``split_by_code`` (CUDA): one
+``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU), ``split_by_code`` (CUDA): one
 item is one node of a level, whose items come to lie child by child. ``link_nodes``, ``refit_nodes``: one item is one
 node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order of
 the tree.

@@ -1,7 +1,7 @@
 """From pixels to rays and back. One item is one ray; rays come in square blocks of pixels.
 
 ``start_rays`` writes the rays of one sample, ``store_rays`` what they saw: the running mean of their colours, and
-the surface that the first sample met.
+the surface that the first sample met. ``load_rays`` and ``store_hits`` do the same for rays in any order.
 """
 
 import warp as wp
@@ -95,3 +95,63 @@ def store_rays(
         share = 1.0 / float(lens.sample + 1)
         surface_inout.color[pixel] += share * (color - surface_inout.color[pixel])
         surface_inout.alpha[pixel] += share * (alpha - surface_inout.alpha[pixel])
+
+
+@wp.kernel
+def load_rays(
+    start: int,
+    first: int,
+    sample: int,
+    seed: wp.uint32,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    distances: wp.array(dtype=float),
+    rays_out: RayData,
+):
+    """Rays beyond the given ones are none. ``first`` is the number of the first one among all that were asked for."""
+    i = start + wp.tid()
+    rays_out.t_max[i] = -wp.inf
+    if i >= origins.shape[0]:
+        return
+    rays_out.origin[i] = origins[i]
+    rays_out.direction[i] = directions[i]
+    rays_out.t_min[i] = 0.0
+    rays_out.t_max[i] = distances[i]
+    rays_out.travelled[i] = 0.0
+    rays_out.stream[i] = stream_of(first + i, sample, seed)
+
+
+@wp.kernel
+def store_hits(
+    start: int,
+    sample: int,
+    rays: RayData,
+    radiance: RayRadiance,
+    hits: RayMeshHits,
+    colors: wp.array(dtype=wp.vec3),
+    instances: wp.array(dtype=TreeInstance),
+    mesh_instances: wp.array(dtype=MeshInstanceData),
+    meshes: MeshData,
+    surface_inout: SurfaceData,
+):
+    """As ``store_rays``, without a background."""
+    i = start + wp.tid()
+    if not rays.t_max[i] > rays.t_min[i]:
+        return
+    color = radiance.color[i]
+    alpha = 1.0 - radiance.transmittance[i]
+    if hits.face[i] >= 0:
+        color = colors[i]
+        alpha = float(1.0)
+    if sample == 0:
+        surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)
+        surface_inout.color[i] = color
+        surface_inout.alpha[i] = alpha
+        surface_inout.depth[i] = surface.depth
+        surface_inout.normal[i] = surface.normal
+        surface_inout.gaussian[i] = surface.gaussian
+        surface_inout.instance[i] = surface.instance
+    else:
+        share = 1.0 / float(sample + 1)
+        surface_inout.color[i] += share * (color - surface_inout.color[i])
+        surface_inout.alpha[i] += share * (alpha - surface_inout.alpha[i])

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy.typing as npt
+
 from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
@@ -13,9 +17,11 @@ from lumisplat.render.frame import Frame, FrameStats
 from lumisplat.render.mesh import MeshRaster
 from lumisplat.render.order import OrderChunked, OrderCounts, OrderParallel
 from lumisplat.render.raster import SplatRaster, refuse_lens
+from lumisplat.render.rays import RayHits, RayQueries, checked_distances, checked_rays, tracing
 from lumisplat.render.surface import Surface
 from lumisplat.render.trace import RayTracer, trace_modules
 from lumisplat.render.tree_scene import TreeScene
+from lumisplat.scene.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -38,6 +44,7 @@ class Renderer:
             launcher.load(trace_modules(launcher, config), progress)
             self._trees = TreeScene(launcher)
             self._tracer = RayTracer(launcher, self._buffers, config)
+            self._queries = RayQueries(launcher, self._buffers, self._tracer, config)
         else:
             launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
             self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
@@ -68,10 +75,7 @@ class Renderer:
             SceneError: The scene is none, it or the image is larger than 32-bit indices reach, or the rasteriser is to
                 draw a camera that is not a pinhole.
         """
-        if not isinstance(scene, Scene):
-            raise SceneError(f"render takes a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
-        if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
-            raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+        check_scene(scene)
         if camera.width * camera.height > IMAGE_PIXELS_MAX:
             raise SceneError(
                 f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
@@ -81,6 +85,36 @@ class Renderer:
         if self.config.pipeline is Pipeline.TRACE:
             return self._trace(scene, camera, first, progress)
         return self._raster(scene, camera)
+
+    def trace_rays(self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike) -> RayHits:
+        """As the function ``trace_rays``; of a renderer with ``Pipeline.TRACE``, which keeps the scene's trees."""
+        start, along = checked_rays(origins, directions)
+        self._sync_rays(scene)
+        return self._queries.look(self._scene, self._trees, start, along)
+
+    def transmittance(
+        self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
+    ) -> FloatArray:
+        """As the function ``transmittance``; of a renderer with ``Pipeline.TRACE``, which keeps the scene's trees."""
+        start, along = checked_rays(origins, directions)
+        distances = checked_distances(max_distance, len(start))
+        self._sync_rays(scene)
+        return self._queries.transmit(self._scene, self._trees, start, along, distances)
+
+    def _sync_rays(self, scene: Scene) -> None:
+        if self.config.pipeline is not Pipeline.TRACE:
+            raise ConfigError("rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
+        check_scene(scene)
+        self._launcher.stage_ms = {}
+        self._sync(scene, Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+
+    def _sync(self, scene: Scene, camera: Camera) -> None:
+        """Brings the device up to date for rays."""
+        with self._launcher.stage("sync"):
+            self._scene.sync(scene, camera, self.config)
+            self._scene.sync_rays(scene)
+        with self._launcher.stage("build"):
+            self._trees.sync(scene, self._scene, self.config)
 
     def _raster(self, scene: Scene, camera: Camera) -> Frame:
         refuse_lens(camera)
@@ -94,11 +128,7 @@ class Renderer:
             return self._frame(scene, camera, self._order.counts, samples=1)
 
     def _trace(self, scene: Scene, camera: Camera, first: int, progress: Progress | None) -> Frame:
-        with self._launcher.stage("sync"):
-            self._scene.sync(scene, camera, self.config)
-            self._scene.sync_rays(scene)
-        with self._launcher.stage("build"):
-            self._trees.sync(scene, self._scene, self.config)
+        self._sync(scene, camera)
         count = self.config.samples
         for sample in range(first, first + count):
             self._tracer.draw_sample(self._scene, self._trees, camera, sample)
@@ -174,6 +204,14 @@ class Renderer:
         )
 
 
+def check_scene(scene: Scene) -> None:
+    """Raises SceneError unless this is a scene whose items 32-bit indices can count."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
+    if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
+        raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+
+
 def create_renderer(
     config: RenderConfig | None = None,
     device: str = "auto",
@@ -211,3 +249,63 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, 
         DeviceError: There is no such device, or it is out of memory.
     """
     return create_renderer(config, device).render(scene, camera)
+
+
+def trace_rays(
+    scene: Scene,
+    origins: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    config: RenderConfig | None = None,
+    *,
+    device: str = "auto",
+) -> RayHits:
+    """Follows any rays through a scene, mirrors and glass included.
+
+    Rays are worked on in batches, so that memory does not grow with their number; neighbours in the arrays that are
+    neighbours in space are traced together, and faster. For many calls on one scene, ``create_renderer`` with
+    ``Pipeline.TRACE`` and its ``trace_rays`` keep what they share.
+
+    Args:
+        scene: What they meet.
+        origins: World space, shape (N, 3).
+        directions: World space, of any length, shape (N, 3).
+        config: Settings; None: the defaults. ``background`` is seen in mirrors only.
+        device: As for ``create_renderer``.
+
+    Raises:
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: A shape does not fit, a value is not finite or a direction has no length; the message counts them.
+    """
+    return create_renderer(tracing(config), device).trace_rays(scene, origins, directions)
+
+
+def transmittance(
+    scene: Scene,
+    origins: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    max_distance: npt.ArrayLike = math.inf,
+    *,
+    config: RenderConfig | None = None,
+    device: str = "auto",
+) -> FloatArray:
+    """How much of the light from as far as ``max_distance`` reaches the origins of rays.
+
+    The product of what all Gaussians on the way let through, exact but for what is below
+    ``config.trace.transmittance_min``; 0 where a mesh stands in between, whatever it is made of.
+
+    Args:
+        scene: What is in between.
+        origins: World space, shape (N, 3).
+        directions: World space, of any length, shape (N, 3).
+        max_distance: Scene units, one number or one a ray, shape (N,).
+        config: Settings; None: the defaults.
+        device: As for ``create_renderer``.
+
+    Returns:
+        Transmittances 0..1, shape (N,).
+
+    Raises:
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: As for ``trace_rays``, or a distance is negative or NaN.
+    """
+    return create_renderer(tracing(config), device).transmittance(scene, origins, directions, max_distance)

@@ -37,11 +37,16 @@ class Surface:
     @classmethod
     def of(cls, buffers: Buffers, camera: Camera) -> Surface:
         """The surface buffers of a camera's image; the same memory for every camera of that size."""
-        block, arrays = buffers.split("surface", FIELDS, camera.width * camera.height)
+        return cls.of_shape(buffers, (camera.height, camera.width))
+
+    @classmethod
+    def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+        """The same for any image, or a row of rays."""
+        block, arrays = buffers.split("surface", FIELDS, shape[0] * shape[1])
         data = SurfaceData()
         for name, array in arrays.items():
             setattr(data, name, array)
-        return cls(data, block, (camera.height, camera.width))
+        return cls(data, block, shape)
 
     def upload(self, images: dict[str, np.ndarray]) -> None:
         """Puts images back that ``download`` gave."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,8 @@ class RayTracer:
         self._bounces = Bounces(launcher, buffers, self._mesh_hits)
         self._settings = buffers.get("trace.settings", TraceData, 1)
         self._settings.assign(trace_table(config.trace))
+        self._product_settings = buffers.get("trace.product_settings", TraceData, 1)
+        self._product_settings.assign(product_table(config.trace))
         self._lens = buffers.get("trace.lens", LensData, 1)
 
     def draw_sample(self, scene: DeviceScene, trees: TreeScene, camera: Camera, sample: int) -> None:
@@ -92,32 +95,37 @@ class RayTracer:
         with stage("mesh"):
             hits = self._mesh_hits.find(scene, rays, "trace.hits")
         with stage("gaussians"):
-            radiance = self.integrate(trees, rays, "trace.radiance")
+            radiance = self._integrated(trees, rays, "trace.radiance")
         with stage("bounce"):
             colors = self._bounces.resolve(
                 scene,
                 rays,
                 hits,
                 radiance,
-                trace=lambda rays: self.integrate(trees, rays, "trace.branch_radiance"),
+                trace=lambda rays: self._integrated(trees, rays, "trace.branch_radiance"),
                 bounces=self._config.max_bounces,
             )
         return hits, radiance, colors
 
-    def integrate(self, trees: TreeScene, rays: RayData, name: str) -> RayRadiance:
-        """What the Gaussians up to ``t_max`` give rays.
+    def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, Any]:
+        """Nearest triangles, and what the Gaussians before them let through.
 
         Args:
-            trees: Of the Gaussians.
-            rays: A multiple of ``PACKET_RAYS``.
-            name: Of the buffers that hold the result.
+            scene: After ``sync`` and ``sync_rays``.
+            trees: Of the same scene.
+            rays: As for ``look``.
         """
+        hits = self._mesh_hits.find(scene, rays, "trace.hits")
+        return hits, self._integrated(trees, rays, "trace.radiance", self._product_settings).transmittance
+
+    def _integrated(self, trees: TreeScene, rays: RayData, name: str, settings: Any = None) -> RayRadiance:
+        """What the Gaussians up to ``t_max`` give rays."""
         count = rays.t_max.shape[0]
         radiance = self._buffers.struct(name, RayRadiance, count)
         self._launcher.run_banded(
             self._integrate,
             count // self._lanes,
-            *(self._settings, trees.instances, trees.assets, trees.top_nodes, rays, radiance),
+            *(settings or self._settings, trees.instances, trees.assets, trees.top_nodes, rays, radiance),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return radiance
@@ -139,6 +147,13 @@ def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
 def ray_count(camera: Camera) -> int:
     """Rays of an image: whole blocks."""
     return PACKET_RAYS * (-(-camera.width // RAY_BLOCK_PX)) * (-(-camera.height // RAY_BLOCK_PX))
+
+
+def product_table(config: TraceConfig) -> np.ndarray:
+    """The same for transmittance alone, which needs no order; a ray is finished where its own falls to the minimum."""
+    table = trace_table(replace(config, strategy=TraceStrategy.SORTED))
+    table["strategy"] = trace_kernels.PRODUCT
+    return table
 
 
 def trace_table(config: TraceConfig) -> np.ndarray:

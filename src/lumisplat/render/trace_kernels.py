@@ -7,7 +7,7 @@ overflows forgets its farthest hit, and starts again behind the last one blended
 of sorting all hits.
 
 The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
-stochastic pass is drawn whenever k hits were blended.
+stochastic pass is drawn whenever k hits were blended. A fourth way multiplies what all hits let through, in any order.
 """
 
 import functools
@@ -36,9 +36,11 @@ wp.set_module_options(OPTIONS)
 SORTED = 0
 HIT = 1
 PASS = 2
+PRODUCT = 3
 
 STRATEGY_HIT = wp.constant(HIT)
 STRATEGY_PASS = wp.constant(PASS)
+STRATEGY_PRODUCT = wp.constant(PRODUCT)
 WIDTH = wp.constant(NODE_WIDTH)
 NO_INDEX = wp.constant(2**31 - 1)
 REWIND = wp.constant(wp.float32(PASS_REWIND))
@@ -297,6 +299,16 @@ def integrator(lanes: int, hits: int) -> Any:
                                             t[lane] = wp.where(
                                                 number * view.acceptance_scale < alpha[lane], t[lane], FAR
                                             )
+                                    if found > 0 and view.strategy == STRATEGY_PRODUCT:
+                                        found = int(0)
+                                        reach = float(-FAR)
+                                        for lane in range(LANES):
+                                            if t[lane] < FAR:
+                                                transmittance[lane] = transmittance[lane] * (1.0 - alpha[lane])
+                                                if transmittance[lane] <= view.transmittance_min:
+                                                    limit[lane] = -FAR
+                                                    cut_t[lane] = -FAR
+                                            reach = larger(reach, cut_t[lane])
                                     if found > 0:
                                         for lane in range(LANES):
                                             if t[lane] < FAR:

@@ -1,0 +1,188 @@
+"""Any rays through a scene: what they see, and how much light comes through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.constants import RAY_BATCH
+from lumisplat.device.structs import RayData
+from lumisplat.errors import SceneError
+from lumisplat.launcher import Launcher
+from lumisplat.render import ray_kernels
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.surface import Surface
+from lumisplat.render.trace import PACKET_RAYS, RayTracer
+from lumisplat.render.tree_scene import TreeScene
+from lumisplat.scene.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayHits:
+    """What N rays see."""
+
+    radiance: FloatArray
+    """Display-referred sRGB of all that the ray meets, without a background, (N, 3)."""
+    transmittance: FloatArray
+    """What is left for a background, 0..1, (N,); 0 where the ray ends on a mesh."""
+    depth: FloatArray
+    """Distance to the iso-opacity surface, scene units, (N,); inf where there is none."""
+    normal: FloatArray
+    """World space, unit, against the ray, (N, 3); zero where there is nothing."""
+    gaussian_index: IntArray
+    """Gaussian at the surface, within its own instance, (N,); -1: none."""
+    instance_index: IntArray
+    """Instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+class RayQueries:
+    """Follows rays in batches, so that memory does not grow with their number.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        tracer: Follows the rays.
+        config: Its settings.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._tracer, self._config = launcher, buffers, tracer, config
+
+    def look(self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray) -> RayHits:
+        """What rays see; ``directions`` are unit vectors."""
+        parts = []
+        distances = np.full(len(origins), np.inf, np.float32)
+        for first, given in _batches(origins, directions, distances):
+            rays = self._buffers.struct("rays.rays", RayData, whole_packets(len(given[0])))
+            surface = Surface.of_shape(self._buffers, (1, rays.t_max.shape[0]))
+            uploaded = self._uploaded(given)
+            for sample in range(self._config.samples):
+                self._load(first, sample, uploaded, rays)
+                hits, radiance, colors = self._tracer.look(scene, trees, rays)
+                self._launcher.run_banded(
+                    ray_kernels.store_hits,
+                    rays.t_max.shape[0],
+                    *(sample, rays, radiance, hits, colors, trees.instances, scene.mesh_instances, scene.mesh_data),
+                    surface.data,
+                )
+            images = surface.download()
+            parts.append({name: image[0, : len(given[0])] for name, image in images.items()})
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return RayHits(
+            radiance=joined["color"],
+            transmittance=np.float32(1.0) - joined["alpha"],
+            depth=joined["depth"],
+            normal=joined["normal"],
+            gaussian_index=joined["gaussian"],
+            instance_index=joined["instance"],
+        )
+
+    def transmit(
+        self,
+        scene: DeviceScene,
+        trees: TreeScene,
+        origins: FloatArray,
+        directions: FloatArray,
+        distances: FloatArray,
+    ) -> FloatArray:
+        """What comes through from as far as ``distances``, (N,)."""
+        parts = []
+        for first, given in _batches(origins, directions, distances):
+            rays = self._buffers.struct("rays.rays", RayData, whole_packets(len(given[0])))
+            self._load(first, 0, self._uploaded(given), rays)
+            hits, transmittance = self._tracer.transmit(scene, trees, rays)
+            blocked = hits.face.numpy()[: len(given[0])] >= 0
+            parts.append(np.where(blocked, np.float32(0.0), transmittance.numpy()[: len(given[0])]))
+        return np.concatenate(parts)
+
+    def _uploaded(self, given: list[FloatArray]) -> list[wp.array]:
+        arrays = []
+        for name, dtype, values in zip(
+            ("origins", "directions", "distances"), (wp.vec3, wp.vec3, float), given, strict=True
+        ):
+            array = self._buffers.get(f"rays.{name}", dtype, len(values))
+            array.assign(values)
+            arrays.append(array)
+        return arrays
+
+    def _load(self, first: int, sample: int, uploaded: list[wp.array], rays: RayData) -> None:
+        self._launcher.run_banded(
+            ray_kernels.load_rays, rays.t_max.shape[0], first, sample, wp.uint32(self._config.seed), *uploaded, rays
+        )
+
+
+def _batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
+    """Consecutive rows of all arrays, and the number of the first."""
+    for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
+        yield first, [array[first : first + RAY_BATCH] for array in arrays]
+
+
+def whole_packets(count: int) -> int:
+    """The next multiple of a packet's rays."""
+    return -(-count // PACKET_RAYS) * PACKET_RAYS
+
+
+def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Origins and unit directions, float32, shape (N, 3) each.
+
+    Raises:
+        SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
+    """
+    start, along = _rows("origins", origins), _rows("directions", directions)
+    if start.shape != along.shape:
+        raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
+    for name, values in (("origins", start), ("directions", along)):
+        bad = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+        if bad:
+            raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
+    # In two steps, as the squares of large and of small components leave the range of numbers.
+    largest = np.abs(along).max(axis=1, keepdims=True, initial=0.0)
+    empty = int(np.count_nonzero(largest == 0.0))
+    if empty:
+        raise SceneError(f"{empty} of {len(along)} ray directions have no length: leave these rays out")
+    along = along / largest
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return start.astype(np.float32), along.astype(np.float32)
+
+
+def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
+    """One distance a ray, float32, shape (N,).
+
+    Raises:
+        SceneError: They are not one number or one a ray, or some are NaN or negative.
+    """
+    values = _numbers("max_distance", distances)
+    if values.shape not in ((), (count,)):
+        raise SceneError(f"max_distance has shape {values.shape}, expected one number or ({count},), one a ray")
+    bad = int(np.count_nonzero(~(values >= 0.0)))
+    if bad:
+        raise SceneError(f"{bad} of {values.size} values of max_distance are negative or NaN")
+    return np.broadcast_to(values, (count,)).astype(np.float32)
+
+
+def _rows(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    rows = _numbers(name, values)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise SceneError(f"ray {name} have shape {rows.shape}, expected (N, 3)")
+    return rows
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None
+
+
+def tracing(config: RenderConfig | None) -> RenderConfig:
+    """The settings with the ray-tracing pipeline."""
+    return replace(config or RenderConfig(), pipeline=Pipeline.TRACE)
