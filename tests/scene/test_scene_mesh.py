@@ -107,6 +107,15 @@ def test_corners_on_a_line_have_no_area(seed: int) -> None:
     assert (check.without_area, check.out_of_range) == (500, 0)
 
 
+def test_rounding_makes_no_area() -> None:
+    """Corners on a line, one so near that float64 rounds the way to it: what that leaves of an area is not one."""
+    step = np.random.default_rng(3).integers(2**21, 2**22, (500, 1, 3))
+    corners = (step * [[2.0**-40], [1.0], [3.0]]).astype(np.float32)
+    edges = np.diff(corners.astype(np.float64), axis=1)
+    assert np.cross(edges[:, 0], edges[:, 1]).any()
+    assert check_triangles(corners.reshape(-1, 3), np.arange(1500).reshape(-1, 3)).without_area == 500
+
+
 def test_triangles_of_many_blocks() -> None:
     """Each triangle is judged by its own corners, however many there are."""
     indices = np.tile(np.array([[0, 1, 2]]), (200_000, 1))
