@@ -7,11 +7,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
 
 from lumisplat.errors import DeviceError
+
+Noun = TypeVar("Noun")
 
 
 def physical_memory() -> int:
@@ -80,6 +82,14 @@ class Buffers:
             )
             first += count * words
         return block, arrays
+
+    def struct(self, name: str, noun: type[Noun], count: int) -> Noun:
+        """A struct whose fields are arrays of ``count`` elements with undefined contents, named ``name.field``."""
+        filled: Any = noun()
+        fields: dict[str, Any] = noun.vars  # type: ignore[attr-defined]
+        for field, variable in fields.items():
+            setattr(filled, field, self.get(f"{name}.{field}", variable.type.dtype, count))
+        return filled
 
     @property
     def bytes(self) -> int:

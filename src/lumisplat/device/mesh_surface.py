@@ -9,6 +9,12 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def hit_weights(weights: wp.vec2) -> wp.vec3:
+    """Barycentric weights of all three corners from those of the second and third."""
+    return wp.vec3(1.0 - weights[0] - weights[1], weights[0], weights[1])
+
+
+@wp.func
 def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec3:
     """Linear base colour at barycentric ``weights`` of a triangle with those vertices."""
     color = wp.cw_mul(

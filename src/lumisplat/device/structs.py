@@ -275,6 +275,87 @@ class RayMeshHits:
 
 
 @struct
+class RayShear:
+    """How to shear corners so that a ray becomes an axis (Woop, Benthin and Wald 2013)."""
+
+    axis: int
+    """Largest component of the direction."""
+    slope: wp.vec2
+    """The two other components, after it in cyclic order, per unit of it."""
+    inverse: float
+    """Ray parameter per unit along the axis."""
+
+
+@struct
+class TriangleHit:
+    """Where a ray meets a triangle."""
+
+    t: float
+    """inf: nowhere."""
+    weights: wp.vec2
+    """Barycentric weights of the second and third corner."""
+
+
+@struct
+class SmoothData:
+    """How a material passes light on where it is smooth."""
+
+    smooth: int
+    """0: it does not, and shows its base colour."""
+    metallic: float
+    specular: float
+    ior: float
+    transmission: float
+
+
+@struct
+class MeshPlacement:
+    """One placement of a mesh as rays meet it; in the order of the MeshInstanceData."""
+
+    low: wp.vec3
+    """Corner of a world-space box around it, with room for rounding."""
+    high: wp.vec3
+    object_from_world: wp.mat33
+    """Linear part of the inverse."""
+    world_from_object: wp.mat33
+    """Linear part."""
+    position: wp.vec3
+    """The object's origin, world space."""
+    tree: wp.uint64
+    """Id of the bounding volume hierarchy of the mesh's triangles, object space."""
+    face_first: int
+    """First face in MeshData."""
+    material: SmoothData
+
+
+@struct
+class Bounce:
+    """What a surface does with a ray that meets it."""
+
+    color: wp.vec3
+    """What it shows of itself, display-referred sRGB."""
+    reflected: wp.vec3
+    """Weight of what the reflected ray sees; zero: there is none."""
+    refracted: wp.vec3
+    normal: wp.vec3
+    """Unit, on the side of the ray; what reflection and refraction go by."""
+    side: wp.vec3
+    """The same of the triangle itself."""
+    eta: float
+    """Index of refraction on the side of the ray over that behind the surface."""
+
+
+@struct
+class RaySurface:
+    """The surface that a ray's pixel shows, as SurfaceData."""
+
+    depth: float
+    normal: wp.vec3
+    gaussian: int
+    instance: int
+
+
+@struct
 class RayRadiance:
     """What the Gaussians before the nearest mesh give each ray."""
 

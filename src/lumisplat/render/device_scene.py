@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,14 +10,28 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import Antialiasing, RenderConfig
-from lumisplat.constants import JACOBIAN_CLAMP, TILE_PX
-from lumisplat.device.structs import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
+from lumisplat.constants import INSTANCE_BOX_MARGIN, JACOBIAN_CLAMP, RAY_START_BACK, TILE_PX
+from lumisplat.device.structs import (
+    CameraData,
+    GaussianData,
+    InstanceData,
+    MeshData,
+    MeshInstanceData,
+    MeshPlacement,
+)
 from lumisplat.errors import DeviceError
-from lumisplat.render.upload import TextureKey, first_of, texture_key, upload_gaussians, upload_meshes
+from lumisplat.render.upload import (
+    TextureKey,
+    build_triangle_tree,
+    first_of,
+    texture_key,
+    upload_gaussians,
+    upload_meshes,
+)
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.scene import MeshInstance, Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +60,7 @@ class DeviceScene:
         self._device = device
         self._structure: tuple[list[int], list[int]] | None = None
         self._meshes: dict[int, Mesh] = {}
+        self._trees: dict[int, Any] = {}
         self._face_first: dict[int, int] = {}
         self._texture_first: dict[TextureKey, int] = {}
         self.version = 0
@@ -60,6 +76,10 @@ class DeviceScene:
         """Poses of the splat instances."""
         self.mesh_instances: Any = None
         """Poses and materials of the mesh instances."""
+        self.placements: Any = None
+        """The mesh instances as rays meet them; ``sync_rays`` writes them."""
+        self.has_smooth_meshes = False
+        """Whether rays go on from some mesh, reflected or refracted."""
 
     def sync(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
         """Uploads the assets that are new, drops those no longer used, and writes poses and camera."""
@@ -76,6 +96,24 @@ class DeviceScene:
             self.instances.assign(splat_table(scene, camera, config))
         if scene.meshes:
             self.mesh_instances.assign(self._mesh_table(scene, camera))
+
+    def sync_rays(self, scene: Scene) -> None:
+        """Builds the trees of the meshes that rays have not met before, and writes where rays meet the instances.
+
+        After ``sync`` with the same scene. Images that are only rasterised do without.
+        """
+        meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
+        self._trees = {key: tree for key, tree in self._trees.items() if key in meshes}
+        for key, mesh in meshes.items():
+            if key not in self._trees:
+                self._trees[key] = build_triangle_tree(mesh, self._device)
+                self.version += 1
+        if self.placements is None or self.placements.shape[0] != len(scene.meshes):
+            self.placements = wp.zeros(len(scene.meshes), dtype=MeshPlacement, device=self._device)
+            self.version += 1
+        if scene.meshes:
+            self.placements.assign(self._placement_table(scene))
+        self.has_smooth_meshes = any(instance.mesh.material.roughness == 0.0 for instance in scene.meshes)
 
     @property
     def bytes(self) -> int:
@@ -131,6 +169,32 @@ class DeviceScene:
                 row["texture_first"] = self._texture_first[texture_key(texture)]
                 row["texture_height"], row["texture_width"] = texture.shape[:2]
         return table
+
+    def _placement_table(self, scene: Scene) -> np.ndarray:
+        transforms = np.array([instance.transform for instance in scene.meshes])
+        table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshPlacement))
+        table["world_from_object"] = transforms[:, :3, :3]
+        table["object_from_world"] = np.linalg.inv(transforms[:, :3, :3])
+        table["position"] = transforms[:, :3, 3]
+        for i, instance in enumerate(scene.meshes):
+            mesh, material, row = instance.mesh, instance.mesh.material, table[i : i + 1]
+            row["low"], row["high"] = world_box(instance)
+            row["tree"] = self._trees[id(mesh)].id
+            row["face_first"] = self._face_first[id(mesh)]
+            row["material"]["smooth"] = material.roughness == 0.0
+            for name in ("metallic", "specular", "ior", "transmission"):
+                row["material"][name] = getattr(material, name)
+        return table
+
+
+def world_box(instance: MeshInstance) -> tuple[np.ndarray, np.ndarray]:
+    """World-space corners (min, max) around a mesh instance, with room for what rounding does to rays."""
+    low, high = instance.mesh.bounds()
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
+    world = corners @ instance.transform[:3, :3].T + instance.transform[:3, 3]
+    low, high = world.min(axis=0), world.max(axis=0)
+    margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low) + RAY_START_BACK * np.abs([low, high]).max()
+    return low - margin, high + margin
 
 
 def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarray:

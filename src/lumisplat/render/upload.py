@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 import warp as wp
 
+from lumisplat.constants import TRIANGLE_BOX_MARGIN
 from lumisplat.device.structs import GaussianData, MeshData
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
@@ -51,6 +52,20 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
         decode_srgb(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device
     )
     return data, texture_first
+
+
+def build_triangle_tree(mesh: Mesh, device: str) -> Any:
+    """A bounding volume hierarchy over a mesh's triangles in its own space; item k is triangle k.
+
+    Boxes are grown so that rounding never takes a ray past a triangle that it meets.
+    """
+    corners = mesh.positions[mesh.indices].astype(np.float64)
+    low, high = mesh.bounds()
+    margin = TRIANGLE_BOX_MARGIN * np.linalg.norm(high.astype(np.float64) - low)
+    down, up = np.float32(-np.inf), np.float32(np.inf)
+    lows = np.nextafter((corners.min(axis=1) - margin).astype(np.float32), down)
+    highs = np.nextafter((corners.max(axis=1) + margin).astype(np.float32), up)
+    return wp.Bvh(wp.array(lows, dtype=wp.vec3, device=device), wp.array(highs, dtype=wp.vec3, device=device))
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:

@@ -1,0 +1,19 @@
+"""The order of a camera's rays: square blocks of pixels row by row, and row by row within a block."""
+
+import warp as wp
+
+from lumisplat.constants import RAY_BLOCK_PX
+
+wp.set_module_options({"enable_backward": False})
+
+BLOCK = wp.constant(RAY_BLOCK_PX)
+BLOCK_RAYS = wp.constant(RAY_BLOCK_PX * RAY_BLOCK_PX)
+
+
+@wp.func
+def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
+    """Pixel (x, y) of a ray of an image of that width; it may lie outside the image, to the right or below."""
+    blocks_x = (width + BLOCK - 1) // BLOCK
+    block = ray // BLOCK_RAYS
+    within = ray % BLOCK_RAYS
+    return wp.vec2i((block % blocks_x) * BLOCK + within % BLOCK, (block // blocks_x) * BLOCK + within // BLOCK)

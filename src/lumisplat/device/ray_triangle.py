@@ -1,0 +1,86 @@
+"""A ray against one triangle, watertight (Woop, Benthin and Wald 2013).
+
+Corners are sheared so that the ray becomes an axis; which side of an edge it passes is then the sign of a product that
+both triangles of the edge compute from the same numbers.
+"""
+
+import warp as wp
+
+from lumisplat.device.structs import RayShear, TriangleHit
+
+# Fused multiply-adds would round the two products of an edge differently, and shared edges leak.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
+    """The vector's components, rotated until those of ``axis`` come last."""
+    if axis == 0:
+        return wp.vec3(v[1], v[2], v[0])
+    if axis == 1:
+        return wp.vec3(v[2], v[0], v[1])
+    return v
+
+
+@wp.func
+def ray_shear(direction: wp.vec3) -> RayShear:
+    """How to shear corners so that a direction, of any length but zero, becomes an axis."""
+    shear = RayShear()
+    shear.axis = 2
+    size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+    if size[0] >= size[1] and size[0] >= size[2]:
+        shear.axis = 0
+    elif size[1] >= size[2]:
+        shear.axis = 1
+    turned = axis_last(direction, shear.axis)
+    shear.slope = wp.vec2(turned[0] / turned[2], turned[1] / turned[2])
+    shear.inverse = 1.0 / turned[2]
+    return shear
+
+
+@wp.func
+def edge_side(a: wp.vec2, b: wp.vec2) -> float:
+    """Cross product of two sheared corners; zero only if it is, as far as they are exact."""
+    side = a[0] * b[1] - a[1] * b[0]
+    if side == 0.0:
+        side = float(wp.float64(a[0]) * wp.float64(b[1]) - wp.float64(a[1]) * wp.float64(b[0]))
+    return side
+
+
+@wp.func
+def meet_triangle(
+    origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
+) -> TriangleHit:
+    """Where the ray's line meets a triangle, from either side; at infinity where it does not.
+
+    The distance is that of the triangle's plane, which is more accurate far from the origin, but kept within that of
+    the corners, as the plane of a triangle seen edge-on may be anywhere.
+    """
+    hit = TriangleHit()
+    hit.t = wp.inf
+    a = v0 - origin
+    b = v1 - origin
+    c = v2 - origin
+    turned_a = axis_last(a, shear.axis)
+    turned_b = axis_last(b, shear.axis)
+    turned_c = axis_last(c, shear.axis)
+    flat_a = wp.vec2(turned_a[0] - shear.slope[0] * turned_a[2], turned_a[1] - shear.slope[1] * turned_a[2])
+    flat_b = wp.vec2(turned_b[0] - shear.slope[0] * turned_b[2], turned_b[1] - shear.slope[1] * turned_b[2])
+    flat_c = wp.vec2(turned_c[0] - shear.slope[0] * turned_c[2], turned_c[1] - shear.slope[1] * turned_c[2])
+    weight_a = edge_side(flat_c, flat_b)
+    weight_b = edge_side(flat_a, flat_c)
+    weight_c = edge_side(flat_b, flat_a)
+    if wp.min(weight_a, wp.min(weight_b, weight_c)) < 0.0 and wp.max(weight_a, wp.max(weight_b, weight_c)) > 0.0:
+        return hit
+    total = weight_a + weight_b + weight_c
+    if total == 0.0:
+        return hit
+    t_a = turned_a[2] * shear.inverse
+    t_b = turned_b[2] * shear.inverse
+    t_c = turned_c[2] * shear.inverse
+    normal = wp.cross(v1 - v0, v2 - v0)
+    facing = wp.dot(normal, direction)
+    t = wp.where(facing == 0.0, t_a, wp.dot(normal, a) / facing)
+    hit.t = wp.clamp(t, wp.min(t_a, wp.min(t_b, t_c)), wp.max(t_a, wp.max(t_b, t_c)))
+    hit.weights = wp.vec2(weight_b / total, weight_c / total)
+    return hit

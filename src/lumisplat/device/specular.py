@@ -1,0 +1,51 @@
+"""Smooth surfaces: mirror directions, Snell's law, and what share of the light goes which way.
+
+Directions are unit vectors, normals unit vectors on the side that the light comes from: ``cosine`` is
+``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def reflect(direction: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """The direction, mirrored."""
+    return wp.normalize(direction - 2.0 * wp.dot(direction, normal) * normal)
+
+
+@wp.func
+def cosine2_beyond(cosine: float, eta: float) -> float:
+    """Squared cosine of the angle at which light goes on; not above zero: total internal reflection.
+
+    ``1 - eta^2 (1 - cosine^2)``, without cancellation where the indices are nearly equal.
+    """
+    return (1.0 - eta) * (1.0 + eta) + eta * eta * cosine * cosine
+
+
+@wp.func
+def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
+    """The direction behind the surface, where there is no total internal reflection."""
+    cosine = -wp.dot(direction, normal)
+    beyond = wp.sqrt(wp.max(cosine2_beyond(cosine, eta), 0.0))
+    return wp.normalize(eta * direction + (eta * cosine - beyond) * normal)
+
+
+@wp.func
+def fresnel(cosine: float, eta: float) -> float:
+    """Reflectance of a dielectric for unpolarised light; 1 under total internal reflection."""
+    beyond2 = cosine2_beyond(cosine, eta)
+    if beyond2 <= 0.0:
+        return 1.0
+    beyond = wp.sqrt(beyond2)
+    across = (eta * cosine - beyond) / (eta * cosine + beyond)
+    along = (cosine - eta * beyond) / (cosine + eta * beyond)
+    return 0.5 * (across * across + along * along)
+
+
+@wp.func
+def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
+    """Reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
+    grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
+    return head_on + grazing * (wp.vec3(1.0) - head_on)

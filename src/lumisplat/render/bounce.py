@@ -1,0 +1,128 @@
+"""Host pass: what rays see, mirrors and glass included.
+
+Rays go out in waves: those that leave the smooth surfaces of one wave are the next. Colours come back the other way,
+from the last wave to the first, so that every element is written by one item, whatever the number of threads.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.device.structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.launcher import Launcher
+from lumisplat.render import bounce_kernels as kernels
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.order import grown
+
+Trace = Callable[[RayData], RayRadiance]
+"""What the Gaussians before their meshes give rays. The arrays may be the same at each call."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """Rays that have been reflected or refracted equally often. Later waves overwrite the first four fields."""
+
+    rays: RayData
+    hits: RayMeshHits
+    """What they meet."""
+    radiance: RayRadiance
+    """What the Gaussians before that give them."""
+    path_weights: Any
+    """Largest share of a ray's colour in its pixel."""
+    weights: Any
+    """Share of a ray's colour in that of the ray it branches off; of no use in the first wave."""
+    colors: Any
+    """What each ray sees, display-referred sRGB: first without its branches, then with them."""
+    branches: Any
+    """How many rays go on in each branch, 0 or 1."""
+    branch_ends: Any
+    """Inclusive sum of these: one more than where the branch's ray is in the next wave."""
+
+
+class Bounces:
+    """Follows rays from mesh to mesh.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        mesh_hits: Finds what reflected and refracted rays meet.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, mesh_hits: MeshHitFinder) -> None:
+        self._launcher, self._buffers, self._mesh_hits = launcher, buffers, mesh_hits
+
+    def resolve(
+        self, scene: DeviceScene, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, *, trace: Trace, bounces: int
+    ) -> Any:
+        """The colour that each ray sees, over the mesh or the background behind the Gaussians.
+
+        Where meshes are smooth, the host looks at how many rays go on: such a frame cannot be captured as a graph.
+
+        Args:
+            scene: After ``sync_rays``.
+            rays: Where ``t_max`` is not above ``t_min``, there is none, and the colour is black.
+            hits: What they meet.
+            radiance: What the Gaussians before that give them.
+            trace: The same for the rays that go on.
+            bounces: How often a ray may go on; what lies beyond is black.
+        """
+        waves = [self._wave(0, rays, hits, radiance)]
+        waves[0].path_weights.fill_(1.0)
+        while count := self._scatter(scene, waves[-1], may_branch=len(waves) <= bounces):
+            waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace))
+        for near, far in reversed(list(itertools.pairwise(waves))):
+            self._launcher.run_banded(
+                kernels.gather_branches,
+                near.colors.shape[0],
+                *(near.branches, near.branch_ends, far.weights, far.colors, near.colors),
+            )
+        return waves[0].colors
+
+    def _scatter(self, scene: DeviceScene, wave: Wave, may_branch: bool) -> int:
+        """Colours without branches; how many rays go on."""
+        may_branch = may_branch and scene.has_smooth_meshes and wave.colors.shape[0] > 0
+        self._launcher.run_banded(
+            kernels.scatter_rays,
+            wave.colors.shape[0],
+            *(may_branch, scene.camera, scene.mesh_instances, scene.placements, scene.mesh_data),
+            *(wave.rays, wave.hits, wave.radiance, wave.path_weights, wave.colors, wave.branches),
+        )
+        if not may_branch:
+            return 0
+        wp.utils.array_scan(wave.branches, wave.branch_ends, inclusive=True)
+        return int(wave.branch_ends[-1:].numpy()[0])
+
+    def _next_wave(self, scene: DeviceScene, wave: Wave, number: int, count: int, trace: Trace) -> Wave:
+        capacity = grown(count)  # a few sizes of arrays instead of one a frame; what is not used is no ray
+        rays = self._buffers.struct(f"bounce.rays{number % 2}", RayData, capacity)
+        rays.t_max.fill_(float("-inf"))
+        weights = self._buffers.get(f"bounce.{number}.weights", wp.vec3, capacity)
+        path_weights = self._buffers.get(f"bounce.path_weights{number % 2}", wp.float32, capacity)
+        self._launcher.run_banded(
+            kernels.spawn_rays,
+            wave.branches.shape[0],
+            *(scene.mesh_instances, scene.placements, scene.mesh_data, wave.rays, wave.hits, wave.radiance),
+            *(wave.path_weights, wave.branches, wave.branch_ends, rays, weights, path_weights),
+        )
+        hits = self._mesh_hits.find(scene, rays, "bounce.hits")
+        return self._wave(number, rays, hits, trace(rays))
+
+    def _wave(self, number: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance) -> Wave:
+        count, get = rays.t_max.shape[0], self._buffers.get
+        return Wave(
+            rays,
+            hits,
+            radiance,
+            path_weights=get(f"bounce.path_weights{number % 2}", wp.float32, count),
+            weights=get(f"bounce.{number}.weights", wp.vec3, count),
+            colors=get(f"bounce.{number}.colors", wp.vec3, count),
+            branches=get(f"bounce.{number}.branches", wp.int32, 2 * count),
+            branch_ends=get(f"bounce.{number}.branch_ends", wp.int32, 2 * count),
+        )
