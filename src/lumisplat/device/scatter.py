@@ -45,12 +45,16 @@ def bounce_of(
     """
     bounce = Bounce()
     bounce.color = encode_srgb_color(base_color)
-    bounce.side = wp.where(wp.dot(direction, face_normal) > 0.0, -face_normal, face_normal)
-    bounce.normal = wp.where(wp.dot(shading_normal, bounce.side) < 0.0, -shading_normal, shading_normal)
     bounce.eta = 1.0 / material.ior
+    bounce.side = face_normal
     passes = material.transmission > 0.0
-    if passes and wp.dot(direction, face_normal) > 0.0:
-        bounce.eta = material.ior
+    if wp.dot(direction, face_normal) > 0.0:
+        bounce.side = -face_normal
+        if passes:
+            bounce.eta = material.ior
+    bounce.normal = shading_normal
+    if wp.dot(shading_normal, bounce.side) < 0.0:
+        bounce.normal = -shading_normal
     if material.smooth == 0:
         return bounce
     if not stays_outside(direction, bounce.normal, bounce.side, bounce.eta, passes):

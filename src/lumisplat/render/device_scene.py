@@ -31,7 +31,7 @@ from lumisplat.render.upload import (
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import MeshInstance, Scene
+from lumisplat.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,29 @@ class SplatAsset:
         return self.gaussians.count * self.instance_ids.shape[0]
 
 
+@dataclass(frozen=True, slots=True)
+class TriangleTree:
+    """Where rays look for the triangles of a mesh."""
+
+    mesh: Mesh
+    bvh: Any
+    corners: np.ndarray
+    """Of its bounding box, object space, shape (8, 3)."""
+
+    @classmethod
+    def of(cls, mesh: Mesh, device: str) -> TriangleTree:
+        """A tree, built on the device."""
+        corners = list(itertools.product(*zip(*mesh.bounds(), strict=True)))
+        return cls(mesh, build_triangle_tree(mesh, device), np.array(corners, dtype=np.float64))
+
+    def world_box(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World-space corners (min, max) around an instance of the mesh, with room for what rounding does to rays."""
+        world = self.corners @ transform[:3, :3].T + transform[:3, 3]
+        low, high = world.min(axis=0), world.max(axis=0)
+        margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low) + RAY_START_BACK * np.abs([low, high]).max()
+        return low - margin, high + margin
+
+
 class DeviceScene:
     """Device copies of a scene's assets, and the per-frame tables that place them.
 
@@ -60,7 +83,7 @@ class DeviceScene:
         self._device = device
         self._structure: tuple[list[int], list[int]] | None = None
         self._meshes: dict[int, Mesh] = {}
-        self._trees: dict[int, Any] = {}
+        self._trees: dict[int, TriangleTree] = {}
         self._face_first: dict[int, int] = {}
         self._texture_first: dict[TextureKey, int] = {}
         self.version = 0
@@ -102,12 +125,16 @@ class DeviceScene:
 
         After ``sync`` with the same scene. Images that are only rasterised do without.
         """
-        meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
-        self._trees = {key: tree for key, tree in self._trees.items() if key in meshes}
-        for key, mesh in meshes.items():
-            if key not in self._trees:
-                self._trees[key] = build_triangle_tree(mesh, self._device)
-                self.version += 1
+        held, self._trees = self._trees, {}
+        for mesh in {id(instance.mesh): instance.mesh for instance in scene.meshes}.values():
+            if id(mesh) in held:
+                self._trees[id(mesh)] = held[id(mesh)]
+                continue
+            try:
+                self._trees[id(mesh)] = TriangleTree.of(mesh, self._device)
+            except RuntimeError as error:
+                raise DeviceError(f"{self._device} has no room for the scene: {error}") from None
+            self.version += 1
         if self.placements is None or self.placements.shape[0] != len(scene.meshes):
             self.placements = wp.zeros(len(scene.meshes), dtype=MeshPlacement, device=self._device)
             self.version += 1
@@ -123,6 +150,7 @@ class DeviceScene:
         if self._meshes:
             m = self.mesh_data
             arrays += [m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels]
+        arrays += [array for tree in self._trees.values() for array in (tree.bvh.lowers, tree.bvh.uppers)]
         return sum(array.capacity for array in arrays)
 
     def _upload(self, scene: Scene) -> None:
@@ -178,23 +206,13 @@ class DeviceScene:
         table["position"] = transforms[:, :3, 3]
         for i, instance in enumerate(scene.meshes):
             mesh, material, row = instance.mesh, instance.mesh.material, table[i : i + 1]
-            row["low"], row["high"] = world_box(instance)
-            row["tree"] = self._trees[id(mesh)].id
+            row["low"], row["high"] = self._trees[id(mesh)].world_box(instance.transform)
+            row["tree"] = self._trees[id(mesh)].bvh.id
             row["face_first"] = self._face_first[id(mesh)]
             row["material"]["smooth"] = material.roughness == 0.0
             for name in ("metallic", "specular", "ior", "transmission"):
                 row["material"][name] = getattr(material, name)
         return table
-
-
-def world_box(instance: MeshInstance) -> tuple[np.ndarray, np.ndarray]:
-    """World-space corners (min, max) around a mesh instance, with room for what rounding does to rays."""
-    low, high = instance.mesh.bounds()
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
-    world = corners @ instance.transform[:3, :3].T + instance.transform[:3, 3]
-    low, high = world.min(axis=0), world.max(axis=0)
-    margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low) + RAY_START_BACK * np.abs([low, high]).max()
-    return low - margin, high + margin
 
 
 def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarray:
