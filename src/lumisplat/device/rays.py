@@ -73,8 +73,12 @@ def camera_ray(lens: LensData, x: int, y: int) -> Ray:
     ray.t_min = lens.near
     if lens.model != FISHEYE:
         ray.t_min /= direction[2]
-    time = (float(y) + 0.5) / float(lens.height)
-    angle = time * lens.turn_angle
-    ray.origin = lens.eye + time * lens.motion + turned(lens.world_from_camera * start, lens.turn_axis, angle)
-    ray.direction = wp.normalize(turned(lens.world_from_camera * direction, lens.turn_axis, angle))
+    ray.origin = lens.eye + lens.world_from_camera * start
+    ray.direction = lens.world_from_camera * direction
+    if lens.shutter != 0:
+        time = (float(y) + 0.5) / float(lens.height)
+        angle = time * lens.turn_angle
+        ray.origin = lens.eye + time * lens.motion + turned(lens.world_from_camera * start, lens.turn_axis, angle)
+        ray.direction = turned(ray.direction, lens.turn_axis, angle)
+    ray.direction = wp.normalize(ray.direction)
     return ray

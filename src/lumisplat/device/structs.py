@@ -378,6 +378,8 @@ class LensData:
     """Rotation at the start of the first row."""
     eye: wp.vec3
     """World space, then."""
+    shutter: int
+    """1: the pose changes from row to row, as the next three say."""
     turn_axis: wp.vec3
     """World space, unit: what the camera turns about while the rows are exposed."""
     turn_angle: float

@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_MARGIN
 from lumisplat.device.trace_structs import FAR, Children, Node, Shaft, Slabs, TreeInstance
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 WIDTH = wp.constant(NODE_WIDTH)
 MARGIN = wp.constant(wp.float32(TRAVERSE_MARGIN))

@@ -31,6 +31,7 @@ def lens_table(camera: Camera, config: RenderConfig, sample: int) -> np.ndarray:
     angle = np.linalg.norm(turn)
     table["world_from_camera"] = camera.world_from_camera[:3, :3]
     table["eye"] = camera.eye
+    table["shutter"] = camera.camera_from_world_end is not None
     table["turn_axis"] = turn / angle if angle > 0.0 else turn
     table["turn_angle"] = angle
     table["motion"] = camera.shutter_motion

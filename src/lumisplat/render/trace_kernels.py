@@ -16,12 +16,13 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
+from lumisplat.device.bundle import bundle_of
 from lumisplat.device.gaussian import alpha_from_log
-from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, gaussian_color, gaussian_facing
-from lumisplat.device.random import draw, draw_mixed, mix
-from lumisplat.device.structs import Pixel, RayData, RayRadiance
-from lumisplat.device.surface import blend_sample, instance_of
-from lumisplat.device.trace_structs import FAR, Node, Shaft, Slabs, TraceData, TreeAsset, TreeInstance
+from lumisplat.device.particle import alpha_of_degree
+from lumisplat.device.random import draw_mixed, mix
+from lumisplat.device.ray_blend import blend_hit, empty_pixel, end_pass, load_pixel, store_pixel
+from lumisplat.device.structs import Ray, RayData, RayRadiance
+from lumisplat.device.trace_structs import FAR, Node, Slabs, TraceData, TreeAsset, TreeInstance
 from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
 
 OPTIONS = {
@@ -50,42 +51,14 @@ StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
 StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
 
 
-@wp.func
-def empty_pixel() -> Pixel:
-    """Nothing blended yet."""
-    pixel = Pixel()
-    pixel.transmittance = 1.0
-    pixel.splat = -1
-    return pixel
-
-
 @functools.cache
 def integrator(lanes: int, hits: int) -> Any:
     """The kernel for packets of ``lanes`` rays that keep ``hits`` hits each."""
     LANES = lanes
     HITS = hits
-    Floats = wp.types.vector(length=lanes, dtype=wp.float32)
-    Ints = wp.types.vector(length=lanes, dtype=wp.int32)
+    Floats, Ints, shaft_of, meet_particle = bundle_of(lanes)
     HitFloats = wp.types.vector(length=lanes * hits, dtype=wp.float32)
     HitInts = wp.types.vector(length=lanes * hits, dtype=wp.int32)
-
-    @wp.func
-    def shaft_of(rays: RayData, first: int, limit: Floats) -> Shaft:
-        """Bounds the rays whose limit is not negative."""
-        shaft = Shaft()
-        count = float(0.0)
-        for lane in range(LANES):
-            if limit[lane] > 0.0:
-                shaft.origin += rays.origin[first + lane]
-                shaft.axis += rays.direction[first + lane]
-                count += 1.0
-        shaft.origin = shaft.origin / count
-        shaft.axis = shaft.axis / count
-        for lane in range(LANES):
-            if limit[lane] > 0.0:
-                shaft.radius = wp.max(shaft.radius, wp.length(rays.origin[first + lane] - shaft.origin))
-                shaft.spread = wp.max(shaft.spread, wp.length(rays.direction[first + lane] - shaft.axis))
-        return shaft
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def integrate_gaussians(
@@ -107,11 +80,8 @@ def integrator(lanes: int, hits: int) -> Any:
         whole = Floats()
         live = int(0)
         for lane in range(LANES):
-            radiance_out.color[first + lane] = wp.vec3(0.0)
-            radiance_out.normal[first + lane] = wp.vec3(0.0)
-            radiance_out.transmittance[first + lane] = 1.0
+            store_pixel(radiance_out, first + lane, empty_pixel())
             radiance_out.depth[first + lane] = wp.inf
-            radiance_out.gaussian[first + lane] = -1
             whole[lane] = -FAR
             if rays.t_max[first + lane] > rays.t_min[first + lane]:
                 whole[lane] = wp.min(rays.t_max[first + lane], FAR)
@@ -136,17 +106,7 @@ def integrator(lanes: int, hits: int) -> Any:
                     continue
                 shaft = shaft_of(rays, first, limit)
 
-            # What is blended so far, and what of the current stochastic pass.
-            transmittance = Floats(1.0)
-            red = Floats()
-            green = Floats()
-            blue = Floats()
-            normal_x = Floats()
-            normal_y = Floats()
-            normal_z = Floats()
-            depth = Floats(wp.inf)
-            surface = Ints(-1)
-            taken = Ints()
+            taken = Ints()  # of the current stochastic pass
             last_t = Floats(-FAR)
             last_index = Ints(-1)
             # Hits up to here belong to earlier passes. Not the last one blended: rounding may deliver a hit late.
@@ -240,37 +200,8 @@ def integrator(lanes: int, hits: int) -> Any:
                                 else:
                                     particle = assets[instance.asset].particles[~links[c]]
                                     index = instance.first + particle.index
-                                    w = particle.canonical_from_object
-                                    mean = particle.mean
-                                    t = Floats()
-                                    peak = Floats()
+                                    t, distance2 = meet_particle(particle, view.hull, ox, oy, oz, dx, dy, dz, t_min)
                                     alpha = Floats()
-                                    distance2 = Floats()
-                                    for lane in range(LANES):
-                                        x = ox[lane] - mean[0]
-                                        y = oy[lane] - mean[1]
-                                        z = oz[lane] - mean[2]
-                                        cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
-                                        cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
-                                        cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
-                                        ex = w[0, 0] * dx[lane] + w[0, 1] * dy[lane] + w[0, 2] * dz[lane]
-                                        ey = w[1, 0] * dx[lane] + w[1, 1] * dy[lane] + w[1, 2] * dz[lane]
-                                        ez = w[2, 0] * dx[lane] + w[2, 1] * dy[lane] + w[2, 2] * dz[lane]
-                                        per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
-                                        ex = ex * per_unit
-                                        ey = ey * per_unit
-                                        ez = ez * per_unit
-                                        # A cross product: c + t e would cancel for thin Gaussians.
-                                        kx = cy * ez - cz * ey
-                                        ky = cz * ex - cx * ez
-                                        kz = cx * ey - cy * ex
-                                        d2 = kx * kx + ky * ky + kz * kz
-                                        distance2[lane] = d2
-                                        peak[lane] = -(cx * ex + cy * ey + cz * ez) * per_unit
-                                        t[lane] = peak[lane] - per_unit * wp.sqrt(
-                                            wp.where(view.hull != 0, larger(particle.reach2 - d2, 0.0), 0.0)
-                                        )
-                                        alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * d2)
                                     found = int(0)
                                     for lane in range(LANES):
                                         behind = wp.where(t[lane] > start_t[lane], 1, 0) | (
@@ -281,12 +212,9 @@ def integrator(lanes: int, hits: int) -> Any:
                                             wp.where(t[lane] == cut_t[lane], 1, 0)
                                             & wp.where(index < cut_index[lane], 1, 0)
                                         )
-                                        met = wp.where(distance2[lane] <= particle.reach2, 1, 0) & wp.where(
-                                            peak[lane] > t_min[lane], 1, 0
-                                        )
-                                        counts = behind & ahead & met
-                                        t[lane] = wp.where(counts != 0, t[lane], FAR)
-                                        found += counts
+                                        t[lane] = wp.where((behind & ahead) != 0, t[lane], FAR)
+                                        found += behind & ahead
+                                        alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
                                     if found > 0 and instance.kernel.degree != 2:
                                         for lane in range(LANES):
                                             alpha[lane] = alpha_of_degree(
@@ -304,8 +232,9 @@ def integrator(lanes: int, hits: int) -> Any:
                                         reach = float(-FAR)
                                         for lane in range(LANES):
                                             if t[lane] < FAR:
-                                                transmittance[lane] = transmittance[lane] * (1.0 - alpha[lane])
-                                                if transmittance[lane] <= view.transmittance_min:
+                                                left = radiance_out.transmittance[first + lane] * (1.0 - alpha[lane])
+                                                radiance_out.transmittance[first + lane] = left
+                                                if left <= view.transmittance_min:
                                                     limit[lane] = -FAR
                                                     cut_t[lane] = -FAR
                                             reach = larger(reach, cut_t[lane])
@@ -382,13 +311,11 @@ def integrator(lanes: int, hits: int) -> Any:
                         reach = float(-FAR)
                         for lane in range(LANES):
                             if next_t[lane] < bound:
-                                r = first + lane
-                                eye = rays.origin[r] - rays.direction[r] * rays.travelled[r]
-                                pixel = Pixel()
-                                pixel.color = wp.vec3(red[lane], green[lane], blue[lane])
-                                pixel.normal = wp.vec3(normal_x[lane], normal_y[lane], normal_z[lane])
-                                pixel.transmittance = transmittance[lane]
-                                pixel.splat = surface[lane]
+                                ray = Ray()
+                                ray.origin = rays.origin[first + lane]
+                                ray.direction = rays.direction[first + lane]
+                                ray.travelled = rays.travelled[first + lane]
+                                pixel = load_pixel(radiance_out, first + lane)
                                 low = head[lane]
                                 end = tail[lane]
                                 while low < end and hit_t[low] < bound:
@@ -396,35 +323,9 @@ def integrator(lanes: int, hits: int) -> Any:
                                     opacity = hit_alpha[low]
                                     if view.strategy == STRATEGY_HIT:
                                         opacity = float(1.0)
-                                    which = instance_of(instances, index)
-                                    placed = instances[which]
-                                    i = index - placed.first
-                                    object_eye = placed.object_from_world * eye + placed.object_from_world_offset
-                                    gaussians = assets[placed.asset].gaussians
-                                    color = gaussian_color(gaussians, i, object_eye, view.sh_degree)
-                                    normal = wp.vec3()
-                                    if view.ellipsoid_normal != 0:
-                                        normal = ellipsoid_normal(
-                                            placed.kernel,
-                                            gaussians,
-                                            i,
-                                            placed.object_from_world * rays.origin[r] + placed.object_from_world_offset,
-                                            placed.object_from_world * rays.direction[r],
-                                        )
-                                    else:
-                                        normal = gaussian_facing(gaussians, i, object_eye)
-                                    surface_before = pixel.splat
-                                    pixel = blend_sample(
-                                        pixel,
-                                        color,
-                                        placed.world_from_object * normal,
-                                        index,
-                                        opacity,
-                                        view.transmittance_min,
-                                        view.depth_iso_transmittance,
-                                    )
-                                    if pixel.splat != surface_before:
-                                        depth[lane] = larger(hit_t[low], 0.0)
+                                    pixel = blend_hit(pixel, view, instances, assets, ray, index, opacity)
+                                    if pixel.splat == index:
+                                        radiance_out.depth[first + lane] = larger(hit_t[low], 0.0)
                                     if hit_t[low] > last_t[lane] or (
                                         hit_t[low] == last_t[lane] and index > last_index[lane]
                                     ):
@@ -435,32 +336,20 @@ def integrator(lanes: int, hits: int) -> Any:
                                         taken[lane] = taken[lane] + 1
                                         if taken[lane] == view.hits_per_pass:
                                             taken[lane] = 0
-                                            seen = 1.0 - pixel.transmittance
-                                            if draw(rays.stream[r], wp.uint32(index)) < seen:
-                                                pixel.color = pixel.color / seen
-                                                pixel.normal = pixel.normal / seen
-                                                pixel.transmittance = 0.0
+                                            pixel = end_pass(pixel, rays.stream[first + lane], index)
+                                            if pixel.splat < 0:
+                                                radiance_out.depth[first + lane] = wp.inf
+                                            elif pixel.splat == index:
+                                                radiance_out.depth[first + lane] = larger(hit_t[low - 1], 0.0)
+                                            if pixel.transmittance == 0.0:
                                                 limit[lane] = -FAR
-                                                if pixel.splat < 0:
-                                                    pixel.splat = index
-                                                    depth[lane] = larger(last_t[lane], 0.0)
-                                            else:
-                                                pixel = empty_pixel()
-                                                depth[lane] = wp.inf
                                     if pixel.transmittance < 0.0:
                                         pixel.transmittance = -pixel.transmittance
                                         limit[lane] = -FAR
                                     if limit[lane] < 0.0:
                                         low = end
                                         cut_t[lane] = -FAR
-                                red[lane] = pixel.color[0]
-                                green[lane] = pixel.color[1]
-                                blue[lane] = pixel.color[2]
-                                normal_x[lane] = pixel.normal[0]
-                                normal_y[lane] = pixel.normal[1]
-                                normal_z[lane] = pixel.normal[2]
-                                transmittance[lane] = pixel.transmittance
-                                surface[lane] = pixel.splat
+                                store_pixel(radiance_out, first + lane, pixel)
                                 next_t[lane] = FAR
                                 if low < end:
                                     next_t[lane] = hit_t[low]
@@ -478,30 +367,14 @@ def integrator(lanes: int, hits: int) -> Any:
                             again = int(1)
 
             for lane in range(LANES):
-                if bundles == 1 or lane == bundle:
-                    r = first + lane
-                    color = wp.vec3(red[lane], green[lane], blue[lane])
-                    normal = wp.vec3(normal_x[lane], normal_y[lane], normal_z[lane])
-                    if taken[lane] > 0 and limit[lane] > 0.0:
-                        # The last pass of the ray, with fewer hits.
-                        seen = 1.0 - transmittance[lane]
-                        if draw(rays.stream[r], wp.uint32(last_index[lane])) < seen:
-                            color = color / seen
-                            normal = normal / seen
-                            transmittance[lane] = 0.0
-                            if surface[lane] < 0:
-                                surface[lane] = last_index[lane]
-                                depth[lane] = larger(last_t[lane], 0.0)
-                        else:
-                            color = wp.vec3(0.0)
-                            normal = wp.vec3(0.0)
-                            transmittance[lane] = 1.0
-                            surface[lane] = -1
-                            depth[lane] = wp.inf
-                    radiance_out.color[r] = color
-                    radiance_out.normal[r] = normal
-                    radiance_out.transmittance[r] = transmittance[lane]
-                    radiance_out.depth[r] = depth[lane]
-                    radiance_out.gaussian[r] = surface[lane]
+                if taken[lane] > 0 and limit[lane] > 0.0:
+                    # The last pass of the ray, with fewer hits.
+                    pixel = load_pixel(radiance_out, first + lane)
+                    pixel = end_pass(pixel, rays.stream[first + lane], last_index[lane])
+                    store_pixel(radiance_out, first + lane, pixel)
+                    if pixel.splat < 0:
+                        radiance_out.depth[first + lane] = wp.inf
+                    elif pixel.splat == last_index[lane]:
+                        radiance_out.depth[first + lane] = larger(last_t[lane], 0.0)
 
     return integrate_gaussians

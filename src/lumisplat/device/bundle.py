@@ -1,0 +1,97 @@
+"""A bundle of rays side by side: what bounds it, and where its rays meet a Gaussian.
+
+Loops over the lanes become vector instructions, so a bundle's types and functions are made for its number of rays.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from lumisplat.device.structs import RayData
+from lumisplat.device.trace_structs import FAR, Particle, Shaft
+from lumisplat.device.traverse import larger
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+class Bundle(NamedTuple):
+    """Types and functions for a number of rays."""
+
+    floats: Any
+    """Vector of a number a ray."""
+    ints: Any
+    shaft_of: Any
+    meet_particle: Any
+
+
+@functools.cache
+def bundle_of(lanes: int) -> Bundle:
+    """What ``lanes`` rays side by side need."""
+    LANES = lanes
+    Floats = wp.types.vector(length=lanes, dtype=wp.float32)
+    Ints = wp.types.vector(length=lanes, dtype=wp.int32)
+
+    @wp.func
+    def shaft_of(rays: RayData, first: int, limit: Floats) -> Shaft:
+        """Bounds the rays whose limit is not negative."""
+        shaft = Shaft()
+        count = float(0.0)
+        for lane in range(LANES):
+            if limit[lane] > 0.0:
+                shaft.origin += rays.origin[first + lane]
+                shaft.axis += rays.direction[first + lane]
+                count += 1.0
+        shaft.origin = shaft.origin / count
+        shaft.axis = shaft.axis / count
+        for lane in range(LANES):
+            if limit[lane] > 0.0:
+                shaft.radius = wp.max(shaft.radius, wp.length(rays.origin[first + lane] - shaft.origin))
+                shaft.spread = wp.max(shaft.spread, wp.length(rays.direction[first + lane] - shaft.axis))
+        return shaft
+
+    @wp.func
+    def meet_particle(
+        particle: Particle,
+        hull: int,
+        ox: Floats,
+        oy: Floats,
+        oz: Floats,
+        dx: Floats,
+        dy: Floats,
+        dz: Floats,
+        t_min: Floats,
+    ):
+        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there."""
+        w = particle.canonical_from_object
+        mean = particle.mean
+        t = Floats()
+        distance2 = Floats()
+        for lane in range(LANES):
+            x = ox[lane] - mean[0]
+            y = oy[lane] - mean[1]
+            z = oz[lane] - mean[2]
+            cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
+            cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
+            cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
+            ex = w[0, 0] * dx[lane] + w[0, 1] * dy[lane] + w[0, 2] * dz[lane]
+            ey = w[1, 0] * dx[lane] + w[1, 1] * dy[lane] + w[1, 2] * dz[lane]
+            ez = w[2, 0] * dx[lane] + w[2, 1] * dy[lane] + w[2, 2] * dz[lane]
+            per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
+            ex = ex * per_unit
+            ey = ey * per_unit
+            ez = ez * per_unit
+            # A cross product: c + t e would cancel for thin Gaussians.
+            kx = cy * ez - cz * ey
+            ky = cz * ex - cx * ez
+            kz = cx * ey - cy * ex
+            d2 = kx * kx + ky * ky + kz * kz
+            peak = -(cx * ex + cy * ey + cz * ez) * per_unit
+            inside = particle.reach2 - d2
+            back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
+            met = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > t_min[lane], 1, 0)
+            t[lane] = wp.where(met != 0, peak - back, FAR)
+            distance2[lane] = d2
+        return t, distance2
+
+    return Bundle(Floats, Ints, shaft_of, meet_particle)
