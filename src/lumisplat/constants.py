@@ -38,7 +38,7 @@ NODE_WIDTH = 8
 """Children of a node of a bounding volume hierarchy: their boxes fill a vector register."""
 
 BOX_MARGIN = 1e-6
-"""Boxes grow by this share of their size and of their distance from the origin: rounding must not lose a hit."""
+"""Boxes grow by this share of their longest side and distance from the origin: rounding must not lose a hit."""
 
 TRAVERSE_MARGIN = 1e-6
 """Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""

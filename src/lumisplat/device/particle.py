@@ -72,7 +72,7 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
     """The tightest axis-aligned box of where Gaussian ``i`` counts; inverted if it never does.
 
-    Grown by a few units in the last place, as the box and the ray's own arithmetic are rounded.
+    Grown by a few units in the last place of its longest side: rotation, box and the ray's own arithmetic are rounded.
     """
     box = Box()
     box.low = wp.vec3(FAR)
@@ -82,7 +82,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
         spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
         mean = gaussians.means[i]
         reach = wp.vec3(wp.length(spread[0]), wp.length(spread[1]), wp.length(spread[2])) * wp.sqrt(reach2)
-        half = reach * (1.0 + MARGIN) + wp.abs(mean) * MARGIN
+        half = reach + (wp.vec3(wp.max(reach)) + wp.abs(mean)) * MARGIN
         box.low = mean - half
         box.high = mean + half
     return box

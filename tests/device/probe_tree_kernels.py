@@ -1,0 +1,56 @@
+"""Kernels that show what Gaussians are to rays, and where bundles of rays enter boxes, many at once."""
+
+import warp as wp
+
+from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, particle_box, particle_of, reach_squared
+from lumisplat.device.structs import GaussianData
+from lumisplat.device.trace_structs import Box, Children, KernelData, Node, Particle, Shaft, Slabs, TreeInstance
+from lumisplat.device.traverse import enter_children, shaft_in_object, slabs_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def probe_responses(
+    kernels: wp.array(dtype=KernelData),
+    opacities: wp.array(dtype=float),
+    distances: wp.array(dtype=float),
+    reaches: wp.array(dtype=float),
+    alphas: wp.array(dtype=float),
+):
+    """Squared reach, and alpha at a distance."""
+    i = wp.tid()
+    reaches[i] = reach_squared(kernels[i], opacities[i])
+    alphas[i] = alpha_of_degree(kernels[i], wp.log(opacities[i]), distances[i] * distances[i])
+
+
+@wp.kernel
+def probe_particles(
+    kernel: KernelData,
+    gaussians: GaussianData,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    particles: wp.array(dtype=Particle),
+    boxes: wp.array(dtype=Box),
+    normals: wp.array(dtype=wp.vec3),
+):
+    """Gaussians as rays meet them, their boxes, and the normals of their ellipsoids where rays enter them."""
+    i = wp.tid()
+    particles[i] = particle_of(kernel, gaussians, i)
+    boxes[i] = particle_box(kernel, gaussians, i)
+    normals[i] = ellipsoid_normal(kernel, gaussians, i, origins[i], directions[i])
+
+
+@wp.kernel
+def probe_shafts(
+    shafts: wp.array(dtype=Shaft),
+    instances: wp.array(dtype=TreeInstance),
+    nodes: wp.array(dtype=Node),
+    begins: wp.array(dtype=float),
+    slabs: wp.array(dtype=Slabs),
+    entries: wp.array(dtype=Children),
+):
+    """Shafts in the space of an instance, and where they enter the children of a node there."""
+    i = wp.tid()
+    slabs[i] = slabs_of(shaft_in_object(shafts[i], instances[i]))
+    entries[i] = enter_children(nodes[i], slabs[i], begins[i])
