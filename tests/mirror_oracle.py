@@ -227,7 +227,8 @@ def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[B
     passing = (1.0 - material.metallic) * (1.0 - reflectance) * surface.color
     mirrored = material.metallic * encode_srgb(schlick(surface.base, cosine)) + (1.0 - material.metallic) * reflectance
 
-    blur = hit.error + ray.blur + ray.turn * hit.t + 4.0 * ROUNDING * np.abs(ray.at(hit.t)).max()
+    # Rays go on from a little off the surface.
+    blur = hit.error + ray.blur + ray.turn * hit.t + 16.0 * ROUNDING * np.abs(ray.at(hit.t)).max()
     turn = ray.turn + ROUNDING + 2.0 * surface.curvature * blur
 
     def onward(direction: np.ndarray, turn: float) -> Ray:

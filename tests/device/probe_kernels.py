@@ -3,8 +3,8 @@
 import warp as wp
 
 from lumisplat.device.random import branch_stream, draw, stream_of
+from lumisplat.device.ray_structs import LensData, Ray
 from lumisplat.device.rays import camera_ray
-from lumisplat.device.structs import LensData, Ray
 
 wp.set_module_options({"enable_backward": False})
 

@@ -13,8 +13,9 @@ import lumisplat as ls
 from camera_oracle import camera_rays, unit
 from lumisplat.config import RenderConfig, TraceConfig
 from lumisplat.constants import SUBPIXEL_STEPS
+from lumisplat.device.ray_structs import LensData, Ray
 from lumisplat.device.rays import camera_ray, disk_point, turned
-from lumisplat.device.structs import CameraData, LensData, Ray
+from lumisplat.device.structs import CameraData
 from lumisplat.device.surface import pixel_ray
 from lumisplat.launcher import Launcher
 from lumisplat.render.device_scene import table_dtype

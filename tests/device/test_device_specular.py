@@ -8,9 +8,9 @@ import warp as wp
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from lumisplat.device.ray_structs import Bounce, SmoothData
 from lumisplat.device.scatter import bounce_of
 from lumisplat.device.specular import cosine2_beyond, fresnel, reflect, refract, schlick
-from lumisplat.device.structs import Bounce, SmoothData
 from lumisplat.scene.color import encode_srgb
 
 component = st.floats(-1.0, 1.0)

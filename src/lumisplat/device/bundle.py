@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.device.structs import RayData
+from lumisplat.device.ray_structs import RayData
 from lumisplat.device.trace_structs import FAR, Particle, Shaft
 from lumisplat.device.traverse import larger
 

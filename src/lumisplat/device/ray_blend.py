@@ -4,7 +4,8 @@ import warp as wp
 
 from lumisplat.device.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.random import draw
-from lumisplat.device.structs import Pixel, Ray, RayRadiance
+from lumisplat.device.ray_structs import Ray, RayRadiance
+from lumisplat.device.structs import Pixel
 from lumisplat.device.surface import blend_sample, instance_of
 from lumisplat.device.trace_structs import TraceData, TreeAsset, TreeInstance
 

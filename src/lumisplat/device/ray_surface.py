@@ -6,7 +6,8 @@ import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
 from lumisplat.device.mesh_surface import hit_weights, surface_normal
-from lumisplat.device.structs import MeshData, MeshInstanceData, RayData, RayMeshHits, RayRadiance, RaySurface
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance, RaySurface
+from lumisplat.device.structs import MeshData, MeshInstanceData
 from lumisplat.device.surface import instance_of
 
 wp.set_module_options({"enable_backward": False})

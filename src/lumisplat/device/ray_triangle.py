@@ -6,7 +6,7 @@ both triangles of the edge compute from the same numbers.
 
 import warp as wp
 
-from lumisplat.device.structs import RayShear, TriangleHit
+from lumisplat.device.ray_structs import RayShear, TriangleHit
 
 # Fused multiply-adds would round the two products of an edge differently, and shared edges leak.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

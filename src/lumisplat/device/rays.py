@@ -5,7 +5,7 @@ import math
 import warp as wp
 
 from lumisplat.device.random import LENS_ANGLE, LENS_RADIUS, draw, stream_of
-from lumisplat.device.structs import LensData, Ray
+from lumisplat.device.ray_structs import LensData, Ray
 
 wp.set_module_options({"enable_backward": False})
 

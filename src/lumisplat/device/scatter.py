@@ -8,8 +8,9 @@ import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR
 from lumisplat.device.color import encode_srgb_color
+from lumisplat.device.ray_structs import Bounce, MeshPlacement, SmoothData
 from lumisplat.device.specular import cosine2_beyond, fresnel, reflect, refract, schlick
-from lumisplat.device.structs import Bounce, MeshData, MeshPlacement, SmoothData
+from lumisplat.device.structs import MeshData
 
 wp.set_module_options({"enable_backward": False})
 

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.device.structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels as kernels
 from lumisplat.render.device_scene import DeviceScene

@@ -10,18 +10,10 @@ import warp as wp
 from lumisplat.constants import BOUNCE_WEIGHT_MIN
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.random import branch_stream
+from lumisplat.device.ray_structs import Bounce, MeshPlacement, RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import bounce_of, spawn_point
 from lumisplat.device.specular import reflect, refract
-from lumisplat.device.structs import (
-    Bounce,
-    CameraData,
-    MeshData,
-    MeshInstanceData,
-    MeshPlacement,
-    RayData,
-    RayMeshHits,
-    RayRadiance,
-)
+from lumisplat.device.structs import CameraData, MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -11,14 +11,8 @@ import warp as wp
 
 from lumisplat.config import Antialiasing, RenderConfig
 from lumisplat.constants import INSTANCE_BOX_MARGIN, JACOBIAN_CLAMP, RAY_START_BACK, TILE_PX
-from lumisplat.device.structs import (
-    CameraData,
-    GaussianData,
-    InstanceData,
-    MeshData,
-    MeshInstanceData,
-    MeshPlacement,
-)
+from lumisplat.device.ray_structs import MeshPlacement
+from lumisplat.device.structs import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
 from lumisplat.errors import DeviceError
 from lumisplat.render.upload import (
     TextureKey,

@@ -7,7 +7,7 @@ import numpy as np
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SUBPIXEL_STEPS
 from lumisplat.device import rays
-from lumisplat.device.structs import LensData
+from lumisplat.device.ray_structs import LensData
 from lumisplat.render.device_scene import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lumisplat.buffers import Buffers
 from lumisplat.constants import TILE_BANDS_PER_THREAD
-from lumisplat.device.structs import RayData, RayMeshHits
+from lumisplat.device.ray_structs import RayData, RayMeshHits
 from lumisplat.launcher import Launcher
 from lumisplat.render import mesh_hits_kernels as kernels
 from lumisplat.render.device_scene import DeviceScene

@@ -3,8 +3,9 @@
 import warp as wp
 
 from lumisplat.constants import RAY_START_BACK
+from lumisplat.device.ray_structs import MeshPlacement, RayData, RayMeshHits
 from lumisplat.device.ray_triangle import meet_triangle, ray_shear
-from lumisplat.device.structs import MeshData, MeshPlacement, RayData, RayMeshHits
+from lumisplat.device.structs import MeshData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -8,17 +8,10 @@ import warp as wp
 
 from lumisplat.device.random import stream_of
 from lumisplat.device.ray_blocks import pixel_of_ray
+from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance
 from lumisplat.device.ray_surface import surface_of_ray
 from lumisplat.device.rays import camera_ray
-from lumisplat.device.structs import (
-    LensData,
-    MeshData,
-    MeshInstanceData,
-    RayData,
-    RayMeshHits,
-    RayRadiance,
-    SurfaceData,
-)
+from lumisplat.device.structs import MeshData, MeshInstanceData, SurfaceData
 from lumisplat.device.trace_structs import TreeInstance
 
 wp.set_module_options({"enable_backward": False})

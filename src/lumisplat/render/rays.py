@@ -12,7 +12,7 @@ import warp as wp
 from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants import RAY_BATCH
-from lumisplat.device.structs import RayData
+from lumisplat.device.ray_structs import RayData
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
 from lumisplat.render import ray_kernels

@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.buffers import Buffers
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
-from lumisplat.device.structs import LensData, RayData, RayRadiance
+from lumisplat.device.ray_structs import LensData, RayData, RayRadiance
 from lumisplat.device.trace_structs import TraceData
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels, build_kernels, mesh_hits_kernels, ray_kernels, trace_kernels

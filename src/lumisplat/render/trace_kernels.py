@@ -21,7 +21,7 @@ from lumisplat.device.gaussian import alpha_from_log
 from lumisplat.device.particle import alpha_of_degree
 from lumisplat.device.random import draw_mixed, mix
 from lumisplat.device.ray_blend import blend_hit, empty_pixel, end_pass, load_pixel, store_pixel
-from lumisplat.device.structs import Ray, RayData, RayRadiance
+from lumisplat.device.ray_structs import Ray, RayData, RayRadiance
 from lumisplat.device.trace_structs import FAR, Node, Slabs, TraceData, TreeAsset, TreeInstance
 from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
 

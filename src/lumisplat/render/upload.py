@@ -68,6 +68,11 @@ def build_triangle_tree(mesh: Mesh, device: str) -> Any:
     return wp.Bvh(wp.array(lows, dtype=wp.vec3, device=device), wp.array(highs, dtype=wp.vec3, device=device))
 
 
+def upload_structs(rows: list[Any], dtype: Any, device: str) -> Any:
+    """An array of structs, some of whose fields may be arrays."""
+    return wp.array(rows, dtype=dtype, device=device)
+
+
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
     """RGBA8 texels of all textures (None is skipped) end to end, and the first texel of each."""
     distinct = {texture_key(texture): texture for texture in textures if texture is not None}
