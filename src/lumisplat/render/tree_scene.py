@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
@@ -16,6 +15,7 @@ from lumisplat.device.trace_structs import FAR, NO_CHILD, KernelData, Node, Tree
 from lumisplat.launcher import Launcher
 from lumisplat.render.build import GaussianTree
 from lumisplat.render.device_scene import DeviceScene, SplatAsset, table_dtype
+from lumisplat.render.upload import upload_structs
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 
@@ -63,9 +63,8 @@ class TreeScene:
         assets = device_scene.assets
         if [id(asset.gaussians) for asset in assets] != [id(held.gaussians) for held in self._held]:
             self._held = [self._tree_of(place, asset, assets, config) for place, asset in enumerate(assets)]
-            self.assets = wp.array(
-                self._asset_rows(assets) or [TreeAsset()], dtype=TreeAsset, device=self._launcher.device
-            )
+            rows = self._asset_rows(assets) or [TreeAsset()]  # an array without elements has no address
+            self.assets = upload_structs(rows, TreeAsset, self._launcher.device)
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
         self.instances = self._buffers.get("instances", TreeInstance, len(places))
