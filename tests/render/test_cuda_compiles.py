@@ -5,16 +5,18 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import warp as wp
 
 import lumisplat
+from lumisplat.render import trace_kernels
 
 MODULES = [
     module.name
     for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")
-    if module.name.endswith("_kernels")
+    if module.name.endswith("_kernels") and not module.name.endswith(".trace_kernels")  # makes its kernels on demand
 ]
 
 
@@ -27,8 +29,19 @@ def test_kernel_modules_are_found() -> None:
 def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
     """NVRTC accepts a module for sm_86 and sm_90, and every kernel of it is in the result."""
     module = importlib.import_module(name)
-    kernels = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
-    assert kernels, f"{name} has no kernels"
+    check_compiles(module, [value for value in vars(module).values() if isinstance(value, wp.Kernel)], tmp_path)
+
+
+@pytest.mark.parametrize("hits", [4, 32])
+def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
+    """So do the kernels that are made for a number of hits, with as many rays a packet as CUDA uses."""
+    kernel = trace_kernels.integrator(1, hits)
+    check_compiles(kernel.module, [kernel], tmp_path)
+
+
+def check_compiles(module: Any, kernels: list[wp.Kernel], tmp_path: Path) -> None:
+    """Fails unless all kernels of a module are in what NVRTC makes of it."""
+    assert kernels, f"{module} has no kernels"
     artifacts = wp.compile_aot_module(module, arch=[86, 90], module_dir=tmp_path, use_ptx=True)
     assert len(artifacts) == 2
     for artifact, architecture in zip(artifacts, (86, 90), strict=True):
