@@ -166,16 +166,23 @@ def hits(world: World, ray: Ray) -> Hits:
         return np.minimum(opacity * response(np.sqrt(np.maximum(squared, 0.0)), degree), ALPHA_MAX)
 
     counts = (response(np.sqrt(d2), degree) >= world.threshold[rows]) & (peak > ray.t_min)
-    doubtful = np.abs(d2 - reach2) <= d2_error + BAND * (1.0 + reach2)
-    doubtful |= np.abs(peak - ray.t_min) <= t_error
-    t = peak
-    if HitDistance.HULL is config.hit_distance or NormalMethod.ELLIPSOID is config.normal_method:
-        entry, entry_error = entries(peak, reach2 - d2, d2_error + BAND * (1.0 + reach2), np.sqrt(speed2), t_error)
+    inside2, inside2_error = reach2 - d2, d2_error + BAND * (1.0 + reach2)
+    possible = (inside2 >= -inside2_error) & (peak >= ray.t_min - t_error)
+    doubtful = possible & ((inside2 <= inside2_error) | (peak <= ray.t_min + t_error))
+
+    # Half the chord through the ellipsoid beyond which the Gaussian is ignored, in canonical space.
+    half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))
+    speed = np.sqrt(speed2)
+    if config.normal_method is NormalMethod.ELLIPSOID:
+        seen_from = closest - (half / speed)[:, None] * direction
+        moved = world.sharpest[rows] * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
     else:
-        entry = entry_error = np.zeros(len(rows))
-    normal, normal_error = particle_normal(world, ray, rows, off, entry, entry_error)
-    if HitDistance.HULL is config.hit_distance:
-        t, t_error = entry, entry_error
+        seen_from = origin - ray.travelled * direction
+        moved = np.linalg.norm(whiten.transpose(0, 2, 1) @ whiten, axis=(1, 2)) * off
+    normal, normal_error = gradient_normal(whiten, seen_from, moved, ray)
+    t = peak
+    if config.hit_distance is HitDistance.HULL:
+        t, t_error = peak - half / speed, t_error + (most - least) / speed
     found = Hits(
         t=t,
         t_error=t_error,
@@ -194,38 +201,17 @@ def hits(world: World, ray: Ray) -> Hits:
     return picked(found, order[(counts | doubtful)[order]])
 
 
-def entries(
-    peak: np.ndarray, inside2: np.ndarray, inside2_error: np.ndarray, speed: np.ndarray, peak_error: np.ndarray
+def gradient_normal(
+    whiten: np.ndarray, point: np.ndarray, moved: np.ndarray, ray: Ray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the ray enters the ellipsoid beyond which each Gaussian is ignored, and how far float32 may be off, (H,).
+    """Unit world gradients of the squared canonical distance at canonical points, (H, 3), and their error, (H,).
 
-    ``inside2`` is the squared half chord in canonical space, reach^2 - d^2.
+    ``moved`` is how far float32 may have the gradient. From the eye, and from where the ray enters, it is always
+    against the ray, if the peak lies ahead.
     """
-    half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))
-    return peak - half / speed, peak_error + (most - least) / speed
-
-
-def particle_normal(
-    world: World,
-    ray: Ray,
-    rows: np.ndarray,
-    off: np.ndarray,
-    entry: np.ndarray,
-    entry_error: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals, (H, 3), and how far float32 may have them from here, (H,)."""
-    whiten = world.whiten[rows]
-    inverse_covariance = whiten.transpose(0, 2, 1) @ whiten
-    stiffness = np.linalg.norm(inverse_covariance, axis=(1, 2))
-    if world.config.trace.normal_method is NormalMethod.ELLIPSOID:
-        from_mean = ray.origin + entry[:, None] * ray.direction - world.mean[rows]
-        moved = np.linalg.norm(inverse_covariance @ ray.direction, axis=-1) * entry_error
-    else:
-        from_mean, moved = ray.eye - world.mean[rows], 0.0
-    gradient = np.einsum("nij,nj->ni", inverse_covariance, from_mean)
-    error = (stiffness * off + moved) / np.maximum(np.linalg.norm(gradient, axis=-1), 1e-300)
+    gradient = np.einsum("nij,ni->nj", whiten, point)
     normal = normalized(gradient)
-    # Both are against the ray where the peak lies ahead: (eye - mean) and (entry - mean) are, in canonical space.
+    error = moved / np.maximum(np.linalg.norm(gradient, axis=-1), 1e-300)
     return normal, np.where(normal @ ray.direction >= -error - 1e-6, 2.0, error)
 
 

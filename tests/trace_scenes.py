@@ -32,12 +32,12 @@ AXIS = Ray(np.zeros(3), np.array([0.0, 0.0, 1.0]))
 """The optical axis of ``front_camera``."""
 
 
-def small_camera(width: int = 32, height: int = 24, focal: float = 30.0, **changes: object) -> Camera:
+def small_camera(width: int = 28, height: int = 21, focal: float = 26.0, **changes: object) -> Camera:
     """``front_camera`` with few pixels."""
     return front_camera(width, height, focal, **changes)
 
 
-def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int = 32, height: int = 24) -> Camera:
+def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int = 28, height: int = 21) -> Camera:
     """A camera that looks from the side at what ``front_camera`` has 4 before it."""
     eye, target = np.add((2.5, -1.5, 0.5), offset), np.add((0.0, 0.0, 4.0), offset)
     return Camera.look_at(eye, target, (0.0, -1.0, 0.0), width=width, height=height, fov_y=0.8)

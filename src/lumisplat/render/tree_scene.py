@@ -119,7 +119,7 @@ class TreeScene:
 
     def _world_boxes(self, scene: Scene, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
         bounds = [held.tree.bounds() for held in self._held]
-        lows, highs = np.full((len(places), 3), np.inf), np.full((len(places), 3), -np.inf)
+        lows, highs = np.full((len(places), 3), FAR), np.full((len(places), 3), -FAR)
         for i, (instance, place) in enumerate(zip(scene.splats, places, strict=True)):
             low, high = bounds[place]
             if (low <= high).all():
