@@ -73,7 +73,8 @@ def find_mesh_hits(
                     meshes.positions[corners[1]],
                     meshes.positions[corners[2]],
                 )
-                if begin + hit.t > t_min and (hit.t < limit or (hit.t == limit and item < best)):
+                t = begin + hit.t
+                if t > t_min and t < nearest and (hit.t < limit or (hit.t == limit and item < best)):
                     limit = hit.t
                     best = item
                     weights = hit.weights
