@@ -2,12 +2,17 @@
 
 import warp as wp
 
+from lumisplat.device.bundle import bundle_of
 from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, particle_box, particle_of, reach_squared
+from lumisplat.device.ray_structs import RayData
 from lumisplat.device.structs import GaussianData
-from lumisplat.device.trace_structs import Box, Children, KernelData, Node, Particle, Shaft, Slabs, TreeInstance
+from lumisplat.device.trace_structs import Box, Children, KernelData, Node, Particle, Slabs, TreeInstance
 from lumisplat.device.traverse import enter_children, shaft_in_object, slabs_of
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+LANES = 16
+Floats, _, shaft_of, _ = bundle_of(LANES)
 
 
 @wp.kernel
@@ -42,15 +47,23 @@ def probe_particles(
 
 
 @wp.kernel
-def probe_shafts(
-    shafts: wp.array(dtype=Shaft),
+def probe_bundles(
+    rays: RayData,
+    limits: wp.array(dtype=Floats),
     instances: wp.array(dtype=TreeInstance),
     nodes: wp.array(dtype=Node),
     begins: wp.array(dtype=float),
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
     slabs: wp.array(dtype=Slabs),
     entries: wp.array(dtype=Children),
 ):
-    """Shafts in the space of an instance, and where they enter the children of a node there."""
+    """Bundles in the space of an instance, as slabs and ray by ray, and where they enter the children of a node."""
     i = wp.tid()
-    slabs[i] = slabs_of(shaft_in_object(shafts[i], instances[i]))
+    instance = instances[i]
+    for lane in range(LANES):
+        ray = i * LANES + lane
+        origins[ray] = instance.object_from_world * rays.origin[ray] + instance.object_from_world_offset
+        directions[ray] = instance.object_from_world * rays.direction[ray]
+    slabs[i] = slabs_of(shaft_in_object(shaft_of(rays, i * LANES, limits[i]), instance))
     entries[i] = enter_children(nodes[i], slabs[i], begins[i])

@@ -31,11 +31,15 @@ def larger(a: float, b: float) -> float:
 
 @wp.func
 def shaft_in_object(shaft: Shaft, instance: TreeInstance) -> Shaft:
-    """A world-space shaft in the space of an instance's asset; distances along it stay the world's."""
+    """A world-space shaft in the space of an instance's asset; distances along it stay the world's.
+
+    Far from the world's origin, rays are rounded on their way there by more than their own coordinates tell.
+    """
     moved = Shaft()
     moved.origin = instance.object_from_world * shaft.origin + instance.object_from_world_offset
     moved.axis = instance.object_from_world * shaft.axis
-    moved.radius = shaft.radius * instance.object_per_world
+    rounding = MARGIN * wp.max(wp.abs(instance.object_from_world_offset))
+    moved.radius = shaft.radius * instance.object_per_world + rounding
     moved.spread = shaft.spread * instance.object_per_world
     return moved
 
@@ -72,6 +76,8 @@ def slabs_of(shaft: Shaft) -> Slabs:
 def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
     """No ray of the shaft is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
 
+    -FAR where some may start inside: a shaft is no bound of what lies behind its rays.
+
     The loop over the children becomes vector instructions; hence one local vector per side of the boxes.
     """
     entries = Children()
@@ -106,5 +112,6 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
         near = larger(near, bz * slabs.down_near[2] + slabs.down_near_void[2])
         near = near - MARGIN * wp.abs(near)
         far = far + MARGIN * wp.abs(far)
-        entries[c] = wp.where(lesser(far - near, far - begin) >= 0.0, near, 2.0 * FAR)
+        entry = wp.where(near > 0.0, near, -FAR)
+        entries[c] = wp.where(lesser(far - near, far - begin) >= 0.0, entry, 2.0 * FAR)
     return entries

@@ -1,0 +1,265 @@
+"""Where bundles of rays enter boxes: against float64, ray by ray, at all scales and in the spaces of instances.
+
+The bounds must hold for the rays as they are followed: rounded to float32 in the instance's space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import probe_tree_kernels
+import pytest
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
+from lumisplat.device.ray_structs import RayData
+from lumisplat.device.trace_structs import FAR, Children, Node, Slabs, TreeInstance
+from lumisplat.launcher import Launcher
+from lumisplat.render.tree_scene import empty_node
+from oracles import normalized
+from scenes import rotation
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+LANES = probe_tree_kernels.LANES
+COUNT = 2000
+NEVER = 2.0 * np.float64(np.float32(FAR))
+
+
+@dataclass
+class Bundles:
+    """Rays of bundles, what is alive of them, and where instances are."""
+
+    origins: np.ndarray  # (B, L, 3)
+    directions: np.ndarray  # (B, L, 3)
+    alive: np.ndarray  # (B, L)
+    instances: np.ndarray  # (B,) rows of TreeInstance
+    begins: np.ndarray  # (B,)
+
+
+@dataclass
+class Found:
+    """What the device says: bundles in object space, and distances to boxes."""
+
+    origins: np.ndarray  # (B, L, 3)
+    directions: np.ndarray  # (B, L, 3)
+    slabs: np.ndarray  # (B,) rows of Slabs
+    entries: np.ndarray  # (B, C)
+
+
+def placed(world_from_object: np.ndarray) -> np.ndarray:
+    """Rows of TreeInstance as the scene writes them, (B,)."""
+    table = np.zeros(len(world_from_object), np.dtype(TreeInstance.numpy_dtype()))  # type: ignore[attr-defined]
+    object_from_world = np.linalg.inv(world_from_object)
+    table["object_from_world"] = object_from_world[:, :3, :3]
+    table["object_from_world_offset"] = object_from_world[:, :3, 3]
+    table["object_per_world"] = 1.0 / np.cbrt(np.linalg.det(world_from_object[:, :3, :3]))
+    return table
+
+
+def random_bundles(seed: int, spread: float, far: float = 0.0, count: int = COUNT) -> Bundles:
+    """Bundles of every kind: axis-parallel or not, from a point or not, some rays dead; instances of all sizes.
+
+    Args:
+        seed: Of the random numbers.
+        spread: How far directions differ from that of their bundle; 0: one ray each.
+        far: How far instances and rays are from the world's origin, in lengths of the scene.
+        count: How many.
+    """
+    random = np.random.default_rng(seed)
+    size = 10.0 ** random.uniform(-3.0, 6.0, (count, 1, 1))
+    axes = normalized(random.normal(size=(count, 1, 3)))
+    straight = np.arange(count) % 4 == 0
+    axes[straight, 0] = np.eye(3)[random.integers(0, 3, straight.sum())] * random.choice(
+        [-1.0, 1.0], (straight.sum(), 1)
+    )
+    grazing = np.arange(count) % 4 == 1  # one component changes sign within the bundle
+    axes[grazing, 0, random.integers(0, 3, grazing.sum())] *= 0.1 * spread
+    directions = normalized(normalized(axes) + 0.9 * spread * random.uniform(-0.57, 0.57, (count, LANES, 3)))
+    parallel = np.arange(count) % 7 == 0
+    directions[parallel] = normalized(axes)[parallel]
+    place = far * size * normalized(random.normal(size=(count, 1, 3)))
+    wide = random.choice([0.0, 0.1, 1.0], (count, 1, 1)) * (spread > 0.0)
+    origins = place + size * (random.normal(size=(count, 1, 3)) + wide * random.normal(size=(count, LANES, 3)))
+    alive = random.random((count, LANES)) < 0.8
+    alive[:, 0] = True
+    if spread == 0.0:
+        alive[:, 1:] = False
+    world_from_object = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
+    for i in range(0, count, 2):
+        world_from_object[i] = rotation(tuple(random.normal(size=3)), random.uniform(0.0, 3.0))
+        world_from_object[i, :3, :3] *= 10.0 ** random.uniform(-3.0, 3.0)
+        world_from_object[i, :3, 3] = place[i, 0] + size[i, 0] * random.normal(size=3)
+    begins = np.zeros(count, np.float32)
+    return Bundles(np.float32(origins), np.float32(directions), alive, placed(world_from_object), begins)
+
+
+def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
+    """Rows of Node in object space: flat, thin, small and large boxes, before, behind, around and beside the rays."""
+    random = np.random.default_rng(seed)
+    count = len(bundles.begins)
+    rows = np.arange(count)[:, None]
+    lane = np.where(bundles.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
+    lane = lane.astype(int)
+    origin, direction = (np.float64(values[rows, lane]) for values in (found.origins, found.directions))
+    per_world = bundles.instances["object_per_world"].astype(np.float64)[:, None, None]
+    length = np.linalg.norm(bundles.origins - bundles.origins.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
+    size = np.maximum(np.abs(found.origins).max(axis=(1, 2)), (length * per_world[:, 0, 0]))[:, None, None]
+    t = random.uniform(-2.0, 6.0, (count, NODE_WIDTH, 1)) * size / per_world
+    half = size * 10.0 ** random.uniform(-4.0, 0.5, (count, NODE_WIDTH, 3))
+    center = origin + t * direction + half * random.uniform(-1.6, 1.6, (count, NODE_WIDTH, 3))
+    nodes = np.concatenate([empty_node()] * count)
+    full = random.random((count, NODE_WIDTH)) < 0.9
+    for k, axis in enumerate("xyz"):
+        for sign, side in ((-1.0, "low"), (1.0, "high")):
+            nodes[f"{side}_{axis}"] = np.where(full, center[..., k] + sign * half[..., k], nodes[f"{side}_{axis}"])
+    return nodes
+
+
+def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
+    """Asks the device."""
+    count = len(bundles.begins)
+    buffers = Buffers(device)
+    rays = buffers.struct("rays", RayData, count * LANES)
+    rays.origin.assign(bundles.origins.reshape(-1, 3))
+    rays.direction.assign(bundles.directions.reshape(-1, 3))
+    limits = wp.array(np.where(bundles.alive, 1.0, -1.0), dtype=probe_tree_kernels.Floats, device=device)
+    inputs = (
+        limits,
+        wp.array(bundles.instances, dtype=TreeInstance, device=device),
+        wp.array(nodes, dtype=Node, device=device),
+        wp.array(bundles.begins, dtype=float, device=device),
+    )
+    origins, directions = (wp.zeros(count * LANES, dtype=wp.vec3, device=device) for _ in range(2))
+    slabs, entries = wp.zeros(count, dtype=Slabs, device=device), wp.zeros(count, dtype=Children, device=device)
+    out = (origins, directions, slabs, entries)
+    Launcher(device, threads=1).run(probe_tree_kernels.probe_bundles, count, rays, *inputs, *out)
+    shape = (count, LANES, 3)
+    return Found(origins.numpy().reshape(shape), directions.numpy().reshape(shape), slabs.numpy(), entries.numpy())
+
+
+def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Distances at which lines are inside boxes, in float64: first and last; the last below the first where never.
+
+    No line is ever inside an inverted box.
+    """
+    origins, directions = np.float64(origins), np.float64(directions)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origins) / directions, (high - origins) / directions
+    first, last = np.minimum(a, b), np.maximum(a, b)
+    level = directions == 0.0
+    beside = (origins < low) | (origins > high)
+    first = np.where(level, np.where(beside, np.inf, -np.inf), first)
+    last = np.where(level, np.where(beside, -np.inf, np.inf), last)
+    inverted = (low > high).any(axis=-1)
+    return first.max(axis=-1), np.where(inverted, -np.inf, last.min(axis=-1))
+
+
+def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the children's boxes, float64, (B, 1, C, 3)."""
+    sides = [np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high")]
+    return np.float64(sides[0])[:, None], np.float64(sides[1])[:, None]
+
+
+def setting(spread: float, far: float = 0.0, device: str = "cpu") -> tuple[Bundles, np.ndarray, Found]:
+    """Bundles, boxes around them, and what the device finds. Half of the bundles begin in the middle of some box."""
+    bundles = random_bundles(int(1e4 * spread), spread, far)
+    alone = probe(bundles, np.concatenate([empty_node()] * COUNT))
+    nodes = boxes_around(bundles, alone, 1)
+    low, high = corners(nodes)
+    first, last = crossings(alone.origins[:, :1, None], alone.directions[:, :1, None], low, high)
+    middle = 0.5 * np.add(first, last, out=np.zeros_like(first), where=first <= last)
+    bundles.begins[::2] = np.maximum(middle[:, 0].max(axis=-1), 0.0)[::2]
+    return bundles, nodes, probe(bundles, nodes, device)
+
+
+SPREADS = [0.0, 1e-6, 1e-3, 0.05, COHERENT_SPREAD]
+
+
+@pytest.mark.parametrize("far", [0.0, 1e3])
+@pytest.mark.parametrize("spread", SPREADS)
+def test_slabs_hold_the_rays(spread: float, far: float) -> None:
+    """At any distance, every ray alive lies between the planes of its bundle, in the instance's space."""
+    bundles, _, found = setting(spread, far)
+    up, down = (
+        1.0 / np.float64(found.slabs[f"{side}_far"] + found.slabs[f"{side}_near"])[:, None] for side in ("up", "down")
+    )
+    low, high = (np.float64(found.slabs[side])[:, None] for side in ("low", "high"))
+    scale = np.abs(bundles.origins).max(axis=(1, 2)).astype(np.float64)[:, None, None]
+    for t in (0.0, 1e-3, 1.0, 1e3):
+        points = np.float64(found.origins) + t * scale * np.float64(found.directions)
+        inside = ((low + up * t * scale <= points) & (points <= high - down * t * scale)).all(axis=-1)
+        assert inside[bundles.alive].all(), f"{np.count_nonzero(~inside & bundles.alive)} rays outside at {t}"
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("far", [0.0, 1e3])
+@pytest.mark.parametrize("spread", SPREADS)
+def test_no_ray_is_in_a_box_before_its_bundle(spread: float, far: float, device: str) -> None:
+    """Neither from outside, nor for rays that start inside, where the entry lies behind them; nor is a box lost."""
+    bundles, nodes, found = setting(spread, far, device)
+    low, high = corners(nodes)
+    first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
+    meets = (first <= last) & (last >= bundles.begins[:, None, None]) & bundles.alive[:, :, None]
+    entries = np.broadcast_to(np.float64(found.entries)[:, None], meets.shape)
+    for name, where in {
+        "ahead": meets & (first > bundles.begins[:, None, None]),
+        "around the origin": meets & (first < 0.0),
+        "ahead of the origin, around the begin": meets & (first >= 0.0) & (first <= bundles.begins[:, None, None]),
+    }.items():
+        assert where.sum() > 30, f"too few boxes {name}: {where.sum()}"
+        early = where & ~(entries <= first)
+        assert not early.any(), f"{early.sum()} of {where.sum()} boxes {name} are entered too late"
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_single_rays_are_tight(device: str) -> None:
+    """What is met is met at most a few roundings too early, and boxes missed by more than that are missed."""
+    bundles, nodes, found = setting(0.0, device=device)
+    low, high = corners(nodes)
+    origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
+    first, last = (values[:, 0] for values in crossings(origins, directions, low, high))
+    begins = bundles.begins[:, None]
+    reach = np.abs(np.float64(origins)).max(axis=-1)[:, 0]
+    speed = np.linalg.norm(np.float64(directions), axis=-1)[:, 0]
+    ahead = (first <= last) & (first > begins) & (first > 0.0)
+    steep = (np.abs(directions[:, 0]) > 0.2 * speed[..., None]).all(axis=-1)
+    late = first - found.entries
+    assert (ahead & steep).sum() > 400
+    assert (late <= 1e-5 * (first + reach / speed))[ahead & steep].all()
+
+    t_most = np.where(np.isfinite(last), np.abs(last), 0.0) + np.where(np.isfinite(first), np.abs(first), 0.0)
+    grown = (8.0 * TRAVERSE_MARGIN * (reach + speed * t_most))[:, None, :, None]
+    almost, until = (values[:, 0] for values in crossings(origins, directions, low - grown, high + grown))
+    missed = (almost > until) | (until < begins * (1.0 - 1e-4))
+    assert missed.sum() > 1000
+    assert (found.entries[missed] == NEVER).all()
+    met = (first <= last) & (last >= begins)
+    assert (found.entries[met] != NEVER).all() and met.sum() > 2000
+
+
+def test_empty_children_are_never_met() -> None:
+    """Nor are the inverted boxes of Gaussians that never count; by no bundle of any spread and scale."""
+    for spread in SPREADS:
+        bundles = random_bundles(5, spread)
+        found = probe(bundles, np.concatenate([empty_node()] * COUNT))
+        assert (found.entries == NEVER).all()
+
+
+def test_bundles_are_not_boundless() -> None:
+    """A bundle of half a degree, from the origin towards +z, does not meet a box ten degrees off, only one ahead."""
+    random = np.random.default_rng(0)
+    directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
+    instance = placed(np.eye(4)[None])
+    bundles = Bundles(
+        np.zeros((1, LANES, 3), np.float32), np.float32(directions), np.ones((1, LANES), bool), instance, np.zeros(1)
+    )
+    node = empty_node()
+    for c, (x, z) in enumerate(((0.0, 5.0), (5.0 * np.tan(np.radians(10.0)), 5.0), (0.0, -5.0))):
+        node["low_x"][0, c], node["high_x"][0, c] = x - 0.1, x + 0.1
+        node["low_y"][0, c], node["high_y"][0, c] = -0.1, 0.1
+        node["low_z"][0, c], node["high_z"][0, c] = z - 0.1, z + 0.1
+    entries = probe(bundles, node).entries[0]
+    assert entries[0] == pytest.approx(4.9 / (directions[0, :, 2].mean() + 0.009), rel=5e-3) and entries[0] <= 4.9
+    assert (entries[1:] == NEVER).all()
