@@ -176,15 +176,27 @@ class Traced:
     band: bool  # Whether rounding may make it another surface.
 
 
+def hits_before(world: World, ray: Ray, mesh: MeshHit) -> Hits:
+    """The Gaussians whose t lies before the nearest mesh, those included that only float32 may find there."""
+    every = hits(world, ray)
+    limit_error = every.t_error + mesh.error
+    doubtful = every.doubtful | (np.abs(every.t - mesh.t) <= limit_error)
+    every = replace(every, counts=every.counts & (every.t < mesh.t), doubtful=doubtful)
+    return picked(every, every.t < mesh.t + limit_error)
+
+
+def outcomes_on(world: World, ray: Ray) -> Outcomes:
+    """What a random strategy may show of the Gaussians on a ray."""
+    every = hits_before(world, ray, nearest(world.triangles, ray))
+    return outcomes(picked(every, every.counts), ray, world.config.trace)
+
+
 def trace(world: World, ray: Ray, sky: np.ndarray, bounces: int = 0, throughput: float = 1.0) -> Traced:
     """Follows a ray and all that it becomes; ``throughput`` is what it weighs in the pixel."""
     config = world.config.trace
     sorts = config.strategy is TraceStrategy.SORTED
-    mesh, every = nearest(world.triangles, ray), hits(world, ray)
-    limit_error = every.t_error + mesh.error
-    doubtful = every.doubtful | (np.abs(every.t - mesh.t) <= limit_error)
-    every = replace(every, counts=every.counts & (every.t < mesh.t), doubtful=doubtful)
-    every = picked(every, every.t < mesh.t + limit_error)
+    mesh = nearest(world.triangles, ray)
+    every = hits_before(world, ray, mesh)
     found = picked(every, every.counts)
     blended = blend(found, config.depth_iso_transmittance, config.transmittance_min if sorts else 0.0)
 

@@ -262,3 +262,22 @@ def octahedron_of(material: MaterialPbr) -> Mesh:
     """Eight flat triangles around (0, 0, 4)."""
     smooth = octahedron((0.0, 0.0, 4.0), 1.0, material=material)
     return replace(smooth, normals=None)
+
+
+def stochastic_cases() -> list[Case]:
+    """The frames on which the random strategies must show, on average, what sorting shows."""
+    wide = random_gaussians(171, 150, degree=1, scale_range=(0.1, 0.4))
+    camera = small_camera(16, 12, 15.0)
+    side = side_camera(width=16, height=12)
+    world = (0.3, 0.5, 0.9)
+    linear = replace(wide, kernel_degree=0)
+    return [
+        Case("overlapping", Scene([wide]), camera),
+        Case("passes of 4", Scene([wide]), camera, trace_config(world, hits_per_pass=4)),
+        Case("at one distance", Scene([copies(60, 172)]), camera),
+        Case("instances", placed_scene(), side, trace_config(world, hits_per_pass=4)),
+        Case("linear, hull", Scene([linear]), side, trace_config(hit_distance=HitDistance.HULL)),
+        Case("mesh", Scene([wide], [quad(4.0, 1.2, tilt=0.9)]), camera, trace_config(world)),
+        Case("mirror", mirror_scene(), small_camera(), trace_config(world, hits_per_pass=4)),
+        Case("glass", glass_scene(), small_camera(), trace_config(world, hits_per_pass=8)),
+    ]
