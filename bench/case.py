@@ -26,25 +26,19 @@ def main(name: str) -> None:
         if preset.count:
             path = Path(folder) / "synthetic.ply"
             ls.save(path, synthetic(preset.count))
-        print(json.dumps(timed(path, preset.camera())))
+        print(json.dumps(timed(path, preset)))
 
 
-def timed(path: Path, camera) -> dict:
-    """Loads in this process, whose peak memory is then that of loading and rendering alone."""
+def timed(path: Path, preset) -> dict:
+    """Loads in a process whose peak memory is then that of loading and rendering alone."""
     import subprocess
 
-    script = f"import bench.case as case; case.measure({str(path)!r}, {camera_arguments(camera)!r})"
+    script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r})"
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def camera_arguments(camera) -> dict:
-    """A camera as plain numbers, to pass to the measuring process."""
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    return {name: getattr(camera, name) for name in names} | {"camera_from_world": camera.camera_from_world.tolist()}
-
-
-def measure(path: str, camera_fields: dict) -> None:
+def measure(name: str, path: str) -> None:
     """Loads, renders a first frame and ``REPEATS`` steady ones, and prints what they took."""
     started = time.perf_counter()
     import lumisplat as ls
@@ -54,10 +48,13 @@ def measure(path: str, camera_fields: dict) -> None:
     import warp as wp
 
     wp.config.quiet = True
-    camera = ls.Camera(**camera_fields)
-    renderer = ls.create_renderer(device="cpu")
+    from bench.presets import PRESETS
+
+    preset = next(preset for preset in PRESETS if preset.name == name)
+    camera = preset.camera()
+    renderer = ls.create_renderer(preset.config(), device="cpu")
     ready = time.perf_counter()
-    renderer.render(scene, camera)
+    build_ms = renderer.render(scene, camera).stats.stage_ms.get("build", 0.0)
     first = time.perf_counter()
     frames, walls = [], []
     for _ in range(REPEATS):
@@ -72,6 +69,7 @@ def measure(path: str, camera_fields: dict) -> None:
         "frame_ms": statistics.median(walls),
         "frame_min_ms": min(walls),
         "frame_max_ms": max(walls),
+        "build_ms": build_ms,
         "stage_ms": stages,
         "gaussians": frames[0].gaussian_count,
         "visible": frames[0].visible_count,

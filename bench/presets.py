@@ -26,11 +26,26 @@ class Preset:
     """Gaussians of a synthetic capture; 0: the biker."""
     peer: bool = False
     """Whether Mitsuba renders it in the same run."""
+    trace: tuple[str, float] | None = None
+    """Strategy and least transmittance of the ray tracer; None: the rasteriser draws it."""
 
     @property
     def available(self) -> bool:
         """Whether this machine has the capture."""
         return self.count > 0 or BIKER.is_file()
+
+    @property
+    def view(self) -> tuple[int, int, int]:
+        """What presets share that show the same Gaussians from the same camera."""
+        return self.count, self.width, self.height
+
+    def config(self) -> ls.RenderConfig:
+        """Settings of its frames."""
+        if self.trace is None:
+            return ls.RenderConfig()
+        strategy, transmittance_min = self.trace
+        config = ls.TraceConfig(strategy=ls.TraceStrategy(strategy), transmittance_min=transmittance_min)
+        return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config)
 
     def camera(self) -> ls.Camera:
         """The view: the whole subject, filling the height of the image."""
@@ -42,13 +57,34 @@ class Preset:
 
 
 SIZES = ((640, 360), (1280, 720), (1920, 1088))
-PRESETS = [
+RASTER = [
     *(Preset(f"biker-{w}x{h}", w, h, "a real capture, 152,746 Gaussians, SH 0", peer=True) for w, h in SIZES),
     Preset("synthetic-10k", 1280, 720, "fixed costs", 10_000),
     Preset("synthetic-100k", 1280, 720, "a small capture, SH 3", 100_000, peer=True),
     Preset("synthetic-1M", 1280, 720, "a room, SH 3", 1_000_000),
     Preset("synthetic-3M", 1280, 720, "a large outdoor capture, SH 3; memory", 3_000_000),
 ]
+MITSUBA_T = 0.01
+"""Transmittance at which the peer stops."""
+COUNTS = {"10k": 10_000, "100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
+TRACE = [
+    Preset("trace-sorted", 640, 360, "where the peer stops", peer=True, trace=("sorted", MITSUBA_T)),
+    Preset("trace-sorted-full", 640, 360, "where images are finished", peer=True, trace=("sorted", 1e-4)),
+    Preset("trace-stochastic-hit", 640, 360, "one sample", peer=True, trace=("stochastic-hit", 0.0)),
+    Preset("trace-stochastic-pass", 640, 360, "one sample", peer=True, trace=("stochastic-pass", 0.0)),
+    *(
+        Preset(
+            f"trace-synthetic-{name}",
+            640,
+            360,
+            "cost of a ray by the number of Gaussians",
+            count,
+            trace=("sorted", 1e-4),
+        )
+        for name, count in COUNTS.items()
+    ),
+]
+PRESETS = RASTER + TRACE
 
 
 def synthetic(count: int, seed: int = 7) -> ls.Gaussians:

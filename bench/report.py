@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-STAGES = ("sync", "mesh", "project", "sort", "bin", "composite", "download")
+RASTER_STAGES = ("sync", "mesh", "project", "sort", "bin", "composite", "download")
+TRACE_STAGES = ("sync", "rays", "mesh", "gaussians", "bounce", "store", "download")
 MARK = "<!-- table: written by make bench -->"
 
 
-def table(rows: list[dict]) -> list[str]:
+def tables(rows: list[dict]) -> list[str]:
+    """Markdown lines of the rasteriser's table and the ray tracer's."""
+    raster = [row for row in rows if "gaussians" not in row["stage_ms"]]
+    traced = [row for row in rows if "gaussians" in row["stage_ms"]]
+    lines = table(raster, RASTER_STAGES) if raster else []
+    return [*lines, "", *table(traced, TRACE_STAGES)] if traced else lines
+
+
+def table(rows: list[dict], stages: tuple[str, ...]) -> list[str]:
     """Markdown lines; times in milliseconds."""
-    head = ["preset", "Gaussians", "load", "first frame", "**frame**", *STAGES, "peak MiB", "Mitsuba", "times faster"]
+    head = ["preset", "Gaussians", "load", "first frame", "**frame**", *stages, "peak MiB", "Mitsuba", "times faster"]
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     for row in rows:
         peer = row.get("peer")
@@ -20,7 +29,7 @@ def table(rows: list[dict]) -> list[str]:
             f"{row['load_ms']:.0f}",
             f"{row['first_ms']:.0f}",
             f"**{row['frame_ms']:.1f}** ({row['frame_min_ms']:.1f}-{row['frame_max_ms']:.1f})",
-            *(f"{row['stage_ms'].get(stage, 0.0):.1f}" for stage in STAGES),
+            *(f"{row['stage_ms'].get(stage, 0.0):.1f}" for stage in stages),
             f"{row['peak_mib']:.0f}",
             f"{peer['frame_ms']:.0f}" if peer else "",
             f"**{peer['frame_ms'] / row['frame_ms']:.0f}**" if peer else "",
@@ -31,25 +40,44 @@ def table(rows: list[dict]) -> list[str]:
 
 def print_table(rows: list[dict]) -> None:
     """The table as text."""
-    print("\n".join(table(rows)))
+    print("\n".join(tables(rows)))
 
 
-def write_document(path: Path, machine: dict, rows: list[dict]) -> None:
+def write_document(path: Path, machine: dict, rows: list[dict], quality: dict) -> None:
     """Replaces what lies between the two marks of the document by the table and what it was measured with."""
     before, _, after = path.read_text().split(MARK)
-    psnr = ", ".join(f"{row['preset']} {row['peer']['psnr_db']:.1f} dB" for row in rows if "peer" in row)
+    views = {(row["gaussians"], row["width"]): row for row in rows if "peer" in row}.values()
+    psnr = ", ".join(
+        f"{row['gaussians']:,} Gaussians at {row['width']}x{row['height']} {row['peer']['psnr_db']:.1f} dB rasterised, "
+        f"{row['peer']['trace_psnr_db']:.1f} dB traced"
+        for row in views
+    )
     peer = next((row["peer"]["peer"] for row in rows if "peer" in row), "no peer")
     facts = [
         f"Measured on {machine['date']} at revision `{machine['revision']}`: {machine['cpu']}, "
         f"{machine['cores']} cores, Python {machine['python']}, Warp {machine['warp']}; peer {peer}. "
         "Command: `make bench`.",
         "",
-        *table(rows),
+        *tables(rows),
         "",
         "Whole processes, interpreter included: "
         + ", ".join(f"`{name}` {value:.0f} ms" for name, value in machine["command_ms"].items())
         + ".",
         "",
-        f"Agreement with the peer's 16-sample image (another method: rays, not EWA), PSNR: {psnr}.",
+        f"Agreement with the peer's 16-sample image, PSNR: {psnr}.",
+        "",
+        *quality_lines(quality),
     ]
     path.write_text(before + MARK + "\n" + "\n".join(facts) + "\n" + MARK + after)
+
+
+def quality_lines(quality: dict) -> list[str]:
+    """How stochastic frames converge, and what trees take."""
+    lines = []
+    for strategy, row in quality["psnr_db"].items():
+        steps = ", ".join(f"{samples} samples {value:.1f} dB" for samples, value in row.items())
+        lines += [f"Mean of `{strategy}` frames against the sorted one, biker 640x360, PSNR: {steps}.", ""]
+    lines.append(
+        f"Tree of 1,000,000 Gaussians: built in {quality['build_s']:.2f} s, refitted in {quality['refit_s']:.2f} s."
+    )
+    return lines

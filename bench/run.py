@@ -29,7 +29,7 @@ def main(names: list[str]) -> None:
     if unknown:
         sys.exit(f"no preset {', '.join(sorted(unknown))}: use {', '.join(preset.name for preset in PRESETS)}")
     subprocess.run([sys.executable, "-c", WARM_UP], check=True, cwd=ROOT)
-    rows = []
+    rows, peers = [], {}
     for preset in PRESETS:
         if names and preset.name not in names:
             continue
@@ -37,7 +37,7 @@ def main(names: list[str]) -> None:
             print(f"{preset.name}: skipped, no capture (set LUMISPLAT_DATA)", flush=True)
             continue
         print(f"{preset.name} ...", flush=True)
-        rows.append(run(preset))
+        rows.append(run(preset, peers))
     machine = describe_machine() | {"command_ms": command_times()}
     results = ROOT / "bench" / "results"
     results.mkdir(exist_ok=True)
@@ -45,18 +45,21 @@ def main(names: list[str]) -> None:
         file.writelines(json.dumps(machine | row) + "\n" for row in rows)
     print_table(rows)
     if len(rows) == len(PRESETS):
-        write_document(ROOT / "docs" / "benchmarks.md", machine, rows)
+        quality = child("bench.trace_quality")
+        write_document(ROOT / "docs" / "benchmarks.md", machine, rows, quality)
 
 
 WARM_UP = "import warp; warp.config.quiet = True; import lumisplat; lumisplat.create_renderer(device='cpu')"
 
 
-def run(preset: Preset) -> dict:
-    """One row: the preset's own figures and, where it has one, its peer's."""
+def run(preset: Preset, peers: dict) -> dict:
+    """One row: the preset's own figures and, where it has one, its peer's, which presets of one view share."""
     row = {"preset": preset.name, "width": preset.width, "height": preset.height} | child("bench.case", preset.name)
     if preset.peer:
         try:
-            row["peer"] = child("bench.mitsuba_peer", preset.name)
+            if preset.view not in peers:
+                peers[preset.view] = child("bench.mitsuba_peer", preset.name)
+            row["peer"] = peers[preset.view]
         except subprocess.CalledProcessError as error:
             reason = (error.stderr or "").strip().splitlines()
             print(f"  peer skipped: {reason[-1] if reason else error}", flush=True)
@@ -79,9 +82,9 @@ def process_ms(command: list[str]) -> float:
     return 1e3 * (time.perf_counter() - begun)
 
 
-def child(module: str, name: str) -> dict:
+def child(module: str, *arguments: str) -> dict:
     """The JSON object that a module of this folder prints last."""
-    command = [sys.executable, "-m", module, name]
+    command = [sys.executable, "-m", module, *arguments]
     done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -1,0 +1,70 @@
+"""What the ray tracer's noise and trees come to: ``python -m bench.trace_quality`` prints one JSON object.
+
+How the mean of stochastic frames nears the sorted one, and how long a tree of a million Gaussians takes.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+SAMPLES = (1, 4, 16, 64, 256)
+TREE_COUNT = 1_000_000
+
+
+def main() -> None:
+    """Prints decibels by number of samples, and seconds."""
+    import warp as wp
+
+    wp.config.quiet = True
+    print(json.dumps(tree_seconds() | {"psnr_db": convergence()}))
+
+
+def convergence() -> dict[str, dict[str, float]]:
+    """PSNR against the sorted frame by strategy and number of samples, all through the pixel centres."""
+    import lumisplat as ls
+    from bench.presets import BIKER, TRACE
+
+    if not BIKER.is_file():
+        return {}
+    scene, camera = ls.Scene(splats=[ls.load(BIKER)]), TRACE[0].camera()
+    trace = ls.TraceConfig(jitter=False)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+    exact = ls.render(scene, camera, config, device="cpu").color
+    rows = {}
+    for strategy in (ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS):
+        rows[strategy.value] = row = {}
+        frame = None
+        for samples in SAMPLES:
+            more = samples - (frame.samples if frame else 0)
+            renderer = ls.create_renderer(
+                replace(config, trace=replace(trace, strategy=strategy), samples=more), device="cpu"
+            )
+            frame = renderer.render(scene, camera, resume=frame)
+            row[str(samples)] = float(-10.0 * np.log10(np.mean((frame.color - exact) ** 2)))
+    return rows
+
+
+def tree_seconds() -> dict[str, float]:
+    """Seconds for the tree of a million Gaussians: built, and refitted to others."""
+    import lumisplat as ls
+    from bench.presets import TRACE, synthetic
+
+    gaussians = synthetic(TREE_COUNT)
+    camera = TRACE[0].camera().scaled(width=16)
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
+    built, refitted = [], []
+    for turn in range(3):
+        # Of another size, so that the next one is taken for a new capture, not for one that moved.
+        renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - turn - 1))]), camera)
+        begun = renderer.render(ls.Scene(splats=[gaussians]), camera).stats
+        moved = replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * turn) + np.float32(0.01))
+        built.append(begun.stage_ms["build"])
+        refitted.append(renderer.render(ls.Scene(splats=[moved]), camera).stats.stage_ms["build"])
+    return {"build_s": 1e-3 * float(np.median(built)), "refit_s": 1e-3 * float(np.median(refitted))}
+
+
+if __name__ == "__main__":
+    main()
