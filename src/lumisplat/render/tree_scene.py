@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
 from lumisplat.constants import BOX_MARGIN, KERNEL_LINEAR_SLOPE, NODE_WIDTH
+from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import FAR, NO_CHILD, KernelData, Node, TreeAsset, TreeInstance
 from lumisplat.launcher import Launcher
 from lumisplat.render.build import GaussianTree
@@ -25,6 +26,8 @@ class HeldTree:
     """The tree of an asset."""
 
     gaussians: Gaussians
+    data: GaussianData
+    """Its arrays on the device, which may be others when it is uploaded again."""
     kernel: KernelData
     tree: GaussianTree
 
@@ -61,9 +64,10 @@ class TreeScene:
             config: Its kernel settings are those that the bounds follow.
         """
         assets = device_scene.assets
-        if [id(asset.gaussians) for asset in assets] != [id(held.gaussians) for held in self._held]:
-            self._held = [self._tree_of(place, asset, assets, config) for place, asset in enumerate(assets)]
-            rows = self._asset_rows(assets) or [TreeAsset()]  # an array without elements has no address
+        if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
+            before, self._held = self._held, []  # until all are there: a tree may have moved on when the next one fails
+            self._held = [self._tree_of(place, assets, before, config) for place in range(len(assets))]
+            rows = self._asset_rows() or [TreeAsset()]  # an array without elements has no address
             self.assets = upload_structs(rows, TreeAsset, self._launcher.device)
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
@@ -74,29 +78,30 @@ class TreeScene:
         self.top_nodes = self._buffers.get("top_nodes", Node, len(nodes))
         self.top_nodes.assign(nodes)
 
-    def _tree_of(self, place: int, asset: SplatAsset, assets: list[SplatAsset], config: RenderConfig) -> HeldTree:
+    def _tree_of(self, place: int, assets: list[SplatAsset], before: list[HeldTree], config: RenderConfig) -> HeldTree:
         """The tree that there is; that of the asset whose place this one took, refitted; or a new one."""
-        held = next((held for held in self._held if held.gaussians is asset.gaussians), None)
+        gaussians, data = assets[place].gaussians, assets[place].data
+        held = next((held for held in before if held.gaussians is gaussians), None)
         if held is not None:
-            return held
-        kernel = kernel_data(asset.gaussians, config)
+            return replace(held, data=data)
+        kernel = kernel_data(gaussians, config)
         used = {id(asset.gaussians) for asset in assets}
-        before = self._held[place] if place < len(self._held) else None
+        there = before[place] if place < len(before) else None
         if (
-            before is not None
-            and id(before.gaussians) not in used
-            and before.gaussians.count == asset.gaussians.count
-            and before.kernel.degree == kernel.degree
+            there is not None
+            and id(there.gaussians) not in used
+            and there.gaussians.count == gaussians.count
+            and there.kernel.degree == kernel.degree
         ):
-            before.tree.refit(asset.data)
-            return HeldTree(asset.gaussians, kernel, before.tree)
-        return HeldTree(asset.gaussians, kernel, GaussianTree(self._launcher, asset.data, kernel))
+            there.tree.refit(data)
+            return HeldTree(gaussians, data, kernel, there.tree)
+        return HeldTree(gaussians, data, kernel, GaussianTree(self._launcher, data, kernel))
 
-    def _asset_rows(self, assets: list[SplatAsset]) -> list[TreeAsset]:
+    def _asset_rows(self) -> list[TreeAsset]:
         rows = []
-        for asset, held in zip(assets, self._held, strict=True):
+        for held in self._held:
             row = TreeAsset()
-            row.nodes, row.particles, row.gaussians = held.tree.nodes, held.tree.particles, asset.data
+            row.nodes, row.particles, row.gaussians = held.tree.nodes, held.tree.particles, held.data
             rows.append(row)
         return rows
 
@@ -108,7 +113,7 @@ class TreeScene:
         table["object_from_world"] = object_from_world[:, :3, :3]
         table["object_from_world_offset"] = object_from_world[:, :3, 3]
         table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
-        table["object_per_world"] = 1.0 / scales
+        table["object_per_world"] = np.linalg.norm(object_from_world[:, :3, :3], ord=2, axis=(1, 2))
         table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
         table["asset"] = places
         for row, place in zip(table, places, strict=True):
