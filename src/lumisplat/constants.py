@@ -89,8 +89,8 @@ RAY_START_BACK = 4e-6
 
 SPAWN_ERROR = 2.0**-20
 """Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
-roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, 4 rays in 10,000 get out
-of closed boxes of mirrors."""
+roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some get out of closed
+mirrors of thin triangles."""
 
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 """Share of a pixel below which a reflection or refraction is not followed: half a step of an 8-bit image."""

@@ -145,7 +145,7 @@ def test_closed_meshes_do_not_leak(rig: RayRig, shape: str, scale: float, offset
     aims = np.einsum("nk,nkc->nc", normalized_sum(weights), mesh.positions[faces].astype(float))
     inside = 0.5 * directions(rng, 3 * count)
     # From outside, aimed so that they come out again where those from inside do.
-    outside = aims + (inside - aims) * rng.choice([3.0, 300.0], (3 * count, 1))
+    outside = aims + (inside - aims) * rng.choice([3.0, 300.0, 30000.0], (3 * count, 1))
     for start, target in ((inside, aims), (outside, inside)):
         begin = start @ matrix[:3, :3].T + matrix[:3, 3]
         end = target @ matrix[:3, :3].T + matrix[:3, 3]

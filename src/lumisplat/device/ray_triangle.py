@@ -40,11 +40,8 @@ def ray_shear(direction: wp.vec3) -> RayShear:
 
 @wp.func
 def edge_side(a: wp.vec2, b: wp.vec2) -> float:
-    """Cross product of two sheared corners; zero only if it is, as far as they are exact."""
-    side = a[0] * b[1] - a[1] * b[0]
-    if side == 0.0:
-        side = float(wp.float64(a[0]) * wp.float64(b[1]) - wp.float64(a[1]) * wp.float64(b[0]))
-    return side
+    """On which side of an edge the ray passes; its two triangles see the same number, but for the sign."""
+    return a[0] * b[1] - a[1] * b[0]
 
 
 @wp.func
@@ -53,17 +50,13 @@ def meet_triangle(
 ) -> TriangleHit:
     """Where the ray's line meets a triangle, from either side; at infinity where it does not.
 
-    The distance is that of the triangle's plane, which is more accurate far from the origin, but kept within that of
-    the corners, as the plane of a triangle seen edge-on may be anywhere.
+    The distance is a mean of those of the corners: bounded by them, however flat the triangle is seen.
     """
     hit = TriangleHit()
     hit.t = wp.inf
-    a = v0 - origin
-    b = v1 - origin
-    c = v2 - origin
-    turned_a = axis_last(a, shear.axis)
-    turned_b = axis_last(b, shear.axis)
-    turned_c = axis_last(c, shear.axis)
+    turned_a = axis_last(v0 - origin, shear.axis)
+    turned_b = axis_last(v1 - origin, shear.axis)
+    turned_c = axis_last(v2 - origin, shear.axis)
     flat_a = wp.vec2(turned_a[0] - shear.slope[0] * turned_a[2], turned_a[1] - shear.slope[1] * turned_a[2])
     flat_b = wp.vec2(turned_b[0] - shear.slope[0] * turned_b[2], turned_b[1] - shear.slope[1] * turned_b[2])
     flat_c = wp.vec2(turned_c[0] - shear.slope[0] * turned_c[2], turned_c[1] - shear.slope[1] * turned_c[2])
@@ -75,12 +68,6 @@ def meet_triangle(
     total = weight_a + weight_b + weight_c
     if total == 0.0:
         return hit
-    t_a = turned_a[2] * shear.inverse
-    t_b = turned_b[2] * shear.inverse
-    t_c = turned_c[2] * shear.inverse
-    normal = wp.cross(v1 - v0, v2 - v0)
-    facing = wp.dot(normal, direction)
-    t = wp.where(facing == 0.0, t_a, wp.dot(normal, a) / facing)
-    hit.t = wp.clamp(t, wp.min(t_a, wp.min(t_b, t_c)), wp.max(t_a, wp.max(t_b, t_c)))
+    hit.t = shear.inverse * (weight_a * turned_a[2] + weight_b * turned_b[2] + weight_c * turned_c[2]) / total
     hit.weights = wp.vec2(weight_b / total, weight_c / total)
     return hit
