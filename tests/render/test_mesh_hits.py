@@ -132,7 +132,7 @@ def test_scenes_without_meshes(rig: RayRig) -> None:
 @pytest.mark.parametrize(("scale", "offset"), [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)])
 @pytest.mark.parametrize("shape", ["cube", "sphere", "icosphere"])
 def test_closed_meshes_do_not_leak(rig: RayRig, shape: str, scale: float, offset: float, pose: str) -> None:
-    """Rays from inside and from afar, at faces, at edges and at corners: all of them meet the mesh."""
+    """From inside and from afar, at faces, at edges and at corners: rays end where they are aimed."""
     mesh = {"cube": cube(), "sphere": shapes.sphere(), "icosphere": shapes.icosphere(subdivisions=4)}[shape]
     rng = np.random.default_rng(5)
     matrix = similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset, -0.6 * offset, 0.0))
@@ -144,15 +144,13 @@ def test_closed_meshes_do_not_leak(rig: RayRig, shape: str, scale: float, offset
     weights[2 * count :] = [1.0, 0.0, 0.0]
     aims = np.einsum("nk,nkc->nc", normalized_sum(weights), mesh.positions[faces].astype(float))
     inside = 0.5 * directions(rng, 3 * count)
-    # From outside, aimed so that they come out again where those from inside do.
-    outside = aims + (inside - aims) * rng.choice([3.0, 300.0, 30000.0], (3 * count, 1))
-    for start, target in ((inside, aims), (outside, inside)):
-        begin = start @ matrix[:3, :3].T + matrix[:3, 3]
-        end = target @ matrix[:3, :3].T + matrix[:3, 3]
-        hits = rig.hits(
-            ls.Scene([], [ls.MeshInstance(mesh, matrix)]), begin, normalized(end - begin.astype(np.float32))
-        )
-        assert np.isfinite(hits.t).all(), f"{np.isinf(hits.t).sum()} of {len(hits.t)} rays got through"
+    outside = aims + (aims - inside) * rng.choice([3.0, 300.0, 30000.0], (3 * count, 1))
+    end = aims @ matrix[:3, :3].T + matrix[:3, 3]
+    for start in (inside, outside):
+        begin = (start @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        hits = rig.hits(ls.Scene([], [ls.MeshInstance(mesh, matrix)]), begin, normalized(end - begin))
+        through = hits.t > np.linalg.norm(end - begin, axis=1) + 0.1 * scale
+        assert not through.any(), f"{through.sum()} of {len(hits.t)} rays got through"
 
 
 def normalized_sum(weights: np.ndarray) -> np.ndarray:
