@@ -37,7 +37,7 @@ class Wave:
     path_weights: Any
     """Largest share of a ray's colour in its pixel."""
     weights: Any
-    """Share of a ray's colour in that of the ray it branches off; of no use in the first wave."""
+    """Share of a ray's colour in that of the ray it branches off; none in the first wave."""
     colors: Any
     """What each ray sees, display-referred sRGB: first without its branches, then with them."""
     branches: Any
@@ -121,7 +121,7 @@ class Bounces:
             hits,
             radiance,
             path_weights=get(f"bounce.path_weights{number % 2}", wp.float32, count),
-            weights=get(f"bounce.{number}.weights", wp.vec3, count),
+            weights=get(f"bounce.{number}.weights", wp.vec3, count if number else 0),
             colors=get(f"bounce.{number}.colors", wp.vec3, count),
             branches=get(f"bounce.{number}.branches", wp.int32, 2 * count),
             branch_ends=get(f"bounce.{number}.branch_ends", wp.int32, 2 * count),
