@@ -50,6 +50,9 @@ class Triangles:
     outward: np.ndarray  # (F, 3), unit, out of the side that the material's outside is on
     instance: np.ndarray  # (F,), among the mesh instances
     face: np.ndarray  # (F, 3), vertices of its mesh
+    doubled_area: np.ndarray  # (F,)
+    longest: np.ndarray  # (F,), of the sides
+    size: np.ndarray  # (F,), largest coordinate
 
 
 @dataclass(frozen=True)
@@ -82,8 +85,17 @@ def triangles_of(scene: Scene) -> Triangles:
         outward.append(np.sign(np.linalg.det(linear)) * normalized(np.cross(b - a, c - a)))
         number += [i] * len(a)
         face.append(instance.mesh.indices)
+    every = np.concatenate(corners)
+    a, b, c = every.swapaxes(0, 1)
     return Triangles(
-        scene.meshes, np.concatenate(corners), np.concatenate(outward), np.array(number, int), np.concatenate(face)
+        instances=scene.meshes,
+        corners=every,
+        outward=np.concatenate(outward),
+        instance=np.array(number, int),
+        face=np.concatenate(face),
+        doubled_area=np.linalg.norm(np.cross(b - a, c - a), axis=-1),
+        longest=np.linalg.norm([b - a, c - b, a - c], axis=-1).max(axis=0),
+        size=np.abs(every).max(axis=(1, 2)),
     )
 
 
@@ -101,11 +113,9 @@ def nearest(triangles: Triangles, ray: Ray) -> MeshHit:
     weights = np.stack([1.0 - u - v, u, v], axis=-1)
     least = weights.min(axis=-1)
 
-    sides = np.linalg.norm(np.stack([edge1, edge2, c - b]), axis=-1)
-    area = np.linalg.norm(np.cross(edge1, edge2), axis=-1)
-    off = ray.blur + ray.turn * np.linalg.norm(from_a, axis=-1) + ROUNDING * np.abs(triangles.corners).max(axis=(1, 2))
-    error = off * area * np.abs(inverse)
-    edge_error = off * sides.max(axis=0) * np.abs(inverse)
+    off = ray.blur + ray.turn * np.linalg.norm(from_a, axis=-1) + ROUNDING * triangles.size
+    error = off * triangles.doubled_area * np.abs(inverse)
+    edge_error = off * triangles.longest * np.abs(inverse)
 
     inside = usable & (least >= 0.0) & (t > ray.t_min)
     best = int(np.where(inside, t, np.inf).argmin())

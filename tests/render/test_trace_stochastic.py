@@ -138,11 +138,12 @@ def test_noise_is_the_variance(name: str, strategy: ls.TraceStrategy, device: st
 
 @devices
 @strategies
-@pytest.mark.parametrize("name", ["overlapping", "instances", "mesh", "linear, hull", "passes of 4"])
+@pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
 def test_every_sample_is_an_outcome(name: str, strategy: ls.TraceStrategy, device: str) -> None:
     """A sample shows one Gaussian, one pass, or what is behind: all images are of that, as often as expected."""
     case = random_case(name, strategy)
     world = world_of(case.scene, case.config)
+    only_meshes = replace(world_of(replace(case.scene, splats=()), case.config), splat_count=world.splat_count)
     twin = twin_of(name, strategy)
     rays, firsts = camera_rays(case.camera), np.cumsum([0, *(one.gaussians.count for one in case.scene.splats)])
     sure = np.flatnonzero((twin["slack"] < 1e-3) & ~twin["band"])
@@ -169,7 +170,7 @@ def test_every_sample_is_an_outcome(name: str, strategy: ls.TraceStrategy, devic
             assert (images["alpha"][at, i] == 1.0).all()
         nothing = index < 0
         assert np.isin(index[~nothing], may_show.index).all()
-        behind = trace(replace(world, mean=world.mean + 1e6), rays[i], background_of(world))
+        behind = trace(only_meshes, rays[i], background_of(world))
         np.testing.assert_allclose(images["color"][nothing, i], np.tile(behind.color, (nothing.sum(), 1)), atol=2e-5)
         assert (images["alpha"][nothing, i] == behind.alpha).all()
         assert (instance[nothing] == behind.instance_index).all()
@@ -206,7 +207,7 @@ def test_wrong_expectations_are_rejected(strategy: ls.TraceStrategy) -> None:
         trace_oracle.render(
             case.scene,
             case.camera,
-            with_trace(case.config, strategy=ls.TraceStrategy.SORTED, transmittance_min=0.1),
+            with_trace(case.config, strategy=ls.TraceStrategy.SORTED, transmittance_min=0.5),
         )["color"],
     ]
     mean = np.mean([frame.color for frame in frames], axis=0, dtype=np.float64).reshape(-1, 3)
