@@ -20,15 +20,10 @@ REPEATS = 5
 
 def main(name: str) -> None:
     """Renders the preset ``REPEATS`` times after a warm-up."""
-    found = sorted(glob.glob("/usr/lib/*/libLLVM.so.19*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM.so*"))
-    if found:
-        os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
-    import mitsuba as mi
-
     import lumisplat as ls
     from bench.presets import BIKER, MITSUBA_T, PRESETS, synthetic
 
-    mi.set_variant("llvm_ad_rgb")
+    mi = load_mitsuba()
     preset = next(preset for preset in PRESETS if preset.name == name)
     gaussians = synthetic(preset.count) if preset.count else ls.load(BIKER)
     scene = mi.load_dict(describe(mi, gaussians, preset.camera()))
@@ -56,6 +51,17 @@ def main(name: str) -> None:
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:
     """Decibels between two images, clipped to what can be shown."""
     return float(-10.0 * np.log10(np.mean((np.clip(image, 0, 1) - np.clip(reference, 0, 1)) ** 2)))
+
+
+def load_mitsuba():
+    """The module, with the variant that has the integrator."""
+    found = sorted(glob.glob("/usr/lib/*/libLLVM.so.19*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM.so*"))
+    if found:
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    return mi
 
 
 def describe(mi, gaussians, camera) -> dict:

@@ -211,6 +211,17 @@ def gsplat_frames() -> dict[str, tuple[Gaussians, Camera]]:
     }
 
 
+def mitsuba_frames() -> dict[str, tuple[Gaussians, Camera]]:
+    """The frames that tools/make_mitsuba_reference.py renders with Mitsuba.
+
+    Without SH, which it turns with the ray, and without small Gaussians, which its rays meet twice by rounding.
+    """
+    return {
+        "dense": (random_gaussians(61, count=200, scale_range=(0.15, 0.4)), _orbit(96, 64)),
+        "wide": (random_gaussians(62, count=80, scale_range=(0.12, 0.6)), front_camera(96, 64, 32.0)),
+    }
+
+
 def _raster(transmittance_min: float = 1e-4, depth_iso_transmittance: float = 0.7, **changes: object) -> RenderConfig:
     raster = RasterConfig(
         transmittance_min=transmittance_min, depth_iso_transmittance=depth_iso_transmittance, **changes

@@ -248,13 +248,13 @@ def test_two_hits_by_hand() -> None:
     assert (nothing.depth, nothing.gaussian_index, nothing.instance_index) == (np.inf, -1, -1)
 
 
-def test_ray_stops_before_its_minimum() -> None:
-    """The Gaussian that would take the transmittance to 1e-4 is dropped, and so is all behind it."""
+def test_ray_stops_at_its_minimum() -> None:
+    """The Gaussian that takes the transmittance to 1e-4 is the last one."""
     scene = layers(0.9, 0.95, 0.985, 0.5, colors=((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)))
-    assert traced(scene).color == pytest.approx([0.9, 0.095, 0.0], abs=1e-6)
-    assert traced(scene).alpha == pytest.approx(0.995, abs=1e-6)
+    assert traced(scene).color == pytest.approx([0.9, 0.095, 0.005 * 0.985], abs=1e-6)
+    assert traced(scene).alpha == pytest.approx(1.0 - 0.005 * 0.015, abs=1e-6)
     assert traced(scene, transmittance_min=0.0).color[2] == pytest.approx(0.005 * (0.985 + 0.015 * 0.5), rel=1e-4)
-    assert traced(scene, transmittance_min=0.2).color == pytest.approx([0.0, 0.0, 0.0])
+    assert traced(scene, transmittance_min=0.2).color == pytest.approx([0.9, 0.0, 0.0])
 
 
 def test_equal_distances_keep_the_order_of_the_scene() -> None:
@@ -425,7 +425,7 @@ def test_slack_covers_thresholds() -> None:
     assert traced(half, replace(AXIS, t_min=3.99)).slack < 1e-4
     assert traced(half, depth_iso_transmittance=0.5).band
     assert not traced(half, depth_iso_transmittance=0.501).band
-    assert traced(half, transmittance_min=0.5).slack == pytest.approx(1.0)
+    assert traced(half, transmittance_min=0.5).slack == pytest.approx(0.5)
     near_mesh = replace(half, meshes=(MeshInstance(quad(4.0)),))
     assert traced(near_mesh).slack == np.inf, "the axis passes the diagonal of the quad"
     off_axis = Ray(np.array([0.01, -0.02, 0.0]), AXIS.direction)

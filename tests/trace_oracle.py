@@ -15,10 +15,10 @@ import numpy as np
 
 from lumisplat.config import RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, NORMAL_DEGENERATE
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 from mirror_oracle import ROUNDING, Facet, MeshHit, Ray, branches, facet, nearest
-from oracles import normalized, pixel_rays
+from oracles import normalized
 from particle_oracle import BAND, Hits, World, hits, picked, world_of
 
 DOUBTS = ("slack", "depth_slack", "normal_slack", "band")
@@ -38,7 +38,9 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> 
     names += ("gaussian_index", "instance_index", *DOUBTS)
     frame = {name: np.array([getattr(one, name) for one in traced]) for name in names}
     frame = {name: values.reshape(*shape, *values.shape[1:]) for name, values in frame.items()}
-    return frame | {"depth_z": frame["depth"] / np.linalg.norm(pixel_rays(camera), axis=-1)}
+    with np.errstate(invalid="ignore"):
+        depth_z = np.where(np.isinf(frame["depth"]), np.inf, frame["depth"] * camera.ray_directions()[..., 2])
+    return frame | {"depth_z": depth_z}
 
 
 def trace_rays(
@@ -69,14 +71,20 @@ def background_of(world: World) -> np.ndarray:
 
 
 def camera_rays(camera: Camera) -> list[Ray]:
-    """Rays through the pixel centres of a pinhole camera, row by row, beginning at its near plane."""
-    local = pixel_rays(camera).reshape(-1, 3)
-    lengths = np.linalg.norm(local, axis=-1)
-    directions = local @ camera.camera_from_world[:3, :3] / lengths[:, None]
-    blur = ROUNDING * float(np.abs(camera.eye).max())
+    """Rays through the pixel centres, row by row, beginning at the near plane (a fisheye's sphere); without a lens."""
+    local = camera.ray_directions()
+    turn, eye = camera.camera_from_world[:3, :3], camera.eye
+    starts = np.zeros_like(local)
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        starts[..., 0] = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+        starts[..., 1] = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
+    origins, directions = eye + starts @ turn, local @ turn
+    nears = camera.near if camera.model is CameraModel.FISHEYE else camera.near / local[..., 2]
     return [
-        Ray(camera.eye, direction, camera.near * length, blur=blur)
-        for direction, length in zip(directions, lengths, strict=True)
+        Ray(origin, direction, float(near), blur=ROUNDING * float(np.abs(origin).max()))
+        for origin, direction, near in zip(
+            origins.reshape(-1, 3), directions.reshape(-1, 3), np.broadcast_to(nears, local.shape[:2]).flat, strict=True
+        )
     ]
 
 
@@ -95,10 +103,10 @@ class Blend:
 
 
 def blend(found: Hits, iso: float, transmittance_min: float = 0.0) -> Blend:
-    """Front-to-back blending; the hit that would take the transmittance to its minimum ends it, and is dropped."""
+    """Front-to-back blending; the hit that takes the transmittance to its minimum is the last one."""
     after = np.cumprod(1.0 - found.alpha)
-    before = np.concatenate([[1.0], after[:-1]])
-    accepted = np.cumprod(after > transmittance_min).astype(bool)
+    before = np.concatenate([[1.0], after])[:-1]
+    accepted = before > transmittance_min
     weight = np.where(accepted, before * found.alpha, 0.0)
     reached = accepted & (after < iso)
     return Blend(
@@ -287,7 +295,7 @@ def doubts(every: Hits, found: Hits, blended: Blend, config: TraceConfig, bound:
     surface_t = found.t[blended.surface] if blended.surface >= 0 else np.inf
     ends = np.abs(blended.after - config.transmittance_min) <= drift * config.transmittance_min
     if config.strategy is TraceStrategy.SORTED and ends.any():
-        slack += bound * float(before[ends].max())
+        slack += bound * float(blended.after[ends].max())
     iso = config.depth_iso_transmittance
     unsure = bool((np.abs(blended.after - iso) <= drift * iso).any())
     unsure |= bool((every.t[every.doubtful] <= surface_t).any())

@@ -117,7 +117,7 @@ class TraceConfig:
     sh_degree: int = SH_DEGREE_MAX
     """Highest SH degree that is evaluated, 0..3."""
     transmittance_min: float = TRANSMITTANCE_MIN
-    """A sorted ray is finished where its transmittance would fall to this, 0..1."""
+    """A sorted ray ends behind the Gaussian at which its transmittance falls to this, 0..1: at most so much is lost."""
     depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
     """Transmittance of the surface that depth, normal and index describe, 0..1."""
     acceptance_scale: float = 1.0

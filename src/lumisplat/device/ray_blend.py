@@ -6,7 +6,7 @@ from lumisplat.device.particle import ellipsoid_normal, gaussian_color, gaussian
 from lumisplat.device.random import draw
 from lumisplat.device.ray_structs import Ray, RayRadiance
 from lumisplat.device.structs import Pixel
-from lumisplat.device.surface import blend_sample, instance_of
+from lumisplat.device.surface import instance_of, lay_behind
 from lumisplat.device.trace_structs import TraceData, TreeAsset, TreeInstance
 
 wp.set_module_options({"enable_backward": False})
@@ -51,7 +51,7 @@ def blend_hit(
     index: int,
     alpha: float,
 ) -> Pixel:
-    """Adds the Gaussian ``index`` of the scene behind those already there; finishes the pixel as ``blend_sample`` does.
+    """Adds the Gaussian ``index`` of the scene behind those already there.
 
     Its colour and plane are those that the unfolded eye sees: a plane mirror shows what a mirrored camera would.
     """
@@ -69,7 +69,7 @@ def blend_hit(
     else:
         normal = gaussian_facing(gaussians, i, eye)
     normal = instance.world_from_object * normal
-    return blend_sample(pixel, color, normal, index, alpha, view.transmittance_min, view.depth_iso_transmittance)
+    return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)
 
 
 @wp.func

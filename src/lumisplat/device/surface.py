@@ -23,28 +23,27 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 
 @wp.func
-def blend_sample(
-    pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, transmittance_min: float, iso: float
-) -> Pixel:
-    """Adds what lies behind all that is there already; finishes the pixel instead where T would fall to its minimum."""
+def lay_behind(pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> Pixel:
+    """Adds what lies behind all that is there already."""
     before = pixel.transmittance
     weight = before * alpha
     after = before - weight
-    if after > transmittance_min:
-        pixel.color += weight * color
-        pixel.normal += weight * normal
-        pixel.transmittance = after
-        if before >= iso and after < iso:
-            pixel.splat = index
-    else:
-        pixel.transmittance = -before
+    pixel.color += weight * color
+    pixel.normal += weight * normal
+    pixel.transmittance = after
+    if before >= iso and after < iso:
+        pixel.splat = index
     return pixel
 
 
 @wp.func
 def blend(pixel: Pixel, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float) -> Pixel:
-    """The same of a splat."""
-    return blend_sample(pixel, splat.color, splat.normal, splat_index, alpha, transmittance_min, iso)
+    """Adds one splat behind those already there; finishes the pixel instead where T would fall to its minimum."""
+    before = pixel.transmittance
+    if before - before * alpha > transmittance_min:
+        return lay_behind(pixel, splat.color, splat.normal, splat_index, alpha, iso)
+    pixel.transmittance = -before
+    return pixel
 
 
 @wp.func

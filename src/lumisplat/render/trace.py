@@ -165,8 +165,8 @@ def trace_table(config: TraceConfig) -> np.ndarray:
     row["hull"] = config.hit_distance is HitDistance.HULL
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
     row["sh_degree"] = config.sh_degree
-    # What stops a sorted ray early would bias a stochastic one.
-    row["transmittance_min"] = config.transmittance_min if is_sorted else -1.0
+    # What ends a sorted ray early would bias a stochastic one, which ends when its lottery is won: at 0.
+    row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
     # A stochastic hit is a surface, whatever the threshold.
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
     row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance

@@ -341,12 +341,8 @@ def integrator(lanes: int, hits: int) -> Any:
                                                 radiance_out.depth[first + lane] = wp.inf
                                             elif pixel.splat == index:
                                                 radiance_out.depth[first + lane] = larger(hit_t[low - 1], 0.0)
-                                            if pixel.transmittance == 0.0:
-                                                limit[lane] = -FAR
-                                    if pixel.transmittance < 0.0:
-                                        pixel.transmittance = -pixel.transmittance
+                                    if pixel.transmittance <= view.transmittance_min:
                                         limit[lane] = -FAR
-                                    if limit[lane] < 0.0:
                                         low = end
                                         cut_t[lane] = -FAR
                                 store_pixel(radiance_out, first + lane, pixel)
