@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lumisplat.config import HitDistance, NormalMethod, Pipeline, RenderConfig, TraceConfig
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -158,6 +158,8 @@ def _gaussian_cases() -> list[Case]:
         ),
         Case("from the side", Scene([random_gaussians(102, degree=3)]), side_camera()),
         Case("off-centre lens", Scene([plain]), small_camera(37, 31, fx=30.0, fy=45.0, cx=12.3, cy=19.7)),
+        Case("orthographic", Scene([plain]), small_camera(fx=7.0, fy=8.0, model=CameraModel.ORTHOGRAPHIC)),
+        Case("fisheye", Scene([around]), small_camera(fx=8.0, fy=7.0, near=0.2, model=CameraModel.FISHEYE)),
         Case("one pixel", Scene([plain]), small_camera(1, 1, 1.0)),
         Case("one row", Scene([plain]), small_camera(61, 1, 37.0)),
         Case("a hundred at one distance", Scene([hundred])),

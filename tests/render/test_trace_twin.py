@@ -47,7 +47,7 @@ def test_frame_equals_twin(case: Case, way: str) -> None:
     np.testing.assert_array_equal(np.isfinite(frame.depth) & sure, found)
     for name in ("depth", "depth_z"):
         expected = twin[name][found]
-        assert_within(getattr(frame, name)[found], expected, 1e-5 * expected + twin["depth_slack"][found], name)
+        assert_within(getattr(frame, name)[found], expected, 1e-5 * np.abs(expected) + twin["depth_slack"][found], name)
 
 
 def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
