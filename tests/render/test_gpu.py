@@ -8,6 +8,7 @@ import warp as wp
 
 import lumisplat as ls
 import scenes
+import trace_scenes
 
 pytestmark = [
     pytest.mark.gpu,
@@ -25,6 +26,17 @@ def test_cuda_draws_what_the_cpu_draws(case: scenes.Case) -> None:
     for name in NAMES:
         difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
         assert np.quantile(difference, 0.99) < 1e-4, name
+        assert difference.mean() < 1e-3, name
+
+
+@pytest.mark.parametrize("case", trace_scenes.cases(), ids=lambda case: case.name)
+def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
+    """A traced CUDA frame equals the CPU's, but where a decision lies within rounding."""
+    cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
+    cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
+    for name in NAMES:
+        difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
+        assert np.quantile(difference, 0.99) < 1e-3, name
         assert difference.mean() < 1e-3, name
 
 
