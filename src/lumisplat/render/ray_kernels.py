@@ -66,8 +66,6 @@ def store_rays(
     if exists:
         color = colors[i]
         alpha = wp.where(hits.face[i] >= 0, 1.0, 1.0 - radiance.transmittance[i])
-    if lens.sample == 0:
-        nonfinite_inout[pixel] = 0
     if not wp.isfinite(color[0] + color[1] + color[2]):
         color = wp.vec3(0.0)
         nonfinite_inout[pixel] = nonfinite_inout[pixel] + 1

@@ -129,6 +129,7 @@ class Renderer:
 
     def _trace(self, scene: Scene, camera: Camera, first: int, progress: Progress | None) -> Frame:
         self._sync(scene, camera)
+        self._tracer.begin(camera)
         count = self.config.samples
         for sample in range(first, first + count):
             self._tracer.draw_sample(self._scene, self._trees, camera, sample)

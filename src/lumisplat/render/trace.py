@@ -52,6 +52,10 @@ class RayTracer:
         self._product_settings.assign(product_table(config.trace))
         self._lens = buffers.get("trace.lens", LensData, 1)
 
+    def begin(self, camera: Camera) -> None:
+        """Before the samples that a frame adds, the first ones or more: starts to count anew."""
+        self._nonfinite(camera).zero_()
+
     def draw_sample(self, scene: DeviceScene, trees: TreeScene, camera: Camera, sample: int) -> None:
         """Adds one ray a pixel to the surface buffers.
 
@@ -77,7 +81,7 @@ class RayTracer:
             )
 
     def nonfinite_count(self, camera: Camera) -> int:
-        """Samples since the first whose colour was NaN or infinite."""
+        """Samples since ``begin`` whose colour was NaN or infinite."""
         return int(self._nonfinite(camera).numpy().sum())
 
     def _nonfinite(self, camera: Camera) -> Any:
