@@ -1,4 +1,4 @@
-"""The ray tracer against its float64 twin, frame by frame."""
+"""The ray tracer against its float64 twin, frame by frame and ray by ray."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+import lumisplat as ls
 import trace_oracle
-from trace_scenes import Case, cases
+from scenes import quad
+from trace_scenes import Case, cases, mirror_scene, placed_scene, trace_config
 from ways import renderer_of
 
 CASES = {case.name: case for case in cases()}
+WORLD = trace_config((0.3, 0.5, 0.9))
 SURE = 0.75
 """Share of the pixels at which the twin must leave little room, or the comparison would prove nothing."""
 
@@ -30,24 +33,47 @@ def test_frame_equals_twin(case: Case, way: str) -> None:
     Colours, alpha and normals everywhere; index and distance of the surface where it cannot be another one.
     """
     frame = renderer_of(way, case.config).render(case.scene, case.camera)
-    twin = twin_of(case.name)
-    for name, atol, slack, much in (
-        ("color", 5e-6, twin["slack"], 0.02),
-        ("alpha", 5e-6, twin["slack"], 0.02),
-        ("normal", 1e-5, twin["normal_slack"], 0.1),
-    ):
-        assert (slack < much).mean() >= SURE, f"{name}: too much room to compare"
-        assert_within(getattr(frame, name), twin[name], atol + slack, name)
+    assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
 
+
+@cache
+def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Rays every which way, of any length, through Gaussians, meshes and a mirror, and what the twin sees on them."""
+    rng = np.random.default_rng(180)
+    scene = ls.Scene(placed_scene().splats, mirror_scene().meshes + ls.Scene([], [quad(3.4, 0.6, tilt=0.4)]).meshes)
+    origins = rng.normal((0.0, 0.0, 4.0), 2.5, (600, 3)).astype(np.float32)
+    directions = rng.normal((0.0, 0.0, 4.0), 0.8, (600, 3)).astype(np.float32) - origins
+    return scene, origins, directions, trace_oracle.trace_rays(scene, origins, directions, WORLD)
+
+
+def test_rays_equal_twin(way: str) -> None:
+    """Rays that share neither origin nor direction see what the twin does; mirrors show the background."""
+    scene, origins, directions, twin = rays_and_twin()
+    hits = renderer_of(way, WORLD).trace_rays(scene, origins, directions)
+    assert_agrees(hits, twin, ("radiance", "transmittance"), ("depth",))
+    assert 0.2 < np.isfinite(hits.depth).mean() < 0.9
+    assert len(np.unique(hits.instance_index)) == 6
+
+
+def assert_agrees(
+    actual: ls.Frame | ls.RayHits, twin: dict[str, np.ndarray], colors: tuple[str, ...], depths: tuple[str, ...]
+) -> None:
+    """Every image is within what rounding may do to the twin's."""
+    for name in colors:
+        assert (twin["slack"] < 0.02).mean() >= SURE, "too much room to compare"
+        assert_within(getattr(actual, name), twin[name], 5e-6 + twin["slack"], name)
+    assert (twin["normal_slack"] < 0.1).mean() >= SURE, "too much room to compare"
+    assert_within(actual.normal, twin["normal"], 1e-5 + twin["normal_slack"], "normal")
     sure = ~twin["band"]
     assert sure.mean() >= SURE, "too many surfaces are in doubt to compare"
     for name in ("gaussian_index", "instance_index"):
-        assert_within(getattr(frame, name)[sure], twin[name][sure], np.zeros(np.count_nonzero(sure)), name)
+        assert_within(getattr(actual, name)[sure], twin[name][sure], np.zeros(np.count_nonzero(sure)), name)
     found = sure & np.isfinite(twin["depth"])
-    np.testing.assert_array_equal(np.isfinite(frame.depth) & sure, found)
-    for name in ("depth", "depth_z"):
+    np.testing.assert_array_equal(np.isfinite(actual.depth) & sure, found)
+    for name in depths:
         expected = twin[name][found]
-        assert_within(getattr(frame, name)[found], expected, 1e-5 * np.abs(expected) + twin["depth_slack"][found], name)
+        room = 1e-5 * np.abs(expected) + twin["depth_slack"][found]
+        assert_within(getattr(actual, name)[found], expected, room, name)
 
 
 def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
