@@ -172,7 +172,7 @@ def test_resume_refuses_what_does_not_fit() -> None:
     for background in (None, (0.1, 0.2, 0.4)):
         with pytest.raises(ls.ConfigError, match=r"over \(0.1, 0.2, 0.3\): this one is .* over "):
             renderer("cpu", background=background).render(scene(), view(), resume=frame)
-    with pytest.raises(ls.ConfigError, match="only Pipeline.TRACE resumes"):
+    with pytest.raises(ls.ConfigError, match=r"only Pipeline\.TRACE resumes"):
         ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
     with pytest.raises(ls.ConfigError, match="at most 16,777,216 samples: this one has 16,777,215"):
         renderer("cpu", 3).render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))

@@ -134,6 +134,27 @@ def test_memory_counts_the_trees() -> None:
     assert frame.stats.memory_bytes >= 64 * 3000 + renderer._trees.bytes > 64 * 3000 + 224 * 3000 / NODE_WIDTH
 
 
+@pytest.mark.parametrize(
+    "stray",
+    [
+        one_gaussian(scale=1e20, opacity=0.02),
+        one_gaussian(scale=(0.1, 1e37, 0.1), opacity=0.02),
+        one_gaussian((3e38, 0.0, 0.0), 0.2),
+        one_gaussian((1e20, -1e20, 1e20), 1e19, 0.02),
+    ],
+    ids=["vast", "endless", "lost", "vast and lost"],
+)
+def test_strays_beyond_float32_hide_nothing(way: str, stray: ls.Gaussians) -> None:
+    """One Gaussian of a broken capture whose bounds overflow is drawn or not, and costs no other one its place."""
+    gaussians = random_gaussians(13, 100)
+    renderer = renderer_of(way, TRACE)
+    expected = renderer_of(way, TRACE).render(ls.Scene([gaussians]), view())
+    for scene in (ls.Scene([joined(gaussians, stray)]), ls.Scene([joined(stray, gaussians)])):
+        frame = renderer.render(scene, view())
+        assert_close(frame.alpha, expected.alpha, atol=0.021, name="alpha")
+        assert_close(frame.color, expected.color, atol=0.05, name="color")
+
+
 # --- What fails half-way ---
 
 

@@ -82,7 +82,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
         spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
         mean = gaussians.means[i]
         reach = wp.vec3(wp.length(spread[0]), wp.length(spread[1]), wp.length(spread[2])) * wp.sqrt(reach2)
-        half = reach + (wp.vec3(wp.max(reach)) + wp.abs(mean)) * MARGIN
+        half = wp.min(reach + (wp.vec3(wp.max(reach)) + wp.abs(mean)) * MARGIN, wp.vec3(FAR))
         box.low = mean - half
         box.high = mean + half
     return box

@@ -44,9 +44,12 @@ class GaussianTree:
 
     @property
     def cost(self) -> float:
-        """Surface of all nodes over the root's: as many a random ray that meets the root is expected to visit."""
+        """Surface of all nodes over the root's: as many a random ray that meets the root is expected to visit.
+
+        1 where that surface is none, or beyond float32.
+        """
         areas = self._areas.numpy().astype(np.float64)
-        return float(areas.sum() / areas[0]) if areas[0] > 0.0 else 1.0
+        return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
     def refit(self, gaussians: GaussianData) -> None:
         """Follows Gaussians that moved; builds anew where that has made the tree too loose.
