@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -16,9 +18,9 @@ WAYS = ["cpu", "cpu as cuda", "cpu as graph", *(device.alias for device in wp.ge
 class ReplayingRenderer(ls.Renderer):
     """Draws a frame until it comes from a graph: direct with new buffers, direct, captured, replayed."""
 
-    def render(self, scene: ls.Scene, camera: ls.Camera) -> ls.Frame:
+    def render(self, scene: ls.Scene, camera: ls.Camera, **options: Any) -> ls.Frame:
         """The replayed frame; the others must be equal to it."""
-        frames = [super(ReplayingRenderer, self).render(scene, camera) for _ in range(4)]
+        frames = [super(ReplayingRenderer, self).render(scene, camera, **options) for _ in range(4)]
         for frame in frames[:-1]:
             np.testing.assert_array_equal(frame.color, frames[-1].color, "the graph's frame is not the direct one")
         return frames[-1]
