@@ -164,7 +164,7 @@ def test_frames_resume_elsewhere() -> None:
 
 
 def test_resume_refuses_what_does_not_fit() -> None:
-    """Another size, another background, the rasteriser, and more samples than a mean can tell apart."""
+    """Another size, another background, the rasteriser, its frames, and more samples than a mean can tell apart."""
     frame = renderer("cpu").render(scene(), view())
     for camera in (view(18, 24), view(24, 17), view(25, 18)):
         with pytest.raises(ls.ConfigError, match=rf"cannot resume a frame of 24 x 18 .* is {camera.width} x"):
@@ -174,6 +174,10 @@ def test_resume_refuses_what_does_not_fit() -> None:
             renderer("cpu", background=background).render(scene(), view(), resume=frame)
     with pytest.raises(ls.ConfigError, match=r"only Pipeline\.TRACE resumes"):
         ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
+    rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background), device="cpu")
+    assert rasterised.samples == 0
+    with pytest.raises(ls.ConfigError, match="cannot resume a rasterised frame"):
+        renderer("cpu").render(scene(), view(), resume=rasterised)
     with pytest.raises(ls.ConfigError, match="at most 16,777,216 samples: this one has 16,777,215"):
         renderer("cpu", 3).render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))
     last = renderer("cpu").render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))

@@ -63,8 +63,8 @@ class Frame:
     """``srgb``: display-referred, as captures were trained (an unlit frame)."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     """What ``color`` lies over, in ``color_space``; None: transparent."""
-    samples: int = 1
-    """Rays a pixel that ``color`` and ``alpha`` are the mean of."""
+    samples: int = 0
+    """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
     stats: FrameStats | None = None
 
     def __repr__(self) -> str:

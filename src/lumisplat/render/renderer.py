@@ -125,7 +125,7 @@ class Renderer:
         while not self._order.finish():
             self._draw(camera)
         with self._launcher.stage("download"):
-            return self._frame(scene, camera, self._order.counts, samples=1)
+            return self._frame(scene, camera, self._order.counts, samples=0)
 
     def _trace(self, scene: Scene, camera: Camera, first: int, progress: Progress | None) -> Frame:
         self._sync(scene, camera)
@@ -143,6 +143,8 @@ class Renderer:
         """Puts a frame back into the surface buffers; the number of the next sample."""
         if self.config.pipeline is not Pipeline.TRACE:
             raise ConfigError("only Pipeline.TRACE resumes a frame: the rasteriser draws it in one go")
+        if frame.samples == 0:
+            raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
         if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != self.config.background:
             height, width = frame.color.shape[:2]
             raise ConfigError(
