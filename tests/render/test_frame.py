@@ -106,7 +106,7 @@ def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
 
 def test_only_scenes_are_rendered() -> None:
     """A bare capture is refused with how to make a scene of it."""
-    with pytest.raises(ls.SceneError, match=r"takes a Scene, got Gaussians: ls\.Scene\(splats="):
+    with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
         ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # type: ignore[arg-type]
 
 
