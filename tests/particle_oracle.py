@@ -45,6 +45,7 @@ class Hits:
     """Gaussians on a ray, by (t, index in the scene), those included that only float32 may find."""
 
     t: np.ndarray  # (H,)
+    peak: np.ndarray  # (H,), where the response is largest
     t_error: np.ndarray  # (H,), how far float32 may have t from here
     d2: np.ndarray  # (H,), squared canonical distance
     alpha: np.ndarray  # (H,)
@@ -62,7 +63,7 @@ class Hits:
 
 
 NONE = Hits(
-    *(np.zeros(shape) for shape in (0, 0, 0, 0, 0, (0, 3), (0, 3), 0)),
+    *(np.zeros(shape) for shape in (0, 0, 0, 0, 0, 0, (0, 3), (0, 3), 0)),
     index=np.zeros(0, int),
     counts=np.zeros(0, bool),
     doubtful=np.zeros(0, bool),
@@ -185,6 +186,7 @@ def hits(world: World, ray: Ray) -> Hits:
         t, t_error = peak - half / speed, t_error + (most - least) / speed
     found = Hits(
         t=t,
+        peak=peak,
         t_error=t_error,
         d2=d2,
         alpha=alpha_at(d2),

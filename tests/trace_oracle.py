@@ -185,12 +185,12 @@ class Traced:
 
 
 def hits_before(world: World, ray: Ray, mesh: MeshHit) -> Hits:
-    """The Gaussians whose t lies before the nearest mesh, those included that only float32 may find there."""
+    """The Gaussians that peak before the nearest mesh, those included that only float32 may find there."""
     every = hits(world, ray)
     limit_error = every.t_error + mesh.error
-    doubtful = every.doubtful | (np.abs(every.t - mesh.t) <= limit_error)
-    every = replace(every, counts=every.counts & (every.t < mesh.t), doubtful=doubtful)
-    return picked(every, every.t < mesh.t + limit_error)
+    doubtful = every.doubtful | (np.abs(every.peak - mesh.t) <= limit_error)
+    every = replace(every, counts=every.counts & (every.peak < mesh.t), doubtful=doubtful)
+    return picked(every, every.peak < mesh.t + limit_error)
 
 
 def outcomes_on(world: World, ray: Ray) -> Outcomes:

@@ -52,6 +52,9 @@ HITS_HELD_CPU = 64
 COHERENT_SPREAD = 0.15
 """Rays of a packet whose directions differ by more than this from their mean are traced one by one."""
 
+COHERENT_RADIUS = 0.01
+"""So are those whose origins are farther from their mean than this share of the largest capture in the scene."""
+
 TREE_SURFACE_LEVELS = 10
 """Levels of a tree that are split by surface area; below, in the middle, which bounds the depth of any input."""
 
@@ -61,8 +64,8 @@ TRAVERSE_STACK = 256
 REBUILD_COST = 1.5
 """A refitted tree is built anew where its cost, relative to its root's surface, has grown by this factor."""
 
-MORTON_QUANTILE = 0.01
-"""Share of the Gaussians on each side that the grid of Morton codes leaves out: strays must not coarsen it."""
+STRAY_SHARE = 0.01
+"""Share of the Gaussians on each side that do not count to a capture's size: strays must not coarsen what follows."""
 
 SAH_BINS = 16
 """Places at which a build tries to split a node along each axis (Wald 2007)."""

@@ -61,8 +61,12 @@ def bundle_of(lanes: int) -> Bundle:
         dy: Floats,
         dz: Floats,
         t_min: Floats,
+        t_max: Floats,
     ):
-        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there."""
+        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there.
+
+        Its response must peak between ``t_min`` and ``t_max``, wherever on its hull it counts as hit.
+        """
         w = particle.canonical_from_object
         mean = particle.mean
         t = Floats()
@@ -90,6 +94,7 @@ def bundle_of(lanes: int) -> Bundle:
             inside = particle.reach2 - d2
             back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
             met = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > t_min[lane], 1, 0)
+            met = met & wp.where(peak < t_max[lane], 1, 0)
             t[lane] = wp.where(met != 0, peak - back, FAR)
             distance2[lane] = d2
         return t, distance2

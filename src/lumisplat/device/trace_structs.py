@@ -100,7 +100,7 @@ class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """SORTED, HIT or PASS of ``lumisplat.device.strategy``."""
+    """SORTED, HIT, PASS or PRODUCT of the integrator."""
     hits_per_pass: int
     """Of the stochastic pass."""
     hull: int

@@ -12,14 +12,14 @@ import numpy as np
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.constants import MORTON_QUANTILE, REBUILD_COST, TREE_SURFACE_LEVELS
+from lumisplat.constants import REBUILD_COST, STRAY_SHARE, TREE_SURFACE_LEVELS
 from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import Box, ChildLinks, KernelData, Node, Particle
 from lumisplat.launcher import Launcher
 from lumisplat.render import build_kernels as kernels
 
 MORTON_CELLS = 1024.0
-MORTON_SAMPLES = 65536
+BOUNDS_SAMPLES = 65536
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 
 
@@ -77,6 +77,9 @@ class GaussianTree:
         self._launcher.run_banded(kernels.place_links, self._node_count, links, self.nodes)
         self._fit(gaussians)
         self.cost_built = self.cost
+        low, high = sampled_bounds(gaussians)
+        self.extent = float(np.linalg.norm(high - low))
+        """Diagonal of a box around nearly all means, object space."""
 
     def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
         boxes = scratch.get("boxes", Box, count)
@@ -93,8 +96,7 @@ class GaussianTree:
 
     def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
         codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # halves to sort with
-        means = gaussians.means[:: -(-count // MORTON_SAMPLES)].numpy()
-        low, high = np.quantile(means, [MORTON_QUANTILE, 1.0 - MORTON_QUANTILE], axis=0)
+        low, high = sampled_bounds(gaussians)
         per_cell = wp.vec3(MORTON_CELLS / np.maximum(high - low, 1e-30))
         self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
         wp.utils.radix_sort_pairs(codes, items, count)
@@ -136,3 +138,10 @@ class GaussianTree:
         )
         for first, nodes in reversed(self._levels):
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
+
+
+def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (min, max) of a box around all means but strays, object space, shape (3,) each; from a sample."""
+    means = gaussians.means[:: -(-gaussians.means.shape[0] // BOUNDS_SAMPLES)].numpy()
+    low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    return low, high

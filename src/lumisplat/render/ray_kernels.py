@@ -92,6 +92,7 @@ def store_rays(
 def load_rays(
     start: int,
     first: int,
+    count: int,
     sample: int,
     seed: wp.uint32,
     origins: wp.array(dtype=wp.vec3),
@@ -99,10 +100,10 @@ def load_rays(
     distances: wp.array(dtype=float),
     rays_out: RayData,
 ):
-    """Rays beyond the given ones are none. ``first`` is the number of the first one among all that were asked for."""
+    """``count`` rays, the rest are none. ``first`` is the number of the first one among all that were asked for."""
     i = start + wp.tid()
     rays_out.t_max[i] = -wp.inf
-    if i >= origins.shape[0]:
+    if i >= count:
         return
     rays_out.origin[i] = origins[i]
     rays_out.direction[i] = directions[i]
@@ -124,9 +125,12 @@ def store_hits(
     mesh_instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
     surface_inout: SurfaceData,
+    nonfinite_inout: wp.array(dtype=int),
 ):
     """As ``store_rays``, without a background."""
     i = start + wp.tid()
+    if sample == 0:
+        nonfinite_inout[i] = 0
     if not rays.t_max[i] > rays.t_min[i]:
         return
     color = radiance.color[i]
@@ -134,6 +138,9 @@ def store_hits(
     if hits.face[i] >= 0:
         color = colors[i]
         alpha = float(1.0)
+    if not wp.isfinite(color[0] + color[1] + color[2]):
+        color = wp.vec3(0.0)
+        nonfinite_inout[i] = nonfinite_inout[i] + 1
     if sample == 0:
         surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)
         surface_inout.color[i] = color

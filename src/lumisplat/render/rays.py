@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
 from lumisplat.constants import RAY_BATCH
 from lumisplat.device.ray_structs import RayData
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
 from lumisplat.render import ray_kernels
 from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.order import grown
 from lumisplat.render.surface import Surface
 from lumisplat.render.trace import PACKET_RAYS, RayTracer
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.arrays import FloatArray, IntArray
+
+_log = logging.getLogger("lumisplat")
+_GIVEN = ("origins", "directions", "distances")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,23 +65,28 @@ class RayQueries:
 
     def look(self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray) -> RayHits:
         """What rays see; ``directions`` are unit vectors."""
-        parts = []
+        # Given rays do not spread over a pixel: without chance, all samples are the first.
+        samples = 1 if self._config.trace.strategy is TraceStrategy.SORTED else self._config.samples
+        parts, nonfinite = [], 0
         distances = np.full(len(origins), np.inf, np.float32)
         for first, given in _batches(origins, directions, distances):
-            rays = self._buffers.struct("rays.rays", RayData, whole_packets(len(given[0])))
+            count, rays = len(given[0]), self._rays(len(given[0]))
             surface = Surface.of_shape(self._buffers, (1, rays.t_max.shape[0]))
+            flags = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
             uploaded = self._uploaded(given)
-            for sample in range(self._config.samples):
-                self._load(first, sample, uploaded, rays)
+            for sample in range(samples):
+                self._load(first, count, sample, uploaded, rays)
                 hits, radiance, colors = self._tracer.look(scene, trees, rays)
                 self._launcher.run_banded(
                     ray_kernels.store_hits,
                     rays.t_max.shape[0],
                     *(sample, rays, radiance, hits, colors, trees.instances, scene.mesh_instances, scene.mesh_data),
-                    surface.data,
+                    *(surface.data, flags),
                 )
-            images = surface.download()
-            parts.append({name: image[0, : len(given[0])] for name, image in images.items()})
+            nonfinite += int(flags.numpy()[:count].sum())
+            parts.append({name: image[0, :count] for name, image in surface.download().items()})
+        if nonfinite:
+            _log.warning("%d samples of %d rays were not finite and are black", nonfinite, len(origins))
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         return RayHits(
             radiance=joined["color"],
@@ -94,29 +105,34 @@ class RayQueries:
         directions: FloatArray,
         distances: FloatArray,
     ) -> FloatArray:
-        """What comes through from as far as ``distances``, (N,)."""
+        """What comes through from as far as ``distances``, (N,); 0 for what is not above the least transmittance."""
         parts = []
         for first, given in _batches(origins, directions, distances):
-            rays = self._buffers.struct("rays.rays", RayData, whole_packets(len(given[0])))
-            self._load(first, 0, self._uploaded(given), rays)
+            count, rays = len(given[0]), self._rays(len(given[0]))
+            self._load(first, count, 0, self._uploaded(given), rays)
             hits, transmittance = self._tracer.transmit(scene, trees, rays)
-            blocked = hits.face.numpy()[: len(given[0])] >= 0
-            parts.append(np.where(blocked, np.float32(0.0), transmittance.numpy()[: len(given[0])]))
+            through = transmittance.numpy()[:count]
+            dark = (hits.face.numpy()[:count] >= 0) | (through <= self._config.trace.transmittance_min)
+            parts.append(np.where(dark, np.float32(0.0), through))
         return np.concatenate(parts)
 
-    def _uploaded(self, given: list[FloatArray]) -> list[wp.array]:
+    def _rays(self, count: int) -> RayData:
+        # A few sizes of arrays instead of one a call; what is not used is no ray.
+        return self._buffers.struct("rays.rays", RayData, whole_packets(grown(count)))
+
+    def _uploaded(self, given: list[FloatArray]) -> list[Any]:
         arrays = []
-        for name, dtype, values in zip(
-            ("origins", "directions", "distances"), (wp.vec3, wp.vec3, float), given, strict=True
-        ):
-            array = self._buffers.get(f"rays.{name}", dtype, len(values))
-            array.assign(values)
+        for name, dtype, values in zip(_GIVEN, (wp.vec3, wp.vec3, wp.float32), given, strict=True):
+            array = self._buffers.get(f"rays.{name}", dtype, grown(len(values)))
+            if len(values):
+                array[: len(values)].assign(values)
             arrays.append(array)
         return arrays
 
-    def _load(self, first: int, sample: int, uploaded: list[wp.array], rays: RayData) -> None:
+    def _load(self, first: int, count: int, sample: int, uploaded: list[Any], rays: RayData) -> None:
+        seed = wp.uint32(self._config.seed)
         self._launcher.run_banded(
-            ray_kernels.load_rays, rays.t_max.shape[0], first, sample, wp.uint32(self._config.seed), *uploaded, rays
+            ray_kernels.load_rays, rays.t_max.shape[0], first, count, sample, seed, *uploaded, rays
         )
 
 
@@ -140,8 +156,9 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Flo
     start, along = _rows("origins", origins), _rows("directions", directions)
     if start.shape != along.shape:
         raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
-    for name, values in (("origins", start), ("directions", along)):
-        bad = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+    limit = float(np.finfo(np.float32).max)
+    for name, values, largest in (("origins", start, limit), ("directions", along, np.inf)):
+        bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
         if bad:
             raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
     # In two steps, as the squares of large and of small components leave the range of numbers.
@@ -178,6 +195,8 @@ def _rows(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     try:
+        if np.iscomplexobj(values):
+            raise TypeError
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None

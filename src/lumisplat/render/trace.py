@@ -129,7 +129,8 @@ class RayTracer:
         self._launcher.run_banded(
             self._integrate,
             count // self._lanes,
-            *(settings or self._settings, trees.instances, trees.assets, trees.top_nodes, rays, radiance),
+            *(settings or self._settings, trees.instances, trees.assets, trees.top_nodes, trees.bundle_radius),
+            *(rays, radiance),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return radiance

@@ -67,6 +67,7 @@ def integrator(lanes: int, hits: int) -> Any:
         instances: wp.array(dtype=TreeInstance),
         assets: wp.array(dtype=TreeAsset),
         top_nodes: wp.array(dtype=Node),
+        radius_max: float,
         rays: RayData,
         radiance_out: RayRadiance,
     ):
@@ -91,7 +92,7 @@ def integrator(lanes: int, hits: int) -> Any:
         # Rays that part are no bundle: each goes alone.
         bundles = int(1)
         shaft = shaft_of(rays, first, whole)
-        if shaft.spread > SPREAD_MAX:
+        if shaft.spread > SPREAD_MAX or shaft.radius > radius_max:
             bundles = int(LANES)
         for bundle in range(bundles):
             t_min = Floats()
@@ -157,7 +158,8 @@ def integrator(lanes: int, hits: int) -> Any:
                 dz = Floats()
                 while top > 0:
                     top -= 1
-                    if entry[top] <= reach:
+                    # No reach: all rays are done. Nodes around the origin are entered at -FAR too.
+                    if reach > -FAR and entry[top] <= reach:
                         if owner[top] != current:
                             current = owner[top]
                             if current < 0:
@@ -200,7 +202,9 @@ def integrator(lanes: int, hits: int) -> Any:
                                 else:
                                     particle = assets[instance.asset].particles[~links[c]]
                                     index = instance.first + particle.index
-                                    t, distance2 = meet_particle(particle, view.hull, ox, oy, oz, dx, dy, dz, t_min)
+                                    t, distance2 = meet_particle(
+                                        particle, view.hull, ox, oy, oz, dx, dy, dz, t_min, whole
+                                    )
                                     alpha = Floats()
                                     found = int(0)
                                     for lane in range(LANES):

@@ -10,7 +10,7 @@ import numpy as np
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
-from lumisplat.constants import BOX_MARGIN, KERNEL_LINEAR_SLOPE, NODE_WIDTH
+from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, KERNEL_LINEAR_SLOPE, NODE_WIDTH
 from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import FAR, NO_CHILD, KernelData, Node, TreeAsset, TreeInstance
 from lumisplat.launcher import Launcher
@@ -50,6 +50,9 @@ class TreeScene:
         self.top_nodes: Any = None
         """Tree of the instances' world boxes; its leaves are ~instance."""
 
+        self.bundle_radius = 0.0
+        """Rays of a packet that start farther apart than this are traced one by one, world space."""
+
     @property
     def bytes(self) -> int:
         """Memory of the trees, bytes."""
@@ -74,6 +77,8 @@ class TreeScene:
         self.instances = self._buffers.get("instances", TreeInstance, len(places))
         if places:
             self.instances.assign(self._instance_table(scene, places))
+        extents = (self._held[p].tree.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
+        self.bundle_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
         self.top_nodes = self._buffers.get("top_nodes", Node, len(nodes))
         self.top_nodes.assign(nodes)
