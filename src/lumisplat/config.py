@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TypeGuard
+
+import numpy as np
 
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
@@ -69,7 +73,7 @@ class RasterConfig:
     """Settings of the rasteriser.
 
     Raises:
-        ConfigError: A value is outside its range.
+        ConfigError: A value is of the wrong type or outside its range.
     """
 
     antialiasing: Antialiasing = Antialiasing.AUTO
@@ -84,8 +88,9 @@ class RasterConfig:
     """Transmittance of the surface that depth, normal and index describe, 0..1."""
 
     def __post_init__(self) -> None:
+        check_enum("antialiasing", self.antialiasing, Antialiasing)
         check_range("dilation", self.dilation, 0.0, 10.0)
-        check_range("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
 
@@ -95,7 +100,7 @@ class TraceConfig:
     """Settings of the ray tracer.
 
     Raises:
-        ConfigError: A value is outside its range.
+        ConfigError: A value is of the wrong type or outside its range.
     """
 
     strategy: TraceStrategy = TraceStrategy.SORTED
@@ -106,8 +111,8 @@ class TraceConfig:
     kernel_degree: int | None = None
     """Exponent of the response's distance, 0 (linear) to 5 (quintic), 2 is Gaussian; None: each capture's own."""
     min_response: float = 0.0
-    """A Gaussian ends where its response falls to this, 0..0.97, if its alpha has not fallen to 1/255 before. NVIDIA
-    trains with 0.0113, the response at three standard deviations."""
+    """A Gaussian ends where its response falls to this, 0..0.97, if its alpha has not fallen to 1/255 before. 0.0113 is
+    NVIDIA's figure, about the response at three standard deviations."""
     adaptive_clamping: bool = True
     """``min_response`` is meant of the response times the opacity."""
     hit_distance: HitDistance = HitDistance.PEAK
@@ -121,21 +126,26 @@ class TraceConfig:
     depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
     """Transmittance of the surface that depth, normal and index describe, 0..1."""
     acceptance_scale: float = 1.0
-    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this, above 0 and up to 1: below 1 it accepts sooner, which
-    is faster and biased towards opaque (Hu et al., figure 4)."""
+    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this, 0.001 to 1: below 1 it accepts sooner, which is
+    faster and biased towards opaque (Hu et al., figure 4)."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre."""
 
     def __post_init__(self) -> None:
-        if self.hits_per_pass not in (4, 8, 16, 32):
-            raise ConfigError(f"hits_per_pass is {self.hits_per_pass}, expected 4, 8, 16 or 32")
+        check_enum("strategy", self.strategy, TraceStrategy)
+        if not _is_whole(self.hits_per_pass) or self.hits_per_pass not in (4, 8, 16, 32):
+            raise ConfigError(f"hits_per_pass is {_told(self.hits_per_pass)}, expected 4, 8, 16 or 32")
         if self.kernel_degree is not None:
-            check_range("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
+            check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
         check_range("min_response", self.min_response, 0.0, 0.97)
-        check_range("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_flag("adaptive_clamping", self.adaptive_clamping)
+        check_enum("hit_distance", self.hit_distance, HitDistance)
+        check_enum("normal_method", self.normal_method, NormalMethod)
+        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
         check_range("acceptance_scale", self.acceptance_scale, 1e-3, 1.0)
+        check_flag("jitter", self.jitter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +153,7 @@ class RenderConfig:
     """Settings of a frame.
 
     Raises:
-        ConfigError: A value is outside its range.
+        ConfigError: A value is of the wrong type or outside its range.
     """
 
     pipeline: Pipeline = Pipeline.RASTER
@@ -162,17 +172,64 @@ class RenderConfig:
     """Reflections and refractions that a ray follows, 0..64; what lies beyond is black."""
 
     def __post_init__(self) -> None:
-        check_range("samples", self.samples, 1, SAMPLES_MAX)
-        check_range("seed", self.seed, 0, 2**32 - 1)
-        check_range("max_bounces", self.max_bounces, 0, 64)
+        check_enum("pipeline", self.pipeline, Pipeline)
         if self.background is not None:
-            if len(self.background) != 3:
-                raise ConfigError(f"background is {self.background}, expected three numbers in 0..1 or None")
-            for value in self.background:
+            try:
+                red, green, blue = self.background
+            except (TypeError, ValueError):
+                told = _told(self.background)
+                raise ConfigError(f"background is {told}, expected three numbers in 0..1 or None") from None
+            for value in (red, green, blue):
                 check_range("background", value, 0.0, 1.0)
+            # What came as a list or an array is equal to the tuple, too.
+            object.__setattr__(self, "background", (float(red), float(green), float(blue)))
+        check_kind("raster", self.raster, RasterConfig)
+        check_kind("trace", self.trace, TraceConfig)
+        check_whole("samples", self.samples, 1, SAMPLES_MAX)
+        check_whole("seed", self.seed, 0, 2**32 - 1)
+        check_whole("max_bounces", self.max_bounces, 0, 64)
 
 
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Raises ConfigError unless ``low <= value <= high`` (NaN never is)."""
-    if not low <= value <= high:
-        raise ConfigError(f"{name} is {value}, expected {low} to {high}")
+def check_range(name: str, value: object, low: float, high: float) -> None:
+    """Raises ConfigError unless ``value`` is a number with ``low <= value <= high`` (NaN never is)."""
+    if not _is_number(value) or not low <= value <= high:
+        raise ConfigError(f"{name} is {_told(value)}, expected {low} to {high}")
+
+
+def check_whole(name: str, value: object, low: int, high: int) -> None:
+    """Raises ConfigError unless ``value`` is an integer, Python's or NumPy's, with ``low <= value <= high``."""
+    if not _is_whole(value) or not low <= value <= high:
+        raise ConfigError(f"{name} is {_told(value)}, expected a whole number from {low} to {high}")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raises ConfigError unless ``value`` is a bool, Python's or NumPy's."""
+    if not isinstance(value, bool | np.bool_):
+        raise ConfigError(f"{name} is {_told(value)}, expected True or False")
+
+
+def check_enum(name: str, value: object, kind: type[Enum]) -> None:
+    """Raises ConfigError unless ``value`` is a member of ``kind``; the message names one, the one meant if it can."""
+    if not isinstance(value, kind):
+        meant = {member.value: member for member in kind}.get(str(value), next(iter(kind)))
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ConfigError(f"{name} is {_told(value)}, expected {article} {kind.__name__} such as {meant}")
+
+
+def check_kind(name: str, value: object, kind: type) -> None:
+    """Raises ConfigError unless ``value`` is a ``kind``."""
+    if not isinstance(value, kind):
+        raise ConfigError(f"{name} is {_told(value)}, expected a {kind.__name__}")
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _is_whole(value: object) -> TypeGuard[int]:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _told(value: object) -> str:
+    """A value in a message of one line."""
+    return str(value) if _is_number(value) else " ".join(reprlib.repr(value).split())
