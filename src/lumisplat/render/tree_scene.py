@@ -13,6 +13,7 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, KERNEL_LINEAR_SLOPE, NODE_WIDTH
 from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import FAR, NO_CHILD, KernelData, Node, TreeAsset, TreeInstance
+from lumisplat.errors import DeviceError
 from lumisplat.launcher import Launcher
 from lumisplat.render.build import GaussianTree
 from lumisplat.render.device_scene import DeviceScene, SplatAsset, table_dtype
@@ -50,6 +51,7 @@ class TreeScene:
         self.top_nodes: Any = None
         """Tree of the instances' world boxes; its leaves are ~instance."""
 
+        self._placed: bytes | None = None
         self.bundle_radius = 0.0
         """Rays of a packet that start farther apart than this are traced one by one, world space."""
 
@@ -69,19 +71,30 @@ class TreeScene:
         assets = device_scene.assets
         if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
             before, self._held = self._held, []  # until all are there: a tree may have moved on when the next one fails
-            self._held = [self._tree_of(place, assets, before, config) for place in range(len(assets))]
-            rows = self._asset_rows() or [TreeAsset()]  # an array without elements has no address
-            self.assets = upload_structs(rows, TreeAsset, self._launcher.device)
+            self._placed = None
+            try:
+                self._held = [self._tree_of(place, assets, before, config) for place in range(len(assets))]
+                rows = self._asset_rows() or [TreeAsset()]  # an array without elements has no address
+                self.assets = upload_structs(rows, TreeAsset, self._launcher.device)
+            except DeviceError:
+                raise
+            except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate
+                raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
+        table = self._instance_table(scene, places) if places else np.zeros(0)
+        if table.tobytes() == self._placed:
+            return  # nothing has moved
+        self._placed = None  # until all of it is there
         self.instances = self._buffers.get("instances", TreeInstance, len(places))
         if places:
-            self.instances.assign(self._instance_table(scene, places))
+            self.instances.assign(table)
         extents = (self._held[p].tree.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.bundle_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
         self.top_nodes = self._buffers.get("top_nodes", Node, len(nodes))
         self.top_nodes.assign(nodes)
+        self._placed = table.tobytes()
 
     def _tree_of(self, place: int, assets: list[SplatAsset], before: list[HeldTree], config: RenderConfig) -> HeldTree:
         """The tree that there is; that of the asset whose place this one took, refitted; or a new one."""
