@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,6 +109,27 @@ def test_only_scenes_are_rendered() -> None:
     """A bare capture is refused with how to make a scene of it."""
     with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
         ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # type: ignore[arg-type]
+
+
+def test_only_cameras_show_scenes() -> None:
+    """A view that is none is refused, with how to make one."""
+    with pytest.raises(ls.SceneError, match=r"expected a Camera, got str: ls\.Camera\.look_at"):
+        ls.render(ls.Scene(), "front", device="cpu")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("config", ["fast", ls.RasterConfig(), ""], ids=type)
+def test_only_settings_are_settings(config: Any) -> None:
+    """Wherever settings are taken, what is none is refused in the same words."""
+    rays = (ls.Scene(), np.zeros((1, 3)), np.ones((1, 3)))
+    view = scenes.front_camera(8, 8)
+    for attempt in (
+        lambda: ls.create_renderer(config, "cpu"),
+        lambda: ls.render(ls.Scene(), view, config, device="cpu"),
+        lambda: ls.trace_rays(*rays, config, device="cpu"),
+        lambda: ls.transmittance(*rays, config=config, device="cpu"),
+    ):
+        with pytest.raises(ls.ConfigError, match=r"^config is .*, expected a RenderConfig$"):
+            attempt()
 
 
 def test_image_beyond_the_indices_is_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,6 +185,56 @@ def test_resume_refuses_what_does_not_fit() -> None:
     assert last.samples == SAMPLES_MAX
 
 
+POSE = ls.Camera.look_at((0.1, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0)).camera_from_world
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"camera_from_world": POSE},
+        {"camera_from_world_end": POSE},
+        {"fx": 23.0, "cy": 8.0},
+        {"model": ls.CameraModel.FISHEYE},
+        {"aperture": 0.1},
+        {"focus_distance": 3.0},
+        {"near": 0.5},
+    ],
+    ids=", ".join,
+)
+def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
+    """Of the same size, but elsewhere, another lens, ...: the message names what differs, a name may."""
+    frame = renderer("cpu").render(scene(), view())
+    with pytest.raises(ls.ConfigError, match=rf"they differ in {', '.join(changes)}$"):
+        renderer("cpu").render(scene(), replace(view(), **changes), resume=frame)
+    renderer("cpu").render(scene(), replace(view(), name="again"), resume=frame)
+
+
+@pytest.mark.parametrize(
+    ("changes", "trace", "names"),
+    [
+        ({"seed": 4}, {}, "seed"),
+        ({"max_bounces": 1}, {"jitter": False}, "trace.jitter, max_bounces"),
+        ({}, {"strategy": HIT, "kernel_degree": 4}, "trace.strategy, trace.kernel_degree"),
+    ],
+)
+def test_resume_refuses_other_settings(changes: dict[str, Any], trace: dict[str, Any], names: str) -> None:
+    """All but the number of samples must be as they were; a frame that does not know them is taken at its word."""
+    first = renderer("cpu")
+    frame = first.render(scene(), view())
+    assert frame.config == first.config
+    settings = replace(first.config, trace=replace(first.config.trace, **trace), samples=2, **changes)
+    second = ls.create_renderer(settings, "cpu")
+    with pytest.raises(ls.ConfigError, match=f"they differ in {names}$"):
+        second.render(scene(), view(), resume=frame)
+    assert second.render(scene(), view(), resume=replace(frame, config=None)).samples == 3
+
+
+def test_resume_takes_frames_only() -> None:
+    """What is none is named, not looked into."""
+    with pytest.raises(ls.ConfigError, match=r"^resume is 'a\.png', expected a Frame$"):
+        renderer("cpu").render(scene(), view(), resume="a.png")  # type: ignore[arg-type]
+
+
 def test_transparent_frames_resume(way: str) -> None:
     """Without a background likewise."""
     whole = renderer(way, 4, background=None).render(scene(), view())
@@ -215,5 +266,5 @@ def test_what_is_not_finite_is_black_and_counted(way: str) -> None:
 
     clean = ls.Scene([random_gaussians(91)])
     for one in (renderer(way, 3, jitter=False), renderer_of(way, renderer(way, 3, jitter=False).config)):
-        resumed = one.render(clean, view(), resume=renderer(way).render(clean, view()))
+        resumed = one.render(clean, view(), resume=renderer(way, jitter=False).render(clean, view()))
         assert resumed.stats is not None and resumed.stats.nonfinite_count == 0

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from lumisplat.config import RenderConfig
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.render.pictures import layer_picture
 from lumisplat.scene.arrays import FloatArray, IntArray
@@ -65,6 +66,8 @@ class Frame:
     """What ``color`` lies over, in ``color_space``; None: transparent."""
     samples: int = 0
     """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
+    config: RenderConfig | None = None
+    """Settings it was rendered with, those of the last call where it was resumed; None: unknown."""
     stats: FrameStats | None = None
 
     def __repr__(self) -> str:

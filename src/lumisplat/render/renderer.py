@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import Pipeline, RenderConfig, check_kind
 from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.launcher import Launcher, Progress
@@ -65,21 +68,19 @@ class Renderer:
             scene: What to draw. Assets already seen by this renderer are not uploaded again; where one of as many
                 Gaussians takes the place of another, the ray tracer follows it as if it had moved.
             camera: From where.
-            resume: A ray-traced frame of the same view and settings: ``config.samples`` more are added to its mean, as
-                if all had been rendered at once.
+            resume: A ray-traced frame of the same scene, view and settings: ``config.samples`` more are added to its
+                mean, as if all had been rendered at once.
             progress: Called with a label and the fraction of the samples done, 0..1.
 
         Raises:
-            ConfigError: ``resume`` has another size or background, is not ray traced, or has too many samples.
+            ConfigError: ``resume`` is no frame, has another camera or other settings, is not ray traced, or has too
+                many samples.
             DeviceError: The device is out of memory.
-            SceneError: The scene is none, it or the image is larger than 32-bit indices reach, or the rasteriser is to
-                draw a camera that is not a pinhole.
+            SceneError: The scene or the camera is none, it or the image is larger than 32-bit indices reach, or the
+                rasteriser is to draw a camera that is not a pinhole.
         """
         check_scene(scene)
-        if camera.width * camera.height > IMAGE_PIXELS_MAX:
-            raise SceneError(
-                f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
-            )
+        check_camera(camera)
         first = 0 if resume is None else self._resumed(resume, camera)
         self._launcher.stage_ms = {}
         if self.config.pipeline is Pipeline.TRACE:
@@ -141,6 +142,7 @@ class Renderer:
 
     def _resumed(self, frame: Frame, camera: Camera) -> int:
         """Puts a frame back into the surface buffers; the number of the next sample."""
+        check_kind("resume", frame, Frame)
         if self.config.pipeline is not Pipeline.TRACE:
             raise ConfigError("only Pipeline.TRACE resumes a frame: the rasteriser draws it in one go")
         if frame.samples == 0:
@@ -150,6 +152,13 @@ class Renderer:
             raise ConfigError(
                 f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
                 f"{camera.width} x {camera.height} over {self.config.background}"
+            )
+        other = differing(frame.camera, replace(camera, name=frame.camera.name))
+        if frame.config is not None:
+            other += differing(frame.config, replace(self.config, samples=frame.config.samples))
+        if other:
+            raise ConfigError(
+                f"cannot resume a frame of another camera or other settings: they differ in {', '.join(other)}"
             )
         if frame.samples + self.config.samples > SAMPLES_MAX:
             raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
@@ -195,6 +204,7 @@ class Renderer:
             camera=camera,
             background=self.config.background,
             samples=samples,
+            config=self.config,
             stats=FrameStats(
                 stage_ms=self._launcher.stage_ms,
                 gaussian_count=scene.gaussian_count,
@@ -215,6 +225,39 @@ def check_scene(scene: Scene) -> None:
         raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
 
 
+def check_camera(camera: Camera) -> None:
+    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
+    if not isinstance(camera, Camera):
+        raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
+    if camera.width * camera.height > IMAGE_PIXELS_MAX:
+        raise SceneError(
+            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
+        )
+
+
+def checked_config(config: RenderConfig | None) -> RenderConfig:
+    """The settings, or the defaults.
+
+    Raises:
+        ConfigError: They are something else.
+    """
+    config = RenderConfig() if config is None else config
+    check_kind("config", config, RenderConfig)
+    return config
+
+
+def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
+    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.jitter``."""
+    names = []
+    for field in fields(one):
+        here, there = getattr(one, field.name), getattr(other, field.name)
+        if is_dataclass(here):
+            names += differing(here, there, f"{prefix}{field.name}.")
+        elif not np.array_equal(here, there):
+            names.append(prefix + field.name)
+    return names
+
+
 def create_renderer(
     config: RenderConfig | None = None,
     device: str = "auto",
@@ -233,10 +276,10 @@ def create_renderer(
         progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine.
 
     Raises:
-        ConfigError: ``threads`` is not positive.
+        ConfigError: ``threads`` is not positive, or ``config`` is no RenderConfig.
         DeviceError: There is no such device.
     """
-    return Renderer(config or RenderConfig(), Launcher(device, threads, profile), progress)
+    return Renderer(checked_config(config), Launcher(device, threads, profile), progress)
 
 
 def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
@@ -249,7 +292,9 @@ def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, 
         device: As for ``create_renderer``.
 
     Raises:
+        ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
+        SceneError: As for ``Renderer.render``.
     """
     return create_renderer(config, device).render(scene, camera)
 
@@ -276,10 +321,11 @@ def trace_rays(
         device: As for ``create_renderer``.
 
     Raises:
+        ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: A shape does not fit, a value is not finite or a direction has no length; the message counts them.
     """
-    return create_renderer(tracing(config), device).trace_rays(scene, origins, directions)
+    return create_renderer(tracing(checked_config(config)), device).trace_rays(scene, origins, directions)
 
 
 def transmittance(
@@ -308,7 +354,10 @@ def transmittance(
         Transmittances 0..1, shape (N,).
 
     Raises:
+        ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``trace_rays``, or a distance is negative or NaN.
     """
-    return create_renderer(tracing(config), device).transmittance(scene, origins, directions, max_distance)
+    return create_renderer(tracing(checked_config(config)), device).transmittance(
+        scene, origins, directions, max_distance
+    )
