@@ -12,6 +12,7 @@ import lumisplat as ls
 import scenes
 from lumisplat.io.image import read_image
 from lumisplat.scene.color import decode_srgb
+from trace_scenes import GLASS, slab
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +131,21 @@ def test_only_settings_are_settings(config: Any) -> None:
     ):
         with pytest.raises(ls.ConfigError, match=r"^config is .*, expected a RenderConfig$"):
             attempt()
+
+
+def test_glass_is_opaque_over_transparency() -> None:
+    """Clear glass has alpha 1 and lets rays through for nothing; what has no background is black behind it."""
+    scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
+    camera = scenes.front_camera(8, 8)
+    clear, red = (
+        ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=b), device="cpu")
+        for b in (None, (1.0, 0.0, 0.0))
+    )
+    np.testing.assert_array_equal(clear.alpha, 1.0)
+    np.testing.assert_array_equal(clear.color, 0.0)
+    assert red.color[..., 0].min() > 0.8
+    hits = ls.trace_rays(scene, np.zeros((1, 3)), [(0.0, 0.0, 1.0)], device="cpu")
+    assert hits.transmittance[0] == 0.0
 
 
 def test_image_beyond_the_indices_is_refused() -> None:

@@ -49,7 +49,7 @@ class Frame:
     color: FloatArray
     """Radiance over the background, (H, W, 3), in ``color_space``."""
     alpha: FloatArray
-    """Coverage 0..1, (H, W)."""
+    """Coverage 0..1, (H, W); 1 wherever there is a mesh, also one of clear glass."""
     depth: FloatArray
     """Distance along the pixel's ray to the iso-opacity surface, scene units, (H, W); inf where there is none."""
     normal: FloatArray
@@ -63,7 +63,7 @@ class Frame:
     color_space: str = "srgb"
     """``srgb``: display-referred, as captures were trained (an unlit frame)."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """What ``color`` lies over, in ``color_space``; None: transparent."""
+    """What ``color`` lies over, in ``color_space``; None: transparent, and black where mirrors and glass show it."""
     samples: int = 0
     """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
     config: RenderConfig | None = None

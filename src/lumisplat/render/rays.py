@@ -36,7 +36,8 @@ class RayHits:
     radiance: FloatArray
     """Display-referred sRGB of all that the ray meets, without a background, (N, 3)."""
     transmittance: FloatArray
-    """What is left for a background, 0..1, (N,); 0 where the ray ends on a mesh."""
+    """What is left for a background, 0..1, (N,); 0 where the ray meets a mesh, also one of clear glass: what is seen
+    through it is in ``radiance``."""
     depth: FloatArray
     """Distance to the iso-opacity surface, scene units, (N,); inf where there is none."""
     normal: FloatArray
