@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-SAMPLES = (1, 4, 16, 64, 256)
+SAMPLES = {"stochastic-hit": (1, 4, 16, 64, 256), "stochastic-pass": (1, 4, 16, 64)}
 TREE_COUNT = 1_000_000
 
 
@@ -34,10 +34,11 @@ def convergence() -> dict[str, dict[str, float]]:
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
     exact = ls.render(scene, camera, config, device="cpu").color
     rows = {}
-    for strategy in (ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS):
-        rows[strategy.value] = row = {}
+    for name, counts in SAMPLES.items():
+        strategy = ls.TraceStrategy(name)
+        rows[name] = row = {}
         frame = None
-        for samples in SAMPLES:
+        for samples in counts:
             more = samples - (frame.samples if frame else 0)
             renderer = ls.create_renderer(
                 replace(config, trace=replace(trace, strategy=strategy), samples=more), device="cpu"
@@ -48,14 +49,15 @@ def convergence() -> dict[str, dict[str, float]]:
 
 
 def tree_seconds() -> dict[str, float]:
-    """Seconds for the tree of a million Gaussians: built, and refitted to others."""
+    """Seconds for the tree of a million Gaussians: built, refitted to all moved alike, and to each moved at random."""
     import lumisplat as ls
     from bench.presets import TRACE, synthetic
 
     gaussians = synthetic(TREE_COUNT)
     camera = TRACE[0].camera().scaled(width=16)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
-    built, refitted = [], []
+    random = np.random.default_rng(3)
+    built, refitted, strewn = [], [], []
     for turn in range(3):
         # Of another size, so that the next one is taken for a new capture, not for one that moved.
         renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - turn - 1))]), camera)
@@ -63,7 +65,12 @@ def tree_seconds() -> dict[str, float]:
         moved = replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * turn) + np.float32(0.01))
         built.append(begun.stage_ms["build"])
         refitted.append(renderer.render(ls.Scene(splats=[moved]), camera).stats.stage_ms["build"])
-    return {"build_s": 1e-3 * float(np.median(built)), "refit_s": 1e-3 * float(np.median(refitted))}
+        steps = random.standard_normal((TREE_COUNT, 3), dtype=np.float32)
+        apart = gaussians.means + 0.5 * gaussians.scales.mean(axis=1, keepdims=True) * steps
+        wild = ls.Scene(splats=[replace(gaussians, means=apart)])
+        strewn.append(renderer.render(wild, camera).stats.stage_ms["build"])
+    times = {"build_s": built, "refit_s": refitted, "strew_s": strewn}
+    return {name: 1e-3 * float(np.median(values)) for name, values in times.items()}
 
 
 if __name__ == "__main__":
