@@ -275,6 +275,7 @@ def shaded(
         if abs(weight / BOUNCE_WEIGHT_MIN - 1.0) < 1e-3:
             slack += BOUNCE_WEIGHT_MIN / throughput
         if weight < BOUNCE_WEIGHT_MIN or bounces == world.config.max_bounces:
+            color = color + branch.weight * background_of(world)
             continue
         seen = trace(world, branch.ray, background_of(world), bounces + 1, weight)
         color = color + branch.weight * seen.color

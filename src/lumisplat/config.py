@@ -169,7 +169,7 @@ class RenderConfig:
     seed: int = 0
     """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
     max_bounces: int = 3
-    """Reflections and refractions that a ray follows, 0..64; what lies beyond is black."""
+    """Reflections and refractions that a ray follows, 0..64; beyond, it sees the background."""
 
     def __post_init__(self) -> None:
         check_enum("pipeline", self.pipeline, Pipeline)

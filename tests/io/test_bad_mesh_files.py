@@ -91,9 +91,9 @@ def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "line 4: vertex 4 does not exist: 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "has no triangles but 1 with an index that is no vertex"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "line 4: vertex 0 does not exist"),
-        ("v 0 0 0\nf -1 -2 -3\n", "line 2: vertex -2 does not exist"),
+        ("v 0 0 0\nf -1 -2 -3\n", "has no triangles but 1 with an index that is no vertex"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "line 4: texture coordinate 1 does not exist"),
         ("v 0 0\n", "line 1: 2 numbers, expected 3"),
         ("v 0 0 zero\n", "line 1: .*zero"),
@@ -244,6 +244,16 @@ def test_bad_gltf(tmp_path: Path, damage: Callable[[Gltf], object], expected: st
     gltf = quad_gltf()
     damage(gltf)
     refuses(tmp_path / "a.glb", gltf.glb(), expected)
+
+
+def test_obj_leaves_out_faces_without_vertices(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Faces that name a vertex that is not there are counted, triangle by triangle, and the rest is read."""
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 9\nf 2 4 3\n")
+    mesh = ls.load(path)
+    assert isinstance(mesh, ls.Mesh)
+    assert mesh.face_count == 2
+    assert "triangles left out: 2 with an index that is no vertex" in caplog.text
 
 
 def test_index_beyond_the_vertices(tmp_path: Path) -> None:

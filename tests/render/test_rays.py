@@ -109,6 +109,13 @@ def test_many_sizes_take_no_more_memory() -> None:
     assert len(renderer._buffers._views) == views
 
 
+def test_one_origin_is_that_of_all_rays() -> None:
+    """As if it had been repeated."""
+    scene, directions = ls.Scene([random_gaussians(73)]), np.random.default_rng(9).normal((0, 0, 3), 1.0, (50, 3))
+    one, many = (ls.trace_rays(scene, o, directions, device="cpu") for o in ((0, 0, 1), np.tile((0, 0, 1), (50, 1))))
+    np.testing.assert_array_equal(one.radiance, many.radiance)
+
+
 def test_no_rays_are_fine() -> None:
     """Zero rays give arrays of none."""
     hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
@@ -131,7 +138,7 @@ def test_colors_beyond_numbers_are_black_and_said(caplog: pytest.LogCaptureFixtu
         (np.zeros((2, 3)), [[0, 0, math.nan], [0, 0, 1]], "1 of 2 ray directions are not finite"),
         ([[math.inf, 0, 0]], AHEAD, "1 of 1 ray origins are not finite"),
         ([[1e39, 0, 0]], AHEAD, "1 of 1 ray origins are not finite"),
-        (np.zeros(3), AHEAD, r"ray origins have shape \(3,\), expected \(N, 3\)"),
+        (np.zeros(2), AHEAD, r"ray origins have shape \(2,\), expected \(N, 3\)"),
         (ORIGIN, [[0, 1]], r"ray directions have shape \(1, 2\)"),
         (np.zeros((2, 3)), AHEAD, "2 origins and 1 directions"),
         ("here", AHEAD, "origins are not numbers"),

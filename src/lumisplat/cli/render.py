@@ -31,7 +31,7 @@ class Render(DeviceCommand):
     up: Literal["auto", "y-down", "y-up", "z-up"] = "auto"
     """Which way is up without --cameras; auto: y-down with a capture, y-up for meshes alone."""
     pipeline: PipelineName = "raster"
-    """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and every lens."""
+    """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()

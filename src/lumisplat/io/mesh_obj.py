@@ -39,6 +39,8 @@ class _ObjFile:
     normals: list[tuple[float, ...]] = field(default_factory=list)
     faces_from_material: dict[str, _Faces] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
+    out_of_range: int = 0
+    """Triangles left out because they name a vertex that is not there."""
 
 
 def read_obj(path: Path) -> Mesh | Scene:
@@ -70,7 +72,7 @@ def _read(path: Path) -> list[Mesh]:
             materials |= _read_mtl(path.parent / library)
         else:
             _log.warning("%s: material library %s is missing, the default material is used", path, library)
-    sieve = TriangleSieve(path)
+    sieve = TriangleSieve(path, out_of_range=listing.out_of_range)
     meshes = [
         _mesh(listing, faces, name, materials.get(name), sieve) for name, faces in listing.faces_from_material.items()
     ]
@@ -94,7 +96,12 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
                 listing.normals.append(_numbers(arguments, 3)[:3])
             elif keyword == "f":
                 faces = listing.faces_from_material.setdefault(material, _Faces())
-                corners = [_corner(text, listing) for text in arguments.split()]
+                texts = arguments.split()
+                try:
+                    corners = [_corner(text, listing) for text in texts]
+                except _NoVertexError:
+                    listing.out_of_range += max(len(texts) - 2, 0)
+                    continue
                 faces.corners += corners
                 faces.counts.append(len(corners))
             elif keyword == "usemtl":
@@ -132,9 +139,15 @@ def _index(text: str, what: str, count: int) -> int:
     except ValueError:
         raise ValueError(f"{text!r} is no index of a {what}") from None
     index = stored - 1 if stored > 0 else count + stored
+    if stored != 0 and what == "vertex" and not 0 <= index < count:
+        raise _NoVertexError
     if stored == 0 or not 0 <= index < count:
         raise ValueError(f"{what} {stored} does not exist: {count:,} are listed so far")
     return index
+
+
+class _NoVertexError(ValueError):
+    """A face names a vertex that is not there."""
 
 
 def _mesh(
@@ -144,6 +157,8 @@ def _mesh(
 
     None where no triangle can be used.
     """
+    if not faces.corners:
+        return None
     corners = np.array(faces.corners, dtype=np.int64).reshape(-1, 3)
     key = (corners[:, 0] * (len(listing.uvs) + 1) + corners[:, 1] + 1) * (len(listing.normals) + 1) + corners[:, 2] + 1
     _, first_corner, vertex_from_corner = np.unique(key, return_index=True, return_inverse=True)

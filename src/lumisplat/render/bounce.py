@@ -71,7 +71,7 @@ class Bounces:
             hits: What they meet.
             radiance: What the Gaussians before that give them.
             trace: The same for the rays that go on.
-            bounces: How often a ray may go on; what lies beyond is black.
+            bounces: How often a ray may go on; beyond, it sees the background.
         """
         waves = [self._wave(0, rays, hits, radiance)]
         waves[0].path_weights.fill_(1.0)

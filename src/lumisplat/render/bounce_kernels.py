@@ -58,7 +58,7 @@ def scatter_rays(
     color_out: wp.array(dtype=wp.vec3),
     branches_out: wp.array(dtype=int),
 ):
-    """What a ray sees without its branches, and which of these are worth following."""
+    """What a ray sees without its branches, and which of these are worth following; others see the background."""
     i = start + wp.tid()
     color = wp.vec3(0.0)
     reflects = int(0)
@@ -73,6 +73,10 @@ def scatter_rays(
                 weight = transmittance * path_weights[i]
                 reflects = int(weight * wp.max(bounce.reflected) >= WEIGHT_MIN)
                 refracts = int(weight * wp.max(bounce.refracted) >= WEIGHT_MIN)
+            if reflects == 0:
+                color += transmittance * wp.cw_mul(bounce.reflected, camera[0].background)
+            if refracts == 0:
+                color += transmittance * wp.cw_mul(bounce.refracted, camera[0].background)
         else:
             color += transmittance * camera[0].background
     color_out[i] = color

@@ -149,12 +149,13 @@ def whole_packets(count: int) -> int:
 
 
 def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Origins and unit directions, float32, shape (N, 3) each.
+    """Origins and unit directions, float32, shape (N, 3) each; one origin, shape (3,), is that of all.
 
     Raises:
         SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
     """
-    start, along = _rows("origins", origins), _rows("directions", directions)
+    start, along = _numbers("origins", origins), _rows("directions", directions)
+    start = np.broadcast_to(start, along.shape) if start.shape == (3,) else _rows("origins", start)
     if start.shape != along.shape:
         raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
     limit = float(np.finfo(np.float32).max)

@@ -315,7 +315,7 @@ def trace_rays(
 
     Args:
         scene: What they meet.
-        origins: World space, shape (N, 3).
+        origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
         config: Settings; None: the defaults. ``background`` is seen in mirrors only.
         device: As for ``create_renderer``.
@@ -344,7 +344,7 @@ def transmittance(
 
     Args:
         scene: What is in between.
-        origins: World space, shape (N, 3).
+        origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
         max_distance: Scene units, one number or one a ray, shape (N,).
         config: Settings; None: the defaults.
