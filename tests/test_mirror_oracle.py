@@ -58,7 +58,7 @@ def test_mesh_ends_the_ray() -> None:
     assert one.normal == pytest.approx([0.0, 0.0, -1.0])
     hull = traced(scene, hit_distance=HitDistance.HULL)
     assert hull.color == pytest.approx(one.color)
-    assert hull.gaussian_index == 0
+    assert (hull.alpha, hull.instance_index, hull.depth) == (1.0, 2, pytest.approx(4.5))
 
 
 def test_fresnel_by_hand() -> None:

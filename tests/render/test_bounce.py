@@ -146,7 +146,7 @@ def test_a_slab_shifts_rays_sideways(rig: RayRig) -> None:
 
 
 def test_a_slab_splits_light(rig: RayRig) -> None:
-    """Head on: 4 % come back from each face, tinted by each crossing; a second internal reflection shows the background."""
+    """Head on: 4 % come back from each face, tinted by each crossing; a second one inside sees the background."""
     tint = np.array([0.8, 0.5, 0.2])
     glass = replace(GLASS, base_color=tuple(tint))
     seen = rig.colors(ls.Scene([], [slab(1.0, 0.3, glass)]), ORIGIN, FORWARD, bounces=9, background=WHITE)
