@@ -7,7 +7,7 @@ import warp as wp
 from lumisplat.constants import NORMAL_DEGENERATE
 from lumisplat.device.mesh_surface import hit_weights, surface_normal
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance, RaySurface
-from lumisplat.device.structs import MeshData, MeshInstanceData
+from lumisplat.device.structs import MeshData, MeshInstanceData, SurfaceData
 from lumisplat.device.surface import instance_of
 
 wp.set_module_options({"enable_backward": False})
@@ -58,3 +58,33 @@ def surface_of_ray(
         else:
             surface.normal = -rays.direction[i]
     return surface
+
+
+@wp.func
+def store_sample(
+    i: int,
+    sample: int,
+    color: wp.vec3,
+    alpha: float,
+    found: RaySurface,
+    surface: SurfaceData,
+    nonfinite: wp.array(dtype=int),
+):
+    """Sample n moves the means of element ``i`` by 1 / (n + 1) of the way; the first one's surface stays.
+
+    What is not finite is shown black, and counted.
+    """
+    if not wp.isfinite(color[0] + color[1] + color[2]):
+        color = wp.vec3(0.0)
+        nonfinite[i] = nonfinite[i] + 1
+    if sample == 0:
+        surface.color[i] = color
+        surface.alpha[i] = alpha
+        surface.depth[i] = found.depth
+        surface.normal[i] = found.normal
+        surface.gaussian[i] = found.gaussian
+        surface.instance[i] = found.instance
+    else:
+        share = 1.0 / float(sample + 1)
+        surface.color[i] += share * (color - surface.color[i])
+        surface.alpha[i] += share * (alpha - surface.alpha[i])

@@ -8,8 +8,8 @@ import warp as wp
 
 from lumisplat.device.random import stream_of
 from lumisplat.device.ray_blocks import pixel_of_ray
-from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance
-from lumisplat.device.ray_surface import surface_of_ray
+from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
+from lumisplat.device.ray_surface import store_sample, surface_of_ray
 from lumisplat.device.rays import camera_ray
 from lumisplat.device.structs import MeshData, MeshInstanceData, SurfaceData
 from lumisplat.device.trace_structs import TreeInstance
@@ -53,7 +53,7 @@ def store_rays(
     surface_inout: SurfaceData,
     nonfinite_inout: wp.array(dtype=int),
 ):
-    """Sample n moves the mean by 1 / (n + 1) of the way. What is not finite is shown black, and counted."""
+    """Over the background where there is no ray."""
     i = start + wp.tid()
     lens = lenses[0]
     position = pixel_of_ray(lens.width, i)
@@ -66,26 +66,13 @@ def store_rays(
     if exists:
         color = colors[i]
         alpha = wp.where(hits.face[i] >= 0, 1.0, 1.0 - radiance.transmittance[i])
-    if not wp.isfinite(color[0] + color[1] + color[2]):
-        color = wp.vec3(0.0)
-        nonfinite_inout[pixel] = nonfinite_inout[pixel] + 1
-    if lens.sample == 0:
-        surface_inout.color[pixel] = color
-        surface_inout.alpha[pixel] = alpha
-        surface_inout.depth[pixel] = wp.inf
-        surface_inout.normal[pixel] = wp.vec3(0.0)
-        surface_inout.gaussian[pixel] = -1
-        surface_inout.instance[pixel] = -1
-        if exists:
-            surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)
-            surface_inout.depth[pixel] = surface.depth
-            surface_inout.normal[pixel] = surface.normal
-            surface_inout.gaussian[pixel] = surface.gaussian
-            surface_inout.instance[pixel] = surface.instance
-    else:
-        share = 1.0 / float(lens.sample + 1)
-        surface_inout.color[pixel] += share * (color - surface_inout.color[pixel])
-        surface_inout.alpha[pixel] += share * (alpha - surface_inout.alpha[pixel])
+    surface = RaySurface()
+    surface.depth = wp.inf
+    surface.gaussian = -1
+    surface.instance = -1
+    if exists and lens.sample == 0:
+        surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)
+    store_sample(pixel, lens.sample, color, alpha, surface, surface_inout, nonfinite_inout)
 
 
 @wp.kernel
@@ -138,18 +125,7 @@ def store_hits(
     if hits.face[i] >= 0:
         color = colors[i]
         alpha = float(1.0)
-    if not wp.isfinite(color[0] + color[1] + color[2]):
-        color = wp.vec3(0.0)
-        nonfinite_inout[i] = nonfinite_inout[i] + 1
+    surface = RaySurface()
     if sample == 0:
         surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)
-        surface_inout.color[i] = color
-        surface_inout.alpha[i] = alpha
-        surface_inout.depth[i] = surface.depth
-        surface_inout.normal[i] = surface.normal
-        surface_inout.gaussian[i] = surface.gaussian
-        surface_inout.instance[i] = surface.instance
-    else:
-        share = 1.0 / float(sample + 1)
-        surface_inout.color[i] += share * (color - surface_inout.color[i])
-        surface_inout.alpha[i] += share * (alpha - surface_inout.alpha[i])
+    store_sample(i, sample, color, alpha, surface, surface_inout, nonfinite_inout)
