@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeGuard
@@ -16,6 +17,7 @@ from lumisplat.constants import (
     KERNEL_DEGREE_MAX,
     SAMPLES_MAX,
     SH_DEGREE_MAX,
+    SHADOW_OFFSET,
     TRANSMITTANCE_MIN,
 )
 from lumisplat.errors import ConfigError
@@ -28,6 +30,51 @@ class Pipeline(Enum):
     """Sorted, tiled rasterisation."""
     TRACE = "trace"
     """Rays through the Gaussians themselves, mirrors and glass included."""
+    HYBRID = "hybrid"
+    """Rasterised first; rays go on from there, for shadows, mirrors and glass."""
+
+
+class RasterStrategy(Enum):
+    """How the rasteriser turns the splats of a pixel into one colour."""
+
+    SORTED = "sorted"
+    """All of them, front to back: without noise."""
+    STOCHASTIC = "stochastic"
+    """Each is accepted with its alpha as probability, the nearest accepted one wins; nothing is sorted, and samples
+    average the noise out."""
+
+
+class Shadows(Enum):
+    """How lights are blocked."""
+
+    OFF = "off"
+    """Light goes through everything."""
+    HARD = "hard"
+    """Every light is a point at its centre."""
+    SOFT = "soft"
+    """Each sample looks at a point of the light by chance: penumbrae, once samples average them."""
+
+
+class ShadowMethod(Enum):
+    """How a shadow ray gathers what Gaussians let through."""
+
+    EXACT = "exact"
+    """The product over all of them."""
+    FIRST_HITS = "first-hits"
+    """Over the nearest ``hits`` only, as NVIDIA's single pass: at times too bright."""
+    STOCHASTIC = "stochastic"
+    """All or nothing: each Gaussian blocks with its alpha as probability (seeds/002). As bright as exact on average."""
+
+
+class ToneMap(Enum):
+    """How linear light becomes display colours."""
+
+    NONE = "none"
+    """The sRGB curve; what is brighter than white is clipped."""
+    NEUTRAL = "neutral"
+    """Khronos PBR Neutral: true colours, highlights compressed."""
+    AGX = "agx"
+    """AgX: filmic, highlights lose their colour."""
 
 
 class TraceStrategy(Enum):
@@ -76,6 +123,8 @@ class RasterConfig:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
+    strategy: RasterStrategy = RasterStrategy.SORTED
+    """How splats of a pixel are resolved."""
     antialiasing: Antialiasing = Antialiasing.AUTO
     """When to compensate opacity for the dilation."""
     dilation: float = DILATION_PX2
@@ -88,6 +137,7 @@ class RasterConfig:
     """Transmittance of the surface that depth, normal and index describe, 0..1."""
 
     def __post_init__(self) -> None:
+        check_enum("strategy", self.strategy, RasterStrategy)
         check_enum("antialiasing", self.antialiasing, Antialiasing)
         check_range("dilation", self.dilation, 0.0, 10.0)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
@@ -149,6 +199,41 @@ class TraceConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ShadowConfig:
+    """Settings of shadow rays; the defaults are exact.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    method: ShadowMethod = ShadowMethod.EXACT
+    """How Gaussians block light."""
+    hits: int = HITS_PER_PASS
+    """Gaussians that ``FIRST_HITS`` counts: 4, 8, 16 or 32."""
+    offset: float = SHADOW_OFFSET
+    """A splat surface is not shadowed by Gaussians nearer than this many times its own largest scale, 0..100."""
+    offset_absolute: float = 0.0
+    """Added to that, scene units, 0..1e6."""
+    transmittance_threshold: float = 0.0
+    """What lets through less than this counts as black, and the rest is stretched to 0..1; 0 (none) to 0.99."""
+    color_strength: float = 0.0
+    """How much partial shadows take on the colour of the Gaussians in the way, 0..5: stained glass."""
+
+    def __post_init__(self) -> None:
+        check_enum("method", self.method, ShadowMethod)
+        if not _is_whole(self.hits) or self.hits not in (4, 8, 16, 32):
+            raise ConfigError(f"hits is {_told(self.hits)}, expected 4, 8, 16 or 32")
+        check_range("offset", self.offset, 0.0, 100.0)
+        check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
+        check_range("transmittance_threshold", self.transmittance_threshold, 0.0, 0.99)
+        check_range("color_strength", self.color_strength, 0.0, 5.0)
+
+
+AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+"""Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RenderConfig:
     """Settings of a frame.
 
@@ -164,8 +249,18 @@ class RenderConfig:
     """Settings of the rasteriser."""
     trace: TraceConfig = field(default_factory=TraceConfig)
     """Settings of the ray tracer."""
+    lighting: bool | None = None
+    """Whether lights light what reflects; without any, a headlight at the camera does. None: if the scene has any."""
+    shadows: Shadows = Shadows.HARD
+    """How lights are blocked, in lit frames."""
+    shadow: ShadowConfig = field(default_factory=ShadowConfig)
+    """Settings of shadow rays."""
+    tone_map: ToneMap = ToneMap.NONE
+    """How lit frames become pictures; what only shows a capture stays as captured."""
+    aovs: tuple[str, ...] = ()
+    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``."""
     samples: int = 1
-    """Rays a pixel of the ray tracer, averaged as display-referred colours, at least 1."""
+    """Samples a pixel, averaged, at least 1: of all but the unlit, sorted raster, which has no use for more."""
     seed: int = 0
     """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
     max_bounces: int = 3
@@ -173,6 +268,15 @@ class RenderConfig:
 
     def __post_init__(self) -> None:
         check_enum("pipeline", self.pipeline, Pipeline)
+        if self.lighting is not None:
+            check_flag("lighting", self.lighting)
+        check_enum("shadows", self.shadows, Shadows)
+        check_kind("shadow", self.shadow, ShadowConfig)
+        check_enum("tone_map", self.tone_map, ToneMap)
+        if isinstance(self.aovs, str) or not isinstance(self.aovs, Iterable) or set(self.aovs) - set(AOVS):
+            raise ConfigError(f"aovs is {_told(self.aovs)}, expected some of {', '.join(AOVS)}")
+        # In one order, each once: what asks for the same images is equal.
+        object.__setattr__(self, "aovs", tuple(name for name in AOVS if name in self.aovs))
         if self.background is not None:
             try:
                 red, green, blue = self.background

@@ -98,6 +98,15 @@ mirrors of thin triangles."""
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 """Share of a pixel below which a reflection or refraction is not followed: half a step of an 8-bit image."""
 
+# --- Light and shadow ---
+
+SHADOW_OFFSET = 1.0
+"""Scales of a Gaussian within which others do not shadow it: what makes up the same surface. seeds/000 section 4 has
+the offset in world units, which no two captures share."""
+
+SHADOW_ONLY_AMBIENT = 0.5
+"""Radiance over albedo that a shadow-only set without a material is taken to have besides its lights."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3

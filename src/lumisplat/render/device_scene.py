@@ -24,6 +24,7 @@ from lumisplat.render.upload import (
 )
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
@@ -134,7 +135,7 @@ class DeviceScene:
             self.version += 1
         if scene.meshes:
             self.placements.assign(self._placement_table(scene))
-        self.has_smooth_meshes = any(instance.mesh.material.roughness == 0.0 for instance in scene.meshes)
+        self.has_smooth_meshes = any(instance.mesh.material.is_smooth for instance in scene.meshes)
 
     @property
     def bytes(self) -> int:
@@ -203,7 +204,9 @@ class DeviceScene:
             row["low"], row["high"] = self._trees[id(mesh)].world_box(instance.transform)
             row["tree"] = self._trees[id(mesh)].bvh.id
             row["face_first"] = self._face_first[id(mesh)]
-            row["material"]["smooth"] = material.roughness == 0.0
+            row["material"]["smooth"] = material.is_smooth
+            if not isinstance(material, MaterialPbr):
+                continue
             for name in ("metallic", "specular", "ior", "transmission"):
                 row["material"][name] = getattr(material, name)
         return table

@@ -63,11 +63,13 @@ class Camera:
     camera_from_world_end: npt.NDArray[np.float64] | None = None
     """The pose at the end of the last row, shape (4, 4), of a rolling shutter: row y is exposed when (y + 0.5) / height
     of the way is done, the eye moving straight and the rotation steadily (slerp). None: all rows at once."""
+    exposure: float = 0.0
+    """Of lit frames, stops: pictures show linear light times 2 to this power."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             object.__setattr__(self, name, _pixel_count(name, getattr(self, name)))
-        for name in ("fx", "fy", "near", "cx", "cy", "aperture", "focus_distance"):
+        for name in ("fx", "fy", "near", "cx", "cy", "aperture", "focus_distance", "exposure"):
             value = getattr(self, name)
             if not is_number(value) or not math.isfinite(value):
                 raise SceneError(f"camera {name} is {value}, expected a finite number")

@@ -1,8 +1,16 @@
-"""Surface materials: metallic-roughness, as glTF 2.0 defines it."""
+"""Surface materials, one set for meshes and splats: metallic-roughness as glTF 2.0 defines it, and a simpler one.
+
+A mesh's own colour is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of its Gaussians
+where they carry any and the material does not shine by itself, else the captured colour, decoded; ``base_color`` and
+textures are not used. Roughness and metallic of Gaussians that carry them replace the material's.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,25 +18,27 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import is_number, kept
 
+Color = tuple[float, float, float]
+Texture = npt.NDArray[np.uint8]
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MaterialPbr:
-    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume}).
+    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,emissive_strength}).
 
-    Where roughness is 0 the surface is smooth, and the ray tracer follows what it reflects and lets through: a mirror
-    where metallic, glass where transmission. The rasteriser, and the ray tracer where roughness is above 0, show the
-    base colour alone.
+    Where roughness is 0 the surface is smooth, and rays go on from it: a mirror where metallic, glass where
+    transmission. Unlit frames show the base colour of all else.
 
     Raises:
-        SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
+        SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
     """
 
-    base_color: tuple[float, float, float] = (0.8, 0.8, 0.8)
-    """Linear Rec.709, 0..1; multiplied with the texture and the vertex colour."""
+    base_color: Color = (0.8, 0.8, 0.8)
+    """Linear Rec.709, 0..1."""
     metallic: float = 0.0
     """0 dielectric, 1 metal."""
     roughness: float = 0.5
-    """Perceptual roughness, 0..1; exactly 0 is smooth."""
+    """Perceptual roughness, 0..1; exactly 0 is smooth. Splats are never quite: theirs is at least 0.03."""
     specular: float = 1.0
     """Strength of the dielectric reflection, 0..1."""
     ior: float = 1.5
@@ -36,29 +46,120 @@ class MaterialPbr:
     transmission: float = 0.0
     """Share of the light that is not reflected that goes on through the dielectric, refracted, and tinted by the base
     colour at each crossing, 0..1. The mesh should be closed, its triangles counter-clockwise from outside: that is how
-    a ray knows whether it enters or leaves."""
-    base_color_texture: npt.NDArray[np.uint8] | None = None
+    a ray knows whether it enters or leaves. Splats do not transmit."""
+    emissive: Color = (0.0, 0.0, 0.0)
+    """What it shines by itself: linear radiance, at least 0; on a splat set, times the captured colour."""
+    base_color_texture: Texture | None = None
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); alpha is ignored."""
+    metallic_roughness_texture: Texture | None = None
+    """Factors of roughness (green) and metallic (blue), as they are."""
+    normal_texture: Texture | None = None
+    """Tangent-space normals, ``2 c - 1``: x along u, y against v, z out of the surface."""
+    normal_scale: float = 1.0
+    """Factor of its x and y."""
+    occlusion_texture: Texture | None = None
+    """Share of the environment's light that arrives (red)."""
+    occlusion_strength: float = 1.0
+    """How much of that counts, 0..1."""
+    emissive_texture: Texture | None = None
+    """sRGB-encoded factor of ``emissive``."""
     name: str = ""
 
     def __post_init__(self) -> None:
-        try:
-            color = tuple(float(c) for c in self.base_color)
-        except (TypeError, ValueError):
-            color = ()
-        if len(color) != 3 or not all(0.0 <= c <= 1.0 for c in color):
-            raise SceneError(f"base_color is {self.base_color}, expected three numbers in 0..1")
-        object.__setattr__(self, "base_color", color)
-        for name in ("metallic", "roughness", "specular", "transmission"):
-            value = getattr(self, name)
-            if not is_number(value) or not 0.0 <= value <= 1.0:
-                raise SceneError(f"{name} is {value}, expected 0..1")
+        object.__setattr__(self, "base_color", _color("base_color", self.base_color, 1.0))
+        object.__setattr__(self, "emissive", _color("emissive", self.emissive, math.inf))
+        for name in ("metallic", "roughness", "specular", "transmission", "occlusion_strength"):
+            _check_unit(name, getattr(self, name))
         if not is_number(self.ior) or not 1.0 <= self.ior < np.inf:
             raise SceneError(f"ior is {self.ior}, expected at least 1")
-        if self.base_color_texture is not None:
-            texture = np.asarray(self.base_color_texture)
-            if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
-                raise SceneError(
-                    f"base_color_texture is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)"
-                )
-            object.__setattr__(self, "base_color_texture", kept(texture, np.uint8))
+        if not is_number(self.normal_scale) or not math.isfinite(self.normal_scale):
+            raise SceneError(f"normal_scale is {self.normal_scale}, expected a finite number")
+        for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive"):
+            name = f"{kind}_texture"
+            object.__setattr__(self, name, _texture(name, getattr(self, name)))
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether rays go on from it, reflected or refracted."""
+        return self.roughness == 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MaterialSimple:
+    """What shines, and reflects light diffusely and with a Phong highlight, by a factor a channel (seeds/000).
+
+    The defaults shine as captured and reflect nothing: what a splat set has unless it is given a material. Diffuse and
+    specular factors whose sum exceeds 1 are scaled down together, so that no more light leaves than comes.
+
+    Raises:
+        SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
+    """
+
+    emissive: Color = (1.0, 1.0, 1.0)
+    """Share of its own colour that it shows without any light, at least 0."""
+    ambient: Color = (0.0, 0.0, 0.0)
+    """Share of its own colour that it shows once there is lighting, wherever the lights are, at least 0."""
+    diffuse: Color = (0.0, 0.0, 0.0)
+    """Share of its own colour that it reflects diffusely, 0..1."""
+    specular: Color = (0.0, 0.0, 0.0)
+    """What it reflects in a highlight around the mirrored direction, 0..1."""
+    shininess: float = 32.0
+    """Exponent of the highlight, 0..10,000: higher is sharper."""
+    base_color: Color = (1.0, 1.0, 1.0)
+    """Linear Rec.709, 0..1."""
+    base_color_texture: Texture | None = None
+    """sRGB-encoded texels, as in `MaterialPbr`."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for name, high in (
+            ("emissive", math.inf),
+            ("ambient", math.inf),
+            ("diffuse", 1.0),
+            ("specular", 1.0),
+            ("base_color", 1.0),
+        ):
+            object.__setattr__(self, name, _color(name, getattr(self, name), high))
+        if not is_number(self.shininess) or not 0.0 <= self.shininess <= 1e4:
+            raise SceneError(f"shininess is {self.shininess}, expected 0 to 10,000")
+        object.__setattr__(self, "base_color_texture", _texture("base_color_texture", self.base_color_texture))
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether rays go on from it: never."""
+        return False
+
+
+Material = MaterialPbr | MaterialSimple
+"""Any material."""
+
+
+def _color(name: str, value: Any, high: float) -> Color:
+    """Three numbers in 0..high; one number is taken for all three.
+
+    Raises:
+        SceneError: It is something else.
+    """
+    values = (value,) * 3 if is_number(value) else value
+    try:
+        color = tuple(float(c) for c in values) if isinstance(values, Sequence | np.ndarray) else ()
+    except (TypeError, ValueError):
+        color = ()
+    if len(color) != 3 or not all(0.0 <= c <= high and math.isfinite(c) for c in color):
+        bound = f"in 0..{high:g}" if math.isfinite(high) else "of at least 0"
+        raise SceneError(f"{name} is {value}, expected three numbers {bound}")
+    return color[0], color[1], color[2]
+
+
+def _check_unit(name: str, value: object) -> None:
+    if not is_number(value) or not 0.0 <= value <= 1.0:  # type: ignore[operator]
+        raise SceneError(f"{name} is {value}, expected 0..1")
+
+
+def _texture(name: str, value: npt.ArrayLike | None) -> Texture | None:
+    if value is None:
+        return None
+    texture = np.asarray(value)
+    if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
+        raise SceneError(f"{name} is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
+    return kept(texture, np.uint8)

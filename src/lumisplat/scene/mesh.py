@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.scene.arrays import FloatArray, IntArray, float_array, handed_over, kept, normalised, refuse_outside_unit
-from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.triangles import check_triangles
 
 _log = logging.getLogger("lumisplat")
@@ -36,7 +36,7 @@ class Mesh:
     """Unit shading normals, object space, shape (V, 3); None: flat shading."""
     uvs: FloatArray | None = None
     """Texture coordinates, (0, 0) at the top left as in glTF, shape (V, 2)."""
-    material: MaterialPbr = field(default_factory=MaterialPbr)
+    material: Material = field(default_factory=MaterialPbr)
     colors: FloatArray | None = None
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""

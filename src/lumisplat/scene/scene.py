@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SIMILARITY_TOLERANCE
+from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import matrix_4x4
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
 
@@ -27,11 +29,23 @@ class SplatInstance:
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
     """Similarity transform, shape (4, 4); None: the identity."""
+    material: Material | None = None
+    """How it takes light; None: it shines as captured, whatever the lights."""
     name: str = field(default="", kw_only=True)
+    sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
+    """Highest SH degree that is evaluated, 0..3: less drops what light from other directions was baked in."""
+    shadow_only: bool = field(default=False, kw_only=True)
+    """It keeps its captured look, light does not brighten it, and its own Gaussians do not shadow it: it is only
+    darkened where something else blocks a light. By how much depends on the light that it has besides, the
+    ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.gaussians, Gaussians):
             raise SceneError(f"a splat instance holds Gaussians, got a {type(self.gaussians).__name__}")
+        if self.material is not None and not isinstance(self.material, Material):
+            raise SceneError(f"material is a {type(self.material).__name__}, expected a MaterialPbr or MaterialSimple")
+        if self.sh_degree not in range(SH_DEGREE_MAX + 1):
+            raise SceneError(f"sh_degree is {self.sh_degree}, expected 0 to {SH_DEGREE_MAX}")
         matrix = matrix_4x4("world_from_object", self.world_from_object)
         _refuse_dissimilar(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
@@ -78,13 +92,16 @@ class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 
     Raises:
-        SceneError: An entry is neither an asset nor an instance of one.
+        SceneError: An entry is neither an asset nor an instance of one, or no light, or there are two environments.
     """
 
     splats: tuple[SplatInstance, ...] = field(default=())
     meshes: tuple[MeshInstance, ...] = field(default=())
+    lights: tuple[Light, ...] = field(default=())
+    """At most one of those that are enabled is a `LightEnvironment`."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "lights", _checked_lights(self.lights))
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
 
@@ -132,6 +149,19 @@ def _refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
         raise SceneError(
             f"world_from_object {said}: a splat instance takes rotation, uniform scale and translation only"
         )
+
+
+def _checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
+    if not isinstance(lights, Iterable):
+        raise SceneError(f"lights is one {type(lights).__name__}, expected a list")
+    checked = []
+    for light in lights:
+        if not isinstance(light, Light):
+            raise SceneError(f"lights holds a {type(light).__name__}, expected a LightPoint or another light")
+        checked.append(light)
+    if sum(isinstance(light, LightEnvironment) and light.enabled for light in checked) > 1:
+        raise SceneError("lights holds two enabled environments, expected one")
+    return tuple(checked)
 
 
 def _instances(name: str, items: Iterable[object], asset: type, instance: type) -> tuple:

@@ -1,0 +1,259 @@
+"""Lights, in the units of glTF's KHR_lights_punctual: candela, lux, and for what has an area, radiance.
+
+All share ``color`` (linear Rec.709, at least 0; multiplied with the intensity), ``intensity``, ``enabled``,
+``casts_shadow`` and ``name``. Positions and directions are in world space.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.scene.arrays import FloatArray, float_array, is_number
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Light:
+    def _check(self) -> None:
+        color = _vector("color", getattr(self, "color"))  # noqa: B009
+        if min(color) < 0.0:
+            raise SceneError(f"color is {color}, expected no negative number")
+        object.__setattr__(self, "color", color)
+        _check_number("intensity", getattr(self, "intensity"), 0.0)  # noqa: B009
+        for name in ("enabled", "casts_shadow"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise SceneError(f"{name} is {getattr(self, name)}, expected True or False")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightPoint(_Light):
+    """A light that shines alike in all directions.
+
+    Irradiance at distance d is ``intensity / d^2``, faded out towards ``range`` by the window that glTF recommends,
+    ``clamp(1 - (d / range)^4, 0, 1)``.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape.
+    """
+
+    position: Vector
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Candela."""
+    range: float = math.inf
+    """Distance at which it ends, scene units, > 0."""
+    radius: float = 0.0
+    """Of the sphere that it is for soft shadows, scene units; 0: a point."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "position", _vector("position", self.position))
+        _check_number("range", self.range, 0.0, above=True, finite=False)
+        _check_number("radius", self.radius, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightSpot(_Light):
+    """A point light that shines into a cone, as bright inside ``inner_angle`` and fading out to ``outer_angle``.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angles
+            are not ``0 <= inner < outer <= pi / 2``.
+    """
+
+    position: Vector
+    direction: Vector
+    """Where it shines, of any length; made unit."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Candela, on the axis."""
+    range: float = math.inf
+    """Distance at which it ends, scene units, > 0."""
+    inner_angle: float = 0.0
+    """From the axis, radians."""
+    outer_angle: float = math.pi / 4.0
+    """From the axis, radians."""
+    radius: float = 0.0
+    """Of the sphere that it is for soft shadows, scene units; 0: a point."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "position", _vector("position", self.position))
+        object.__setattr__(self, "direction", _direction("direction", self.direction))
+        _check_number("range", self.range, 0.0, above=True, finite=False)
+        _check_number("radius", self.radius, 0.0)
+        for name in ("inner_angle", "outer_angle"):
+            _check_number(name, getattr(self, name), 0.0)
+        if not self.inner_angle < self.outer_angle <= math.pi / 2.0 + 1e-6:
+            raise SceneError(
+                f"a spot's inner_angle is {self.inner_angle:g} and its outer_angle {self.outer_angle:g}, "
+                "expected 0 <= inner < outer <= pi / 2 (radians)"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightDirectional(_Light):
+    """Parallel light from infinitely far away: the sun.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angle is
+            above pi / 2.
+    """
+
+    direction: Vector
+    """The way the light travels, of any length; made unit."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Lux: irradiance of a surface that faces it."""
+    angle: float = 0.0
+    """Angular radius for soft shadows, radians; the sun's is 0.00465."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "direction", _direction("direction", self.direction))
+        _check_number("angle", self.angle, 0.0)
+        if self.angle > math.pi / 2.0:
+            raise SceneError(f"angle is {self.angle:g}, expected at most pi / 2 (radians)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightSphere(_Light):
+    """A sphere whose surface shines alike in all directions. It lights, but is not itself seen.
+
+    From outside, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape.
+    """
+
+    position: Vector
+    radius: float
+    """Scene units, > 0."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Radiance: candela a square metre."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        object.__setattr__(self, "position", _vector("position", self.position))
+        _check_number("radius", self.radius, 0.0, above=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightRect(_Light):
+    """A rectangle (or parallelogram) that shines on one side. It lights, but is not itself seen.
+
+    Raises:
+        SceneError: A value is not finite, negative or of the wrong shape, or the edges are parallel.
+    """
+
+    position: Vector
+    """Its centre."""
+    edge_u: Vector
+    """One edge, scene units."""
+    edge_v: Vector
+    """The other: it shines to the side of ``cross(edge_u, edge_v)``."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Radiance: candela a square metre."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        for name in ("position", "edge_u", "edge_v"):
+            object.__setattr__(self, name, _vector(name, getattr(self, name)))
+        area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
+        if not area > 1e-9 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
+            raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightEnvironment(_Light):
+    """Light from everywhere around, infinitely far away, by a latitude-longitude image or of one colour.
+
+    The image's upper edge is the environment's +y, its middle column -z, and +x is right of the middle:
+    ``u = 1/2 + atan2(x, -z) / (2 pi)``, ``v = acos(y) / pi``.
+
+    Raises:
+        SceneError: The image is no finite, non-negative (H, W, 3) array, or another value is bad.
+    """
+
+    image: FloatArray | None = None
+    """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
+    color: Vector = (1.0, 1.0, 1.0)
+    intensity: float = 1.0
+    """Factor of the image."""
+    rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    """World from environment: a quaternion, scalar first. Captures with y down need (0, 1, 0, 0): half a turn about
+    x."""
+    visible: bool = True
+    """Whether it is seen behind everything, too; mirrors always show it."""
+    enabled: bool = field(default=True, kw_only=True)
+    casts_shadow: bool = field(default=True, kw_only=True)
+    name: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._check()
+        if self.image is not None:
+            image = float_array("environment image", self.image)
+            if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+                raise SceneError(f"environment image has shape {image.shape}, expected (H, W, 3)")
+            negative = int(np.count_nonzero(image < 0.0))
+            if negative:
+                raise SceneError(f"environment image has {negative:,} negative values")
+            object.__setattr__(self, "image", image)
+        wxyz = float_array("rotation_wxyz", self.rotation_wxyz)
+        length = float(np.linalg.norm(wxyz))
+        if wxyz.shape != (4,) or length == 0.0:
+            raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
+        object.__setattr__(self, "rotation_wxyz", tuple(float(x) / length for x in wxyz))
+        if not isinstance(self.visible, bool | np.bool_):
+            raise SceneError(f"visible is {self.visible}, expected True or False")
+
+
+Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment
+"""Any light."""
+
+
+def _vector(name: str, values: Any) -> Vector:
+    array = float_array(name, values)
+    if array.shape != (3,):
+        raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
+    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64))
+    return x, y, z
+
+
+def _direction(name: str, values: object) -> Vector:
+    vector = np.array(_vector(name, values))
+    length = np.linalg.norm(vector)
+    if length == 0.0:
+        raise SceneError(f"{name} has no length")
+    x, y, z = (float(v) for v in vector / length)
+    return x, y, z
+
+
+def _check_number(name: str, value: Any, low: float, *, above: bool = False, finite: bool = True) -> None:
+    if not is_number(value) or not (value > low if above else value >= low) or (finite and not math.isfinite(value)):
+        bound = f"above {low:g}" if above else f"at least {low:g}"
+        raise SceneError(f"{name} is {value}, expected a number {bound}")
