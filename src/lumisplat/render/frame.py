@@ -16,6 +16,7 @@ from lumisplat.render.pictures import layer_picture
 from lumisplat.scene.arrays import FloatArray, IntArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
+from lumisplat.scene.pixel_rays import world_rays
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +48,10 @@ class Frame:
     """Images that can be saved beside the colour."""
 
     color: FloatArray
-    """Radiance over the background, (H, W, 3), in ``color_space``."""
+    """Radiance over the background, (H, W, 3), in ``color_space``; of a lit frame the captured part, decoded, plus
+    ``light``."""
     alpha: FloatArray
-    """Coverage 0..1, (H, W); 1 wherever there is a mesh, also one of clear glass."""
+    """Coverage 0..1, (H, W); 1 wherever there is a mesh, also one of clear glass, or a visible environment."""
     depth: FloatArray
     """Distance along the pixel's ray to the iso-opacity surface, scene units, (H, W); inf where there is none."""
     normal: FloatArray
@@ -61,14 +63,38 @@ class Frame:
     camera: Camera
     """What was rendered."""
     color_space: str = "srgb"
-    """``srgb``: display-referred, as captures were trained (an unlit frame)."""
+    """``srgb``: display-referred, as captures were trained (an unlit frame). ``linear``: Rec.709, before exposure and
+    tone mapping (a lit one)."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """What ``color`` lies over, in ``color_space``; None: transparent, and black where mirrors and glass show it."""
+    """What ``color`` lies over, display-referred sRGB; None: transparent, and black where mirrors and glass show it."""
     samples: int = 0
     """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
     config: RenderConfig | None = None
     """Settings it was rendered with, those of the last call where it was resumed; None: unknown."""
     stats: FrameStats | None = None
+    captured: FloatArray | None = None
+    """Of a lit frame what was captured, the background included, as an unlit frame shows it: display-referred sRGB,
+    (H, W, 3), premultiplied by ``captured_weight``."""
+    captured_weight: FloatArray | None = None
+    """Share of the pixel that ``captured`` is the colour of, 0..1, (H, W): 1 where only captures and the background
+    are seen."""
+    light: FloatArray | None = None
+    """Linear, signed, (H, W, 3): what lights add to the captured and shadows take from it, and all the rest, such as
+    meshes. Where it is exactly 0, pictures show the captured as it is."""
+    albedo: FloatArray | None = None
+    """Linear reflectance of the surfaces, (H, W, 3)."""
+    emission: FloatArray | None = None
+    """Linear radiance of what shines by itself, captures included, (H, W, 3)."""
+    reflection: FloatArray | None = None
+    """Linear radiance that came by mirrors and glass, (H, W, 3)."""
+    hits: FloatArray | None = None
+    """Gaussians that a ray, or the pixel of a raster, blends, the mean over samples, (H, W)."""
+    light_direct: FloatArray | None = None
+    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3)."""
+    light_shadow: FloatArray | None = None
+    """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
+    light_names: tuple[str, ...] = ()
+    """Of the L lights."""
 
     def __repr__(self) -> str:
         camera = self.camera
@@ -83,6 +109,14 @@ class Frame:
         cosine = self.camera.ray_directions()[..., 2]
         nothing = np.full_like(self.depth, np.inf)
         return np.multiply(self.depth, cosine, out=nothing, where=np.isfinite(self.depth), casting="same_kind")
+
+    @property
+    def position(self) -> FloatArray:
+        """World point of the surface, ``depth`` along the pixel's central ray, (H, W, 3); zero where there is none."""
+        origins, directions = world_rays(self.camera)
+        hit = np.isfinite(self.depth)[..., None]
+        along = np.where(hit, self.depth[..., None], 0.0)
+        return np.where(hit, origins + along * directions, 0.0).astype(np.float32)
 
     def premultiplied(self) -> FloatArray:
         """Radiance without the background, (H, W, 3)."""

@@ -1,0 +1,34 @@
+"""The central ray of each pixel in world space, the lens taken for its centre."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.scene.camera import Camera, CameraModel
+
+_Points = npt.NDArray[np.float64]
+
+
+def world_rays(camera: Camera) -> tuple[_Points, _Points]:
+    """Origins and unit directions through the pixels' centres, world space, both of shape (H, W, 3).
+
+    Directions are zero where a fisheye sees nothing. With a rolling shutter each row has its own pose.
+    """
+    rotation, directions = camera.world_from_camera[:3, :3], camera.ray_directions()
+    starts = np.zeros_like(directions)
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        starts[..., 0] = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+        starts[..., 1] = (np.arange(camera.height)[:, None] + 0.5 - camera.cy) / camera.fy
+    time = ((np.arange(camera.height) + 0.5) / camera.height)[:, None, None]
+    turn = time * camera.shutter_turn
+    moved = camera.eye + time * camera.shutter_motion
+    return moved + _turned(starts @ rotation.T, turn), _turned(directions @ rotation.T, turn)
+
+
+def _turned(vectors: _Points, turn: _Points) -> _Points:
+    """Vectors turned about ``turn`` by its length in radians (Rodrigues), shapes (H, W, 3) and (H, 1, 3)."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
+    across = np.cross(axis, vectors)
+    return vectors + np.sin(angle) * across + 2.0 * np.sin(0.5 * angle) ** 2 * np.cross(axis, across)
