@@ -258,6 +258,9 @@ SCALE_MIN = 1e-12
 """Smallest standard deviation read from a file, scene units: captures hold logarithms whose exponential underflows to
 zero. Its square and the reciprocal of it are still normal float32 numbers."""
 
+PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
+"""Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
+
 LOGIT_MAX = 20.0
 """Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
 

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import lumisplat
-from lumisplat.render import trace_kernels
+from lumisplat.render import shadow_kernels, trace_kernels
 
 MODULES = [
     module.name
@@ -36,6 +36,12 @@ def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
 def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     """So do the kernels that are made for a number of hits, with as many rays a packet as CUDA uses."""
     kernel = trace_kernels.integrator(1, hits)
+    check_compiles(kernel.module, [kernel], tmp_path)
+
+
+def test_occluder_compiles_for_cuda(tmp_path: Path) -> None:
+    """So does the one of shadow rays."""
+    kernel = shadow_kernels.occluder(1)
     check_compiles(kernel.module, [kernel], tmp_path)
 
 

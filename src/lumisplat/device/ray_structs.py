@@ -57,6 +57,18 @@ class RayShear:
 
 
 @struct
+class MeshRay:
+    """A ray in the space of an instance's mesh; distances along it stay the world's."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    """Of any length."""
+    shear: RayShear
+    begin: float
+    """How far its origin is from the world-space ray's."""
+
+
+@struct
 class TriangleHit:
     """Where a ray meets a triangle."""
 

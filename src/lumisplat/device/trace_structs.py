@@ -93,6 +93,29 @@ class TreeInstance:
     first: int
     """Index of the instance's first Gaussian among all of the scene's."""
     asset: int
+    shadow_only: int
+    """1: shadow rays that skip such instances do not see it."""
+    sh_degree: int
+    """Highest that is evaluated."""
+    own_colors: int
+    """1: Gaussians show their albedo."""
+    own_normals: int
+    """1: normals are those that the asset carries."""
+
+
+@struct
+class ShadowData:
+    """Settings of shadow rays, in a 1-element array."""
+
+    method: int
+    """EXACT or STOCHASTIC of the shadow kernels; FIRST_HITS is a kernel of its own."""
+    hull: int
+    """1: Gaussians are hit where rays enter their ellipsoid, which orders the first hits."""
+    transmittance_min: float
+    """What does not let through more counts as black."""
+    threshold: float
+    """What does not let through more counts as black, and the rest is stretched to 0..1."""
+    color_strength: float
 
 
 @struct

@@ -10,7 +10,7 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import HITS_HELD_CPU, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
+from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
 from lumisplat.device.ray_structs import LensData, RayData, RayRadiance
 from lumisplat.device.trace_structs import TraceData
 from lumisplat.launcher import Launcher
@@ -19,6 +19,7 @@ from lumisplat.render.bounce import Bounces
 from lumisplat.render.device_scene import DeviceScene, table_dtype
 from lumisplat.render.lens import lens_table
 from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.shadow import shadow_modules
 from lumisplat.render.surface import Surface
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.camera import Camera
@@ -28,7 +29,6 @@ _STRATEGIES = {
     TraceStrategy.STOCHASTIC_HIT: trace_kernels.HIT,
     TraceStrategy.STOCHASTIC_PASS: trace_kernels.PASS,
 }
-PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
 
 
 class RayTracer:
@@ -146,7 +146,8 @@ def integrator_of(launcher: Launcher, config: RenderConfig) -> Any:
 
 def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that tracing needs."""
-    return [build_kernels, mesh_hits_kernels, bounce_kernels, ray_kernels, integrator_of(launcher, config).module]
+    own = [build_kernels, mesh_hits_kernels, bounce_kernels, ray_kernels, integrator_of(launcher, config).module]
+    return own + shadow_modules(launcher)
 
 
 def ray_count(camera: Camera) -> int:

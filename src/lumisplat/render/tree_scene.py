@@ -136,6 +136,10 @@ class TreeScene:
         table["asset"] = places
         for row, place in zip(table, places, strict=True):
             kernel = self._held[place].kernel
+        table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
+        table["sh_degree"] = [min(config.trace.sh_degree, instance.sh_degree) for instance in scene.splats]
+        for name, values in own_looks(scene, lit).items():
+            table[name] = values
             for name in ("degree", "falloff", "min_response", "adaptive"):
                 row["kernel"][name] = getattr(kernel, name)
         return table
