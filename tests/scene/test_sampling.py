@@ -189,6 +189,14 @@ def test_colour_is_material_times_vertex_colour_times_texture() -> None:
     np.testing.assert_array_equal(gaussians.roughness, np.float32(0.6))
 
 
+def test_a_simple_material_has_no_roughness_to_pass_on() -> None:
+    """Gaussians of such a mesh have its colour; how they take light is for their instance to say."""
+    material = ls.MaterialSimple(base_color=(0.9, 0.8, 0.7), diffuse=1.0)
+    gaussians = gaussians_from_mesh(replace(shapes.plane(1.0, 1.0), material=material), 50)
+    assert gaussians.roughness is None and gaussians.metallic is None
+    np.testing.assert_allclose(gaussians.albedo, [(0.9, 0.8, 0.7)] * 50, atol=1e-6)
+
+
 def textured(texture: np.ndarray) -> ls.Mesh:
     """A unit square with a texture."""
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)

@@ -106,9 +106,15 @@ def _mesh_rows(mesh: ls.Mesh) -> Rows:
     return rows
 
 
-def _surface(material: ls.MaterialPbr) -> str:
-    names = ("metallic", "roughness", "specular", "ior", "transmission")
-    return "   ".join(f"{name} {getattr(material, name):.3g}" for name in names)
+def _surface(material: ls.MaterialPbr | ls.MaterialSimple) -> str:
+    if isinstance(material, ls.MaterialPbr):
+        names = ("metallic", "roughness", "specular", "ior", "transmission")
+        return "   ".join(f"{name} {getattr(material, name):.3g}" for name in names)
+    factors = "   ".join(
+        "{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name))
+        for name in ("emissive", "ambient", "diffuse", "specular")
+    )
+    return f"{factors}   shininess {material.shininess:.3g}"
 
 
 def _camera_rows(cameras: Sequence[ls.Camera]) -> Rows:

@@ -1,8 +1,8 @@
 """Surface materials, one set for meshes and splats: metallic-roughness as glTF 2.0 defines it, and a simpler one.
 
-A mesh's own colour is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of its Gaussians
-where they carry any and the material does not shine by itself, else the captured colour, decoded; ``base_color`` and
-textures are not used. Roughness and metallic of Gaussians that carry them replace the material's.
+A mesh's own colour is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of its
+Gaussians where they carry any and the material does not shine by itself, else the captured colour, decoded;
+``base_color`` and textures are not used. Roughness and metallic of Gaussians that carry them replace the material's.
 """
 
 from __future__ import annotations
@@ -142,7 +142,8 @@ def _color(name: str, value: Any, high: float) -> Color:
     """
     values = (value,) * 3 if is_number(value) else value
     try:
-        color = tuple(float(c) for c in values) if isinstance(values, Sequence | np.ndarray) else ()
+        numbers = isinstance(values, Sequence | np.ndarray) and all(is_number(c) for c in values)
+        color = tuple(float(c) for c in values) if numbers else ()
     except (TypeError, ValueError):
         color = ()
     if len(color) != 3 or not all(0.0 <= c <= high and math.isfinite(c) for c in color):

@@ -33,6 +33,7 @@ from lumisplat.scene.blue_noise import Pairs, cell_order, cross_pairs, neighbour
 from lumisplat.scene.color import encode_srgb
 from lumisplat.scene.creases import CreasePoints, crease_points
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.surface_color import base_colors, interpolated
@@ -69,7 +70,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
-        ``albedo`` (linear), ``roughness`` and ``metallic``.
+        ``albedo`` (linear) and, of a `MaterialPbr`, ``roughness`` and ``metallic``.
 
     Raises:
         SceneError: This is no mesh, or ``count`` is not a whole number of 1 to 50,000,000.
@@ -101,6 +102,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     thin = SAMPLING_THICKNESS * wide.max(axis=1, keepdims=True)
     albedo = base_colors(mesh, points.faces, points.weights, 0.5 * spacing)
     material = mesh.material
+    physical = isinstance(material, MaterialPbr)
     return Gaussians(
         means=points.positions.astype(np.float32),
         rotations_wxyz=_quaternions(axes),
@@ -109,8 +111,8 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         sh=(encode_srgb(albedo)[:, None, :] - 0.5) / SH_C0,
         normals=shading_normals,
         albedo=albedo,
-        roughness=np.full(count, material.roughness),
-        metallic=np.full(count, material.metallic),
+        roughness=np.full(count, material.roughness) if physical else None,
+        metallic=np.full(count, material.metallic) if physical else None,
     )
 
 

@@ -44,8 +44,12 @@ class SplatInstance:
             raise SceneError(f"a splat instance holds Gaussians, got a {type(self.gaussians).__name__}")
         if self.material is not None and not isinstance(self.material, Material):
             raise SceneError(f"material is a {type(self.material).__name__}, expected a MaterialPbr or MaterialSimple")
-        if self.sh_degree not in range(SH_DEGREE_MAX + 1):
-            raise SceneError(f"sh_degree is {self.sh_degree}, expected 0 to {SH_DEGREE_MAX}")
+        degree = self.sh_degree
+        whole = isinstance(degree, int | np.integer) and not isinstance(degree, bool)
+        if not whole or not 0 <= degree <= SH_DEGREE_MAX:
+            raise SceneError(f"sh_degree is {degree}, expected a whole number from 0 to {SH_DEGREE_MAX}")
+        if not isinstance(self.shadow_only, bool | np.bool_):
+            raise SceneError(f"shadow_only is {self.shadow_only}, expected True or False")
         matrix = matrix_4x4("world_from_object", self.world_from_object)
         _refuse_dissimilar(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)

@@ -1,0 +1,124 @@
+"""Lights and scenes of lights: what they take, what they make of it, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from scenes import quad, random_gaussians
+
+ORIGIN = (0.0, 0.0, 0.0)
+DOWN = (0.0, -1.0, 0.0)
+
+REQUIRED: dict[type, dict[str, Any]] = {
+    ls.LightPoint: {"position": ORIGIN},
+    ls.LightSpot: {"position": ORIGIN, "direction": DOWN},
+    ls.LightDirectional: {"direction": DOWN},
+    ls.LightSphere: {"position": ORIGIN, "radius": 1.0},
+    ls.LightRect: {"position": ORIGIN, "edge_u": (1.0, 0.0, 0.0), "edge_v": (0.0, 0.0, 1.0)},
+    ls.LightEnvironment: {},
+}
+
+
+@pytest.mark.parametrize("kind", REQUIRED, ids=lambda kind: kind.__name__)
+def test_defaults(kind: type) -> None:
+    """A light that says only where it is shines white, at 1, is on and casts shadows."""
+    light = kind(**REQUIRED[kind])
+    assert (light.color, light.intensity, light.enabled, light.casts_shadow) == ((1.0, 1.0, 1.0), 1.0, True, True)
+
+
+def test_directions_become_unit() -> None:
+    """A direction may be of any length, and of any kind of sequence."""
+    spot = ls.LightSpot(position=[1, 2, 3], direction=np.array([0, 3, -4]))  # type: ignore[arg-type]
+    assert spot.position == (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(spot.direction, (0.0, 0.6, -0.8))
+    np.testing.assert_allclose(ls.LightDirectional((2.0, 0.0, 0.0)).direction, (1.0, 0.0, 0.0))
+
+
+def test_environments() -> None:
+    """The image is kept as read-only float32, the rotation as a unit quaternion."""
+    image = np.ones((2, 4, 3))
+    light = ls.LightEnvironment(image=image, rotation_wxyz=(0, 2, 0, 0))  # type: ignore[arg-type]
+    assert light.image is not None and light.image.dtype == np.float32 and not light.image.flags.writeable
+    image[:] = 0.0
+    assert light.image.all()
+    assert light.rotation_wxyz == (0.0, 1.0, 0.0, 0.0)
+
+
+NEGATIVE = np.ones((2, 4, 3))
+NEGATIVE[0, 1:3, 2] = -1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "message"),
+    [
+        *((kind, {"intensity": -1.0}, "intensity is -1.0, expected a number at least 0") for kind in REQUIRED),
+        *((kind, {"color": (1.0, -0.5, 1.0)}, "color is .* expected no negative number") for kind in REQUIRED),
+        *((kind, {"enabled": 1}, "enabled is 1, expected True or False") for kind in REQUIRED),
+        (ls.LightPoint, {"intensity": math.nan}, "intensity is nan"),
+        (ls.LightPoint, {"intensity": math.inf}, "intensity is inf"),
+        (ls.LightPoint, {"intensity": True}, "intensity is True"),
+        (ls.LightPoint, {"position": (0.0, math.nan, 0.0)}, "position has 1 non-finite"),
+        (ls.LightPoint, {"position": (0.0, 0.0)}, r"position has shape \(2,\), expected three numbers"),
+        (ls.LightPoint, {"position": "here"}, "position is not an array of numbers"),
+        (ls.LightPoint, {"range": 0.0}, "range is 0.0, expected a number above 0"),
+        (ls.LightPoint, {"radius": -1.0}, "radius is -1.0"),
+        (ls.LightPoint, {"casts_shadow": None}, "casts_shadow is None"),
+        (ls.LightSpot, {"direction": ORIGIN}, "direction has no length"),
+        (ls.LightSpot, {"inner_angle": 0.8}, "inner_angle is 0.8 and its outer_angle 0.785"),
+        (ls.LightSpot, {"outer_angle": 1.6}, "outer_angle 1.6, expected 0 <= inner < outer <= pi / 2"),
+        (ls.LightSpot, {"inner_angle": -0.1}, "inner_angle is -0.1"),
+        (ls.LightDirectional, {"angle": 1.7}, "angle is 1.7, expected at most pi / 2"),
+        (ls.LightSphere, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
+        (ls.LightRect, {"edge_v": (2.0, 0.0, 0.0)}, "span no area"),
+        (ls.LightRect, {"edge_u": ORIGIN}, "span no area"),
+        (ls.LightEnvironment, {"image": np.ones((4, 3))}, r"image has shape \(4, 3\), expected \(H, W, 3\)"),
+        (ls.LightEnvironment, {"image": NEGATIVE}, "image has 2 negative values"),
+        (ls.LightEnvironment, {"image": np.full((2, 4, 3), np.inf)}, "24 non-finite values"),
+        (ls.LightEnvironment, {"rotation_wxyz": (0, 0, 0, 0)}, "rotation_wxyz is .* not all 0"),
+        (ls.LightEnvironment, {"visible": "no"}, "visible is no, expected True or False"),
+    ],
+)
+def test_wrong_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+    """A value that means nothing is named."""
+    with pytest.raises(ls.SceneError, match=message):
+        kind(**(REQUIRED[kind] | changes))
+
+
+def test_a_scene_takes_one_enabled_environment() -> None:
+    """Others may wait, switched off; any number of other lights is fine."""
+    on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
+    lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]
+    assert ls.Scene(lights=lights).lights == tuple(lights)  # type: ignore[arg-type]
+    with pytest.raises(ls.SceneError, match="two enabled environments"):
+        ls.Scene(lights=[on, ls.LightEnvironment()])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("lights", "message"),
+    [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is one LightPoint, expected a list")],
+)
+def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
+    """What is given for lights has to be a list of them."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.Scene(lights=lights)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"material": "shiny"}, "material is a str, expected a MaterialPbr or MaterialSimple"),
+        ({"sh_degree": 4}, "sh_degree is 4, expected a whole number from 0 to 3"),
+        ({"sh_degree": True}, "sh_degree is True"),
+        ({"sh_degree": 1.0}, "sh_degree is 1.0"),
+        ({"shadow_only": 1}, "shadow_only is 1, expected True or False"),
+    ],
+)
+def test_how_splats_take_light_is_checked(settings: dict[str, Any], message: str) -> None:
+    """Material, SH degree and the shadow-only switch of an instance are of their kinds."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.SplatInstance(random_gaussians(0, 3), **settings)

@@ -1,0 +1,70 @@
+"""Materials: factors of a channel each, textures, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+
+TEXELS = np.zeros((2, 2, 3), np.uint8)
+
+
+def test_one_number_is_a_grey() -> None:
+    """Colours may be given as one number for all three channels."""
+    material = ls.MaterialSimple(diffuse=0.5, emissive=2)  # type: ignore[arg-type]
+    assert (material.diffuse, material.emissive) == ((0.5, 0.5, 0.5), (2.0, 2.0, 2.0))
+    assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)  # type: ignore[arg-type]
+
+
+def test_a_simple_material_shines_as_captured() -> None:
+    """Its defaults are those of a splat set that nobody gave a material: it shines, and reflects nothing."""
+    material = ls.MaterialSimple()
+    assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
+    assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)
+
+
+def test_smooth_is_roughness_zero() -> None:
+    """Rays go on from a perfectly smooth physical material only."""
+    assert ls.MaterialPbr(roughness=0.0).is_smooth
+    assert not ls.MaterialPbr(roughness=1e-3).is_smooth
+    assert not ls.MaterialSimple(shininess=1e4).is_smooth
+
+
+@pytest.mark.parametrize(
+    "name",
+    [f"{kind}_texture" for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")],
+)
+def test_textures_are_kept(name: str) -> None:
+    """Each texture is copied and frozen, and has to be 8-bit RGB or RGBA."""
+    texels = TEXELS.copy()
+    stored = getattr(ls.MaterialPbr(**{name: texels}), name)
+    texels[:] = 255
+    assert not stored.any() and not stored.flags.writeable
+    with pytest.raises(ls.SceneError, match=rf"{name} is float32 \(2, 2, 3\), expected uint8"):
+        ls.MaterialPbr(**{name: texels.astype(np.float32)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "message"),
+    [
+        (ls.MaterialPbr, {"emissive": (1.0, -1.0, 0.0)}, "emissive is .* expected three numbers of at least 0"),
+        (ls.MaterialPbr, {"emissive": np.inf}, "emissive is inf"),
+        (ls.MaterialPbr, {"occlusion_strength": 1.5}, "occlusion_strength is 1.5, expected 0..1"),
+        (ls.MaterialPbr, {"normal_scale": np.nan}, "normal_scale is nan, expected a finite number"),
+        (ls.MaterialPbr, {"ior": True}, "ior is True"),
+        (ls.MaterialPbr, {"base_color": ("1", "1", "1")}, "base_color is .* expected three numbers"),
+        (ls.MaterialSimple, {"diffuse": 1.5}, "diffuse is 1.5, expected three numbers in 0..1"),
+        (ls.MaterialSimple, {"specular": (0.0, 0.0, 2.0)}, "specular is .* expected three numbers in 0..1"),
+        (ls.MaterialSimple, {"ambient": -0.1}, "ambient is -0.1"),
+        (ls.MaterialSimple, {"shininess": 2e4}, "shininess is 20000.0, expected 0 to 10,000"),
+        (ls.MaterialSimple, {"shininess": np.nan}, "shininess is nan"),
+        (ls.MaterialSimple, {"base_color_texture": TEXELS[0]}, "base_color_texture is uint8"),
+    ],
+)
+def test_wrong_materials_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
+    """Values outside their physical range are named."""
+    with pytest.raises(ls.SceneError, match=message):
+        kind(**changes)
