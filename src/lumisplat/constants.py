@@ -107,6 +107,31 @@ the offset in world units, which no two captures share."""
 SHADOW_ONLY_AMBIENT = 0.5
 """Radiance over albedo that a shadow-only set without a material is taken to have besides its lights."""
 
+LIT_WEIGHT_MIN = 1.0 / 512.0
+"""Share of a ray that reaches a mesh behind Gaussians, below which no light is looked for there: half a step of an
+8-bit image. Opaque captures let through up to 1 %."""
+
+SPLAT_ROUGHNESS_MIN = 0.03
+"""Least roughness of splats: their normals are not smooth enough for mirrors."""
+
+GGX_WIDTH_MIN = 1e-6
+"""Alpha (roughness 0.001) below which a rough highlight gets no narrower: float32 directions are no finer."""
+
+LIGHT_DISTANCE_MIN = 1e-6
+"""Distance, scene units, below which a point light gets no brighter, so that it stays finite."""
+
+LIGHT_POWER_MAX = 1e18
+"""Candela, lux or radiance of a light at most, so that float32 holds what arrives at that distance."""
+
+ENVIRONMENT_SHARE_STEPS = 2**24
+"""Shares of an environment's texels are multiples of one over this: all float32 can tell apart below 1."""
+
+ENVIRONMENT_SHARE_MIN = 4
+"""Least share of a texel or row that shines, in those steps: each is found."""
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of linear Rec.709."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3
@@ -233,6 +258,9 @@ DEPTH_KEY_NONFINITE = 0xFFFFFFFE
 RAY_BLOCK_PX = 4
 """Side of the blocks of pixels whose rays follow one another, so that neighbours meet the same boxes."""
 
+PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
+"""Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
+
 SORT_DIGIT_BITS_MAX = 12
 """Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
 usual 24 bits of key."""
@@ -257,9 +285,6 @@ PAIR_SUM_THREADS = 4096
 SCALE_MIN = 1e-12
 """Smallest standard deviation read from a file, scene units: captures hold logarithms whose exponential underflows to
 zero. Its square and the reciprocal of it are still normal float32 numbers."""
-
-PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
-"""Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
 
 LOGIT_MAX = 20.0
 """Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""

@@ -34,8 +34,10 @@ class LightData:
     range: float
     radius: float
     """Of a point or spot, scene units; of directional light, radians."""
-    cos_inner: float
-    cos_outer: float
+    inner: float
+    """1 - cosine of the angle from its axis within which a spot is as bright."""
+    outer: float
+    """The same of the angle at which it is dark: small cones need the digits that a cosine near 1 loses."""
     casts_shadow: int
 
 

@@ -1,0 +1,215 @@
+"""What a material does with light: how much of it goes which way, and directions to look for it in.
+
+Directions are unit vectors away from the surface, ``normal`` is on their side: below it, nothing is reflected. The two
+models are reciprocal, and no more light leaves than comes.
+"""
+
+import math
+
+import warp as wp
+
+from lumisplat.device.directions import around
+from lumisplat.device.ggx import HALF_MIN2, WIDTH_MIN, facet_density, masking, visible_facet
+from lumisplat.device.light_structs import BSDF_SIMPLE, Bsdf, BsdfSample
+
+wp.set_module_options({"enable_backward": False})
+
+INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
+SCHLICK_MEAN = wp.constant(wp.float32(1.0 / 21.0))
+"""Mean of (1 - cosine)^5 over the hemisphere, weighted by the cosine."""
+EXPONENT_MIN = wp.constant(wp.float32(-30.0))
+"""Natural logarithm below which a highlight is dark."""
+
+
+@wp.func
+def mean_of(color: wp.vec3) -> float:
+    """Of the three channels."""
+    return (color[0] + color[1] + color[2]) / 3.0
+
+
+@wp.func
+def fifth_power(x: float) -> float:
+    """``x^5``."""
+    x2 = x * x
+    return x2 * x2 * x
+
+
+@wp.func
+def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """Of a microfacet, or of the smooth surface (Schlick 1994)."""
+    return bsdf.specular + fifth_power(wp.max(1.0 - cosine, 0.0)) * (wp.vec3(bsdf.grazing) - bsdf.specular)
+
+
+# --- Simple: a diffuse part and a Phong highlight ---
+
+
+@wp.func
+def simple_scale(bsdf: Bsdf) -> wp.vec3:
+    """Factor, per channel, by which parts that reflect more than all light together are scaled down."""
+    total = bsdf.diffuse + bsdf.specular
+    return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
+
+
+@wp.func
+def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Phong's cosine to the power of the shininess."""
+    cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
+    # As log(x) <= x - 1, most directions need no power.
+    if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
+        return 0.0
+    return wp.exp(bsdf.shininess * wp.log(wp.min(cosine, 1.0)))
+
+
+@wp.func
+def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """``bsdf_eval`` above the horizon."""
+    value = INV_PI * bsdf.diffuse
+    if wp.max(bsdf.specular) > 0.0:
+        value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
+    return wp.cw_mul(value, simple_scale(bsdf))
+
+
+@wp.func
+def simple_share(bsdf: Bsdf) -> float:
+    """Probability of the highlight."""
+    specular = mean_of(bsdf.specular)
+    if specular <= 0.0:
+        return 0.0
+    return specular / (specular + mean_of(bsdf.diffuse))
+
+
+# --- Metallic-roughness ---
+
+
+@wp.func
+def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
+    """The diffuse part: what the surface lets in of the light, and out again towards the view.
+
+    Divided by the mean of what it lets out, as light that it turns back tries again (docs/adr/0009).
+    """
+    if bsdf.grazing <= 0.0:
+        return INV_PI * bsdf.diffuse
+    white = wp.vec3(1.0)
+    enters = white - reflectance(bsdf, cos_light)
+    leaves = white - reflectance(bsdf, cos_view)
+    mean = white - bsdf.specular - SCHLICK_MEAN * (wp.vec3(bsdf.grazing) - bsdf.specular)
+    mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
+    return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
+
+
+@wp.func
+def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """``bsdf_eval`` above the horizon."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    value = wp.vec3(0.0)
+    if wp.max(bsdf.diffuse) > 0.0:
+        value = pbr_diffuse(bsdf, cos_view, cos_light)
+    half = view + light
+    length2 = wp.dot(half, half)
+    if bsdf.width > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
+        width = wp.max(bsdf.width, WIDTH_MIN)
+        # Cook and Torrance's D G / (4 cos cos), of which the cosines cancel with Smith's.
+        facets = facet_density(normal, half, width) * (masking(cos_view, width) * masking(cos_light, width))
+        value += facets * reflectance(bsdf, 0.5 * wp.sqrt(length2))
+    return value
+
+
+@wp.func
+def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
+    """Probability of the highlight: its share of the light that a smooth surface would send to the view."""
+    if bsdf.width <= 0.0 or bsdf.grazing <= 0.0:
+        return 0.0
+    mirrored = reflectance(bsdf, cos_view)
+    specular = mean_of(mirrored)
+    diffuse = mean_of(wp.cw_mul(bsdf.diffuse, wp.vec3(1.0) - mirrored))
+    if diffuse <= 0.0:
+        return 1.0
+    return specular / (specular + diffuse)
+
+
+# --- Both ---
+
+
+@wp.func
+def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
+    if wp.dot(normal, view) <= 0.0 or wp.dot(normal, light) <= 0.0:
+        return wp.vec3(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        return simple_eval(bsdf, normal, view, light)
+    return pbr_eval(bsdf, normal, view, light)
+
+
+@wp.func
+def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Density with which ``bsdf_sample`` gives the direction ``light``, per steradian.
+
+    What it would give below the horizon is missing: the integral is below 1 by so much.
+    """
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    if cos_view <= 0.0 or cos_light <= 0.0:
+        return 0.0
+    diffuse = INV_PI * cos_light
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+        if share <= 0.0:
+            return diffuse
+        specular = INV_TWO_PI * (bsdf.shininess + 1.0) * highlight(bsdf, normal, view, light)
+        return share * specular + (1.0 - share) * diffuse
+    share = pbr_share(bsdf, cos_view)
+    half = view + light
+    if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
+        return (1.0 - share) * diffuse
+    width = wp.max(bsdf.width, WIDTH_MIN)
+    specular = 0.5 * facet_density(normal, half, width) * masking(cos_view, width)
+    return share * specular + (1.0 - share) * diffuse
+
+
+@wp.func
+def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
+    """A direction to look for light in, more often where the material reflects more of it.
+
+    Args:
+        bsdf: The material.
+        normal: Unit.
+        view: Unit, away from the surface.
+        u: Random, 0..1 each.
+        choice: Random, 0..1, decides between diffuse and highlight.
+    """
+    sample = BsdfSample()
+    sample.direction = normal
+    cos_view = wp.dot(normal, view)
+    if cos_view <= 0.0:
+        return sample
+    share = float(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+    else:
+        share = pbr_share(bsdf, cos_view)
+    if choice >= share:
+        sample.direction = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    elif bsdf.model == BSDF_SIMPLE:
+        mirrored = 2.0 * cos_view * normal - view
+        cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
+        sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
+        sample.direction = around(wp.normalize(mirrored), cosine, sine, u[1])
+    else:
+        # In the plane of view and normal: x is the view's way along the surface.
+        along = view - cos_view * normal
+        sine = wp.length(along)
+        if sine > 1e-6:
+            along = along / sine
+        else:
+            along = around(normal, 0.0, 1.0, 0.0)
+        facet = visible_facet(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.width, WIDTH_MIN), u)
+        half = facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
+        sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
+    density = bsdf_pdf(bsdf, normal, view, sample.direction)
+    if density > 0.0:
+        value = bsdf_eval(bsdf, normal, view, sample.direction)
+        sample.weight = (wp.dot(normal, sample.direction) / density) * value
+        sample.density = density
+    return sample

@@ -1,0 +1,207 @@
+"""The lights of a scene on the device: written every frame, but for the environment's image, which is kept."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.constants import (
+    ENVIRONMENT_SHARE_MIN,
+    ENVIRONMENT_SHARE_STEPS,
+    LIGHT_POWER_MAX,
+    LUMINANCE,
+    TRANSFORM_MAX,
+)
+from lumisplat.device.light_structs import (
+    LIGHT_DIRECTIONAL,
+    LIGHT_ENVIRONMENT,
+    LIGHT_HEADLIGHT,
+    LIGHT_POINT,
+    LIGHT_RECT,
+    LIGHT_SPOT,
+    EnvironmentData,
+    LightData,
+)
+from lumisplat.render.device_scene import table_dtype
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.lights import (
+    Light,
+    LightDirectional,
+    LightEnvironment,
+    LightPoint,
+    LightRect,
+    LightSphere,
+    LightSpot,
+)
+from lumisplat.scene.scene import Scene
+
+WHITE = np.ones((1, 1, 3), dtype=np.float32)
+"""The image of an environment of one colour."""
+
+Doubles = npt.NDArray[np.float64]
+
+
+class LightTable:
+    """What kernels know of a scene's lights."""
+
+    def __init__(self) -> None:
+        self.lights: Any = None
+        """`LightData` of the lights that are on, in the scene's order; at least one element."""
+        self.count = 0
+        """How many of them there are."""
+        self.environment = EnvironmentData()
+        self.names: tuple[str, ...] = ()
+        """Of the lights, distinct: their own, else ``light`` and their number in the scene."""
+        self.version = 0
+        """Changes whenever count, environment or arrays did, so that captured graphs can tell."""
+        self._image: Any = None
+        self._key: object = None
+
+    def sync(self, scene: Scene, camera: Camera, buffers: Buffers) -> None:
+        """Writes the lights as they are now. A scene without any has one at the camera's eye.
+
+        Args:
+            scene: What holds them.
+            camera: Where that one goes.
+            buffers: Where the arrays live; the same ones in every call.
+        """
+        lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled]
+        if scene.lights:
+            table = light_table([light for _, light in lights])
+        else:
+            table = headlight_table(camera)
+        self.count = len(table)
+        self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
+        if not scene.lights:
+            self.names = ("headlight",)
+        self.lights = buffers.get("lights", LightData, max(self.count, 1))
+        if self.count:
+            self.lights.assign(table)
+        environment = next((light for _, light in lights if isinstance(light, LightEnvironment)), None)
+        self._sync_environment(environment, buffers)
+
+    def _sync_environment(self, light: LightEnvironment | None, buffers: Buffers) -> None:
+        image = WHITE if light is None or light.image is None else light.image
+        data = self.environment
+        if image is not self._image:
+            self._image = None  # until all of it is there
+            data.height, data.width = image.shape[:2]
+            rows, columns = environment_ends(image)
+            for name, dtype, values in (
+                ("texels", wp.vec3, image.reshape(-1, 3)),
+                ("row_ends", wp.float32, rows),
+                ("column_ends", wp.float32, columns.reshape(-1)),
+            ):
+                array = buffers.get(f"environment.{name}", dtype, len(values))
+                array.assign(np.ascontiguousarray(values))
+                setattr(data, name, array)
+            self._image = image
+        data.exists = int(light is not None)
+        if light is not None:
+            data.visible = int(light.visible)
+            data.world_from_environment = wp.mat33(*_rotation(np.asarray(light.rotation_wxyz)).ravel())
+            data.power = wp.vec3(*power_of(light))
+        rotation = None if light is None else tuple(np.asarray(light.rotation_wxyz))
+        key = self.count, id(image), light and (light.visible, rotation, light.color, light.intensity)
+        if key != self._key:
+            self._key = key
+            self.version += 1
+
+
+def power_of(light: Light) -> Doubles:
+    """Colour times intensity, in the light's own unit, shape (3,)."""
+    return np.minimum(np.array(light.color) * light.intensity, LIGHT_POWER_MAX)
+
+
+def light_table(lights: list[Light]) -> np.ndarray:
+    """The rows that kernels read lights from."""
+    table = np.zeros(len(lights), dtype=table_dtype(LightData))
+    for i, light in enumerate(lights):
+        row = table[i : i + 1]
+        row["power"] = power_of(light)
+        row["casts_shadow"] = light.casts_shadow
+        row["range"] = math.inf
+        if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+            row["position"] = np.clip(light.position, -TRANSFORM_MAX, TRANSFORM_MAX)
+        if isinstance(light, LightSpot | LightDirectional):
+            row["direction"] = light.direction
+        if isinstance(light, LightPoint | LightSpot):
+            row["range"], row["radius"] = light.range, light.radius
+        if isinstance(light, LightSpot):
+            row["kind"] = LIGHT_SPOT
+            row["inner"], row["outer"] = (2.0 * math.sin(0.5 * a) ** 2 for a in (light.inner_angle, light.outer_angle))
+        elif isinstance(light, LightDirectional):
+            row["kind"], row["radius"] = LIGHT_DIRECTIONAL, light.angle
+        elif isinstance(light, LightRect):
+            normal = np.cross(light.edge_u, light.edge_v)
+            row["kind"] = LIGHT_RECT
+            row["direction"] = normal / np.linalg.norm(normal)
+            row["edge_u"], row["edge_v"] = light.edge_u, light.edge_v
+        elif isinstance(light, LightEnvironment):
+            row["kind"] = LIGHT_ENVIRONMENT
+        else:
+            row["kind"] = LIGHT_POINT
+        if isinstance(light, LightSphere):
+            row["radius"] = light.radius
+            row["power"] = np.minimum(math.pi * light.radius**2 * power_of(light), LIGHT_POWER_MAX)
+    return table
+
+
+def headlight_table(camera: Camera) -> np.ndarray:
+    """The one row of a light at the camera's eye, under which a white surface that faces it looks white."""
+    table = np.zeros(1, dtype=table_dtype(LightData))
+    table["kind"] = LIGHT_HEADLIGHT
+    table["position"] = camera.eye
+    table["power"] = math.pi
+    table["range"] = math.inf
+    return table
+
+
+def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Where the shares of an environment's rows end, shape (H,), and of each row's texels, shape (H, W).
+
+    A texel's share is the luminance that bilinear interpolation gives its cell, times the cell's solid angle. Dark rows
+    have no share, of a dark image none has.
+    """
+    luminance = image.astype(np.float64) @ LUMINANCE
+    luminance /= max(luminance.max(), np.finfo(np.float64).tiny)
+    # The mean of a piecewise linear function over a cell is 1/8 of the values beside it and 3/4 of its own.
+    across = 0.125 * (np.roll(luminance, 1, axis=1) + np.roll(luminance, -1, axis=1)) + 0.75 * luminance
+    padded = np.pad(across, ((1, 1), (0, 0)), mode="edge")
+    mean = 0.125 * (padded[:-2] + padded[2:]) + 0.75 * across
+    edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
+    return _ends(mean.sum(axis=1) * (edges[:-1] - edges[1:])), _ends(mean)
+
+
+def _ends(weights: Doubles) -> npt.NDArray[np.float32]:
+    """Cumulative shares along the last axis, exact in float32, so that whatever has a weight has a share."""
+    total = weights.sum(axis=-1, keepdims=True)
+    shares = weights / np.where(total > 0.0, total, 1.0)
+    least = ENVIRONMENT_SHARE_MIN / ENVIRONMENT_SHARE_STEPS
+    shares = np.where(weights > 0.0, np.maximum(shares, least), 0.0)
+    ends = np.cumsum(shares, axis=-1)
+    last = ends[..., -1:]
+    steps = np.rint(ends / np.where(last > 0.0, last, 1.0) * ENVIRONMENT_SHARE_STEPS)
+    return (steps / ENVIRONMENT_SHARE_STEPS).astype(np.float32)
+
+
+def _rotation(wxyz: Doubles) -> Doubles:
+    """The matrix of a unit quaternion, shape (3, 3): ``v + 2 w (q x v) + 2 q x (q x v)``."""
+    w, q = wxyz[0], np.cross(np.eye(3), wxyz[1:])  # rows: unit vectors crossed with the axis
+    cross = -q.T
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
+    seen: set[str] = set()
+    result = []
+    for name, number in names:
+        unique = f"{name}_{number}" if name in seen else name
+        seen.add(unique)
+        result.append(unique)
+    return tuple(result)

@@ -1,0 +1,74 @@
+"""Kernels that show what the functions for lights and materials give on a device, many at once."""
+
+import warp as wp
+
+from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
+from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
+from lumisplat.device.light import sample_light
+from lumisplat.device.light_structs import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def probe_bsdf(
+    bsdfs: wp.array(dtype=Bsdf),
+    normals: wp.array(dtype=wp.vec3),
+    views: wp.array(dtype=wp.vec3),
+    lights: wp.array(dtype=wp.vec3),
+    values: wp.array(dtype=wp.vec3),
+    densities: wp.array(dtype=float),
+):
+    """Values and densities of pairs of directions."""
+    i = wp.tid()
+    values[i] = bsdf_eval(bsdfs[i], normals[i], views[i], lights[i])
+    densities[i] = bsdf_pdf(bsdfs[i], normals[i], views[i], lights[i])
+
+
+@wp.kernel
+def probe_bsdf_samples(
+    bsdfs: wp.array(dtype=Bsdf),
+    normals: wp.array(dtype=wp.vec3),
+    views: wp.array(dtype=wp.vec3),
+    randoms: wp.array(dtype=wp.vec3),
+    samples: wp.array(dtype=BsdfSample),
+):
+    """Picked directions."""
+    i = wp.tid()
+    u = randoms[i]
+    samples[i] = bsdf_sample(bsdfs[i], normals[i], views[i], wp.vec2(u[0], u[1]), u[2])
+
+
+@wp.kernel
+def probe_lights(
+    lights: wp.array(dtype=LightData),
+    points: wp.array(dtype=wp.vec3),
+    soft: int,
+    randoms: wp.array(dtype=wp.vec2),
+    samples: wp.array(dtype=LightSample),
+):
+    """How points see lights."""
+    i = wp.tid()
+    samples[i] = sample_light(lights[i], points[i], soft, randoms[i])
+
+
+@wp.kernel
+def probe_environment(
+    environment: EnvironmentData,
+    directions: wp.array(dtype=wp.vec3),
+    radiances: wp.array(dtype=wp.vec3),
+    densities: wp.array(dtype=float),
+):
+    """What comes from directions, and how densely they are picked."""
+    i = wp.tid()
+    radiances[i] = environment_radiance(environment, directions[i])
+    densities[i] = environment_density(environment, directions[i])
+
+
+@wp.kernel
+def probe_environment_samples(
+    environment: EnvironmentData, randoms: wp.array(dtype=wp.vec2), samples: wp.array(dtype=LightSample)
+):
+    """Picked directions."""
+    i = wp.tid()
+    samples[i] = sample_environment(environment, randoms[i])
