@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
-from lumisplat.config import RenderConfig
-from lumisplat.errors import ConfigError, FormatError
-from lumisplat.render.pictures import layer_picture
+from lumisplat.config import AOVS, RenderConfig, ToneMap
+from lumisplat.errors import FormatError
+from lumisplat.render.layers import LAYERS, RADIANCE, exr_channels, present_layers
+from lumisplat.render.pictures import VIEWS, layer_pictures, view_limits, view_picture
 from lumisplat.scene.arrays import FloatArray, IntArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.pixel_rays import world_rays
+from lumisplat.scene.tone import captured_radiance, lit_picture
+
+_log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +50,12 @@ class FrameStats:
 class Frame:
     """Images of one camera, all of shape (H, W, ...)."""
 
-    LAYERS: ClassVar[tuple[str, ...]] = ("depth", "normal", "gaussian_index", "instance_index")
+    LAYERS: ClassVar[tuple[str, ...]] = LAYERS
     """Images that can be saved beside the colour."""
+    VIEWS: ClassVar[tuple[str, ...]] = VIEWS
+    """What can be looked at instead of the colour."""
+    NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {"shadow": "lights"}
+    """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
 
     color: FloatArray
     """Radiance over the background, (H, W, 3), in ``color_space``; of a lit frame the captured part, decoded, plus
@@ -119,80 +129,170 @@ class Frame:
         return np.where(hit, origins + along * directions, 0.0).astype(np.float32)
 
     def premultiplied(self) -> FloatArray:
-        """Radiance without the background, (H, W, 3)."""
-        if self.background is None:
-            return self.color
-        behind = (1.0 - self.alpha)[..., None] * np.asarray(self.background, np.float32)
-        return np.maximum(self.color - behind, 0.0)
+        """Radiance without the background, (H, W, 3), in ``color_space``."""
+        behind = np.zeros_like(self.alpha) if self.background is None else 1.0 - self.alpha
+        color = np.asarray(self.background or (0.0, 0.0, 0.0), np.float32) * behind[..., None]
+        lit = self._lit()
+        if lit is None:
+            return np.maximum(self.color - color, 0.0) if self.background else self.color
+        captured, weight, light = lit
+        own = captured_radiance(np.maximum(captured - color, 0.0), np.maximum(weight - behind, 0.0))
+        return np.maximum(own + light, 0.0)
 
     def straight(self) -> FloatArray:
-        """Colour of what covers the pixel: ``premultiplied`` over alpha, (H, W, 3); zero where alpha is."""
-        alpha = self.alpha[..., None]
-        return np.divide(self.premultiplied(), alpha, out=np.zeros_like(self.color), where=alpha > 0.0)
+        """``premultiplied`` over alpha: colour of what covers the pixel, (H, W, 3), in ``color_space``; else zero."""
+        return _over(self.premultiplied(), self.alpha)
 
     def save(self, path: str | os.PathLike[str], layers: Collection[str] | None = None) -> None:
         """Writes the frame; the extension chooses how.
 
-        ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none. ``.exr``: 32-bit linear
-        Rec.709 ``R G B A`` without the background, alpha premultiplied, and the layers ``depth.Z``,
-        ``normal.X/Y/Z``, ``index.gaussian``, ``index.instance`` in one part; an index is a 32-bit unsigned integer,
-        and 4294967295 says "none". ``.npz``: every array of the frame as is.
+        ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none; a lit frame is exposed and
+        tone-mapped, see `pixels_srgb`. ``.exr``: 32-bit linear Rec.709 ``R G B A`` without the background, alpha
+        premultiplied, neither exposed nor tone-mapped, and layers such as ``depth.Z``, ``normal.X/Y/Z``,
+        ``index.gaussian``, ``albedo.R/G/B`` or ``light.NAME.shadow.R/G/B`` in one part; an index is a 32-bit unsigned
+        integer, and 4294967295 says "none". ``.npz``: every array of the frame as is.
+
+        Radiance that is not finite is 0 in PNG and EXR, and a log line counts it.
 
         Args:
             path: Where to.
-            layers: Some of ``depth``, ``normal``, ``gaussian_index``, ``instance_index``: channels of the EXR (None:
-                all four), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all.
+            layers: Some of `LAYERS`: channels of the EXR (None: all that there are), or pictures beside the PNG,
+                ``NAME.depth.png`` and so on (None: no picture). An NPZ has all.
 
         Raises:
-            ConfigError: A name is not a layer.
+            ConfigError: A name is not a layer, or the frame was rendered without it.
             FormatError: The extension is none of these, or the file cannot be written.
         """
         from lumisplat.io import image
 
         suffix = Path(path).suffix.lower()
         if suffix == ".png":
-            pictures = {_layer(name): layer_picture(self, name) for name in layers or ()}
+            pictures: dict[str, FloatArray] = {}
+            for layer in layers or ():
+                pictures |= layer_pictures(self, layer)
             image.write_png(path, self.pixels_srgb())
             for name, picture in pictures.items():
                 image.write_png(Path(path).with_suffix(f".{name}.png"), picture)
         elif suffix == ".exr":
-            image.write_exr(path, self.layers(self.LAYERS if layers is None else layers))
+            image.write_exr(path, self.layers(layers))
         elif suffix == ".npz":
             image.write_npz(path, self.arrays())
         else:
             raise FormatError(path, f"unknown image extension '{suffix}', expected .png, .exr or .npz")
+        self._tell_nonfinite(path)
 
-    def pixels_srgb(self) -> FloatArray:
-        """What a PNG shows: (H, W, 3), or (H, W, 4) with straight alpha if there is no background."""
-        if self.background is None:
-            return np.concatenate([self.straight(), self.alpha[..., None]], axis=2)
-        return self.color
-
-    def layers(self, names: Collection[str] = LAYERS) -> dict[str, np.ndarray]:
-        """EXR channels: linear ``R G B A`` and those of the images that ``names`` lists.
+    def save_view(self, path: str | os.PathLike[str], view: str, limits: tuple[float, float] | None = None) -> None:
+        """Writes a view, see `view`, as a PNG.
 
         Raises:
-            ConfigError: A name is not a layer.
+            ConfigError: There is no such view, or the frame was rendered without what it needs.
+            FormatError: The extension is another, or the file cannot be written.
         """
-        linear = decode_srgb(self.straight()) * self.alpha[..., None]
-        channels = {name: linear[..., i] for i, name in enumerate("RGB")} | {"A": self.alpha}
-        aovs = {
-            "depth": {"depth.Z": self.depth},
-            "normal": {f"normal.{axis}": self.normal[..., i] for i, axis in enumerate("XYZ")},
-            "gaussian_index": {"index.gaussian": self.gaussian_index},
-            "instance_index": {"index.instance": self.instance_index},
-        }
-        for name in names:
-            channels |= aovs[_layer(name)]
-        return channels
+        from lumisplat.io import image
+
+        if Path(path).suffix.lower() != ".png":
+            raise FormatError(path, f"unknown extension '{Path(path).suffix}' for the view of a frame, expected .png")
+        image.write_png(path, self.view(view, limits))
+        self._tell_nonfinite(path)
+
+    def view(self, name: str, limits: tuple[float, float] | None = None) -> FloatArray:
+        """Display colours that show how the frame came about, (H, W, 3), 0..1.
+
+        Args:
+            name: One of `VIEWS`. ``normal``: from -1..1. ``depth``: red (near) to blue (far). ``index``: a colour for
+                each Gaussian and each mesh. ``shadow``: share of the direct light that arrives, black to white; blue
+                where none would come anyway. ``hits``: Gaussians a ray, logarithmic. ``transmittance``: what gets
+                through to the background.
+            limits: What the colours of ``depth`` and ``hits`` span; None: ``view_limits(name)``.
+
+        Raises:
+            ConfigError: There is no such view, or the frame was rendered without what it needs, see `NEEDS`.
+        """
+        return view_picture(self, name, limits)
+
+    def view_limits(self, name: str) -> tuple[float, float]:
+        """What the colours of a view span: give several frames the same to compare them.
+
+        Raises:
+            ConfigError: There is no such view.
+        """
+        return view_limits(self, name)
+
+    def pixels_srgb(self) -> FloatArray:
+        """What a PNG shows: (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
+
+        An unlit frame is shown as trained. A lit one is exposed by its camera's ``exposure`` and tone-mapped as its
+        ``config`` says; pixels that only show a capture are what they are in the unlit frame. What is not finite is
+        black.
+        """
+        seen = self._finite()
+        alpha = np.where(seen, self.alpha, 0.0)
+        lit, transparent = self._lit(), self.background is None
+        if lit is None:
+            pixels = self.straight() if transparent else self.color
+        else:
+            if transparent:
+                lit = tuple(_over(image, self.alpha) for image in lit)
+            captured, weight, light = (_where(seen, image) for image in lit)
+            tone_map = self.config.tone_map if self.config else ToneMap.NONE
+            pixels = lit_picture(captured, weight, light, self.camera.exposure, tone_map)
+        pixels = _where(seen, pixels)
+        return np.concatenate([pixels, alpha[..., None]], axis=2) if transparent else pixels
+
+    def layers(self, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
+        """EXR channels: linear ``R G B A`` and those of the layers that ``names`` lists, None: all that there are.
+
+        Raises:
+            ConfigError: A name is not a layer, or the frame was rendered without it.
+        """
+        linear, seen = self.premultiplied(), self._finite()
+        if self.captured is None:
+            linear = decode_srgb(self.straight()) * self.alpha[..., None]
+        channels = {name: np.where(seen, linear[..., i], 0.0) for i, name in enumerate("RGB")}
+        channels["A"] = np.where(seen, self.alpha, 0.0)
+        return channels | exr_channels(self, present_layers(self) if names is None else names)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Every image by name."""
-        names = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index")
-        return {name: getattr(self, name) for name in names}
+        """Every image by name, and the lights' names where there are some."""
+        names = ["color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position"]
+        names += [
+            name for name in ("captured", "captured_weight", "light", *RADIANCE) if getattr(self, name) is not None
+        ]
+        named = {"light_names": np.array(self.light_names)} if self.light_names else {}
+        return {name: getattr(self, name) for name in names} | named
+
+    def _lit(self) -> tuple[FloatArray, ...] | None:
+        """``captured``, ``captured_weight`` and ``light``; None for an unlit frame."""
+        if self.captured is None or self.captured_weight is None or self.light is None:
+            return None
+        return self.captured, self.captured_weight, self.light
+
+    def _finite(self) -> npt.NDArray[np.bool_]:
+        """Where no radiance is NaN or infinite, (H, W)."""
+        finite = np.isfinite(self.alpha)
+        for image in (self.color, *(self._lit() or ())):
+            finite &= np.isfinite(image).reshape(*finite.shape, -1).all(axis=2)
+        return finite
+
+    def _tell_nonfinite(self, path: str | os.PathLike[str]) -> None:
+        bad = ~self._finite()
+        for name in RADIANCE:
+            if (image := getattr(self, name)) is not None:
+                lights = image.reshape(-1, *bad.shape, 1 if name == "hits" else 3)
+                bad |= ~np.isfinite(lights).all(axis=(0, 3))
+        if count := np.count_nonzero(bad):
+            fate = "kept" if Path(path).suffix.lower() == ".npz" else "black"
+            _log.warning("%s: %d pixels are not finite, %s in the file", os.fspath(path), count, fate)
+        if self.stats and self.stats.nonfinite_count:
+            told = (os.fspath(path), self.stats.nonfinite_count)
+            _log.warning("%s: %d Gaussians or samples were not finite, and left out", *told)
 
 
-def _layer(name: str) -> str:
-    if name not in Frame.LAYERS:
-        raise ConfigError(f"unknown layer '{name}', expected some of {', '.join(Frame.LAYERS)}")
-    return name
+def _over(image: FloatArray, alpha: FloatArray) -> FloatArray:
+    """A premultiplied image, (H, W) or (H, W, 3), over its alpha; zero where that is."""
+    divisor = alpha if image.ndim == 2 else alpha[..., None]
+    return np.divide(image, divisor, out=np.zeros_like(image), where=divisor > 0.0)
+
+
+def _where(seen: npt.NDArray[np.bool_], image: FloatArray) -> FloatArray:
+    return np.where(seen if image.ndim == 2 else seen[..., None], image, np.float32(0.0))
