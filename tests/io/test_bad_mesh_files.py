@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -195,8 +196,14 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         (edit("nodes", 0, mesh=-1), r"refers to meshes\[-1\]"),
         (edit("nodes", 0, children=[9]), r"refers to nodes\[9\]"),
         (edit("nodes", 0, skin=0), r"refers to skins\[0\]"),
-        (edit("nodes", 0, matrix=[1.0] * 9), "matrix of 9 numbers"),
-        (edit("nodes", 0, matrix=[0.0, 0.0, 0.0, 0.0, 0.0] + [1.0] * 11), r"nodes\[0\]: world_from_object"),
+        (edit("nodes", 0, matrix=[1.0] * 9), r"nodes\[0\] 'quad' has matrix \[1.0, .* expected 16 finite numbers"),
+        (edit("nodes", 0, matrix=[0.0, 0.0, 0.0, 0.0, 0.0] + [1.0] * 11), r"nodes\[0\] 'quad': world_from_object"),
+        (
+            edit("nodes", 0, translation=[math.nan, 0, 0]),
+            r"has translation \[nan, 0.0, 0.0\], expected 3 finite numbers",
+        ),
+        (edit("nodes", 0, scale=[1, math.inf, 1]), r"has scale \[1.0, inf, 1.0\], expected 3 finite numbers"),
+        (edit("nodes", 0, rotation=[1, 0, 0]), r"has rotation \[1.0, 0.0, 0.0\], expected 4 finite numbers"),
         (edit("nodes", 0, rotation=[0, 0, 0, 0]), "expected a unit quaternion"),
         (edit("accessors", 0, bufferView=77), r"refers to bufferViews\[77\]"),
         (edit("accessors", 0, count=5), "wants 5 rows of 12 bytes"),

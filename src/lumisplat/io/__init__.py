@@ -144,21 +144,30 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """Loads the cameras of a capture, in the file's order; each has a unique ``name``, its image's.
+    """Loads the cameras of a capture or a scene, in the file's order; each has a unique ``name``, its image's.
 
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
             ``camera_angle_x``; image sizes are looked up where the file gives none; pinhole, equidistant fisheye and
             orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
-            ignored with a log line.
-        width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``.
+            ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras know their aspect ratio only: without
+            ``width`` and ``height`` they get the largest size within 1280 x 720.
+        width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``,
+            except for glTF.
         height: Image height, pixels, of such frames.
+
+    Returns:
+        At least one; of a glTF scene, perhaps none.
 
     Raises:
         FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
     """
     from lumisplat.io import cameras
 
+    if Path(path).suffix.lower() in (".glb", ".gltf"):
+        from lumisplat.io.gltf_cameras import read_gltf_cameras
+
+        return cameras.unique_names(read_gltf_cameras(path, width, height))
     return cameras.load_cameras(path, width, height)
 
 

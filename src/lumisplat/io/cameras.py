@@ -65,7 +65,7 @@ def load_cameras(path: PathLike, width: int | None = None, height: int | None = 
             raise FormatError(path, "not a camera file: expected 'frames' (transforms.json) or a list (cameras.json)")
         if not entries:
             raise FormatError(path, "has no frames")
-        return _unique_names([_decoded(path, k, entry, decode) for k, entry in enumerate(entries)])
+        return unique_names([_decoded(path, k, entry, decode) for k, entry in enumerate(entries)])
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
@@ -281,7 +281,7 @@ def _frame_name(image: object) -> str:
     return name[: -len(Path(name).suffix)] if Path(name).suffix.lower() in _IMAGE_SUFFIXES else name
 
 
-def _unique_names(cameras: list[Camera]) -> list[Camera]:
+def unique_names(cameras: list[Camera]) -> list[Camera]:
     """Empty names become `frame_00000`; repeated ones get a number."""
     used: set[str] = set()
     named = []

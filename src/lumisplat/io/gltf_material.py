@@ -1,47 +1,44 @@
-"""glTF materials: factors, base colour textures (glTF 2.0 section 3.9), KHR_materials_{ior,specular,transmission}.
-
-glTF tells solid bodies, to which KHR_materials_volume gives a thickness, from thin walls, through which light goes
-straight. Ours are all solid: a thin wall bends light as a body would, with a log line. That is right for solid glass
-whose volume the exporter left out, and for a pane that is modelled with both of its faces.
-"""
+"""glTF materials: metallic-roughness with its textures, the extensions that our material knows, and unlit ones."""
 
 from __future__ import annotations
 
 import logging
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf_file import GltfFile
-from lumisplat.io.image import decode_texture
-from lumisplat.scene.materials import MaterialPbr
+from lumisplat.io.gltf_texture import GltfTexels, Placement, Textures, material_textures
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
 if TYPE_CHECKING:
     import pygltflib
 
-
 _log = logging.getLogger("lumisplat")
+
+_LISTED_MAX = 4
+"""Materials that one log line names."""
 
 
 def warn_unread(file: GltfFile) -> None:
-    """Logs what of the file's materials is not read.
+    """Logs what of the file's materials is not read, a line for all materials that have it.
 
-    One line per material with a metallic-roughness texture; one each on alpha, on thin walls, and on what varies or
-    darkens transmission, for all materials that have it.
+    One each on textures that are placed otherwise than the base colour's, on alpha, on thin walls, and on what varies
+    or darkens transmission.
     """
     materials = file.model.materials or []
-    for index, material in enumerate(materials):
-        pbr = material.pbrMetallicRoughness
-        if getattr(pbr, "metallicRoughnessTexture", None) is not None:
-            _log.warning(
-                "%s: the metallicRoughnessTexture of %s is not read: metallic %s and roughness %s everywhere",
-                file.path,
-                _label(index, material),
-                _or(getattr(pbr, "metallicFactor", None), 1.0),
-                _or(getattr(pbr, "roughnessFactor", None), 1.0),
-            )
+    misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
+    named = [f"{', '.join(textures)} of {label}" for label, textures in misplaced.items() if textures]
+    if named:
+        more = f" and {len(named) - _LISTED_MAX} more materials" if len(named) > _LISTED_MAX else ""
+        _log.warning(
+            "%s: textures left out, their texture coordinates are not those of the base colour: %s%s",
+            file.path,
+            "; ".join(named[:_LISTED_MAX]),
+            more,
+        )
     lines = {
         "%d transparent materials are drawn opaque (first %s)": lambda m: m.alphaMode in ("MASK", "BLEND"),
         "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": _is_thin,
@@ -64,6 +61,14 @@ def _has_varied_transmission(material: pygltflib.Material) -> bool:
     )
 
 
+def _is_unlit(material: pygltflib.Material) -> bool:
+    return "KHR_materials_unlit" in (material.extensions or {})
+
+
+def _textures(material: pygltflib.Material) -> Textures:
+    return material_textures(material, only_color=_is_unlit(material))
+
+
 def _extension(material: pygltflib.Material, name: str) -> dict[str, Any]:
     """``KHR_materials_{name}`` of a material, empty where it has none."""
     return (material.extensions or {}).get(f"KHR_materials_{name}", {})
@@ -78,10 +83,10 @@ class GltfMaterials:
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
-        self._materials: dict[int, MaterialPbr] = {}
-        self._textures: dict[int, npt.NDArray[np.uint8]] = {}
+        self._texels = GltfTexels(file)
+        self._materials: dict[int, Material] = {}
 
-    def get(self, index: int | None, referrer: str) -> MaterialPbr:
+    def get(self, index: int | None, referrer: str) -> Material:
         """The material at ``index``; glTF's default one for None.
 
         Raises:
@@ -91,73 +96,54 @@ class GltfMaterials:
             return MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
         material = self._file.item("materials", index, referrer)
         if index not in self._materials:
-            self._materials[index] = self._decode(material)
+            try:
+                self._materials[index] = self._decode(material, _label(index, material))
+            except FormatError:
+                raise
+            except SceneError as error:
+                raise FormatError(self._file.path, f"{_label(index, material)}: {error}") from None
         return self._materials[index]
 
-    def _decode(self, material: pygltflib.Material) -> MaterialPbr:
+    def _decode(self, material: pygltflib.Material, label: str) -> Material:
         pbr = material.pbrMetallicRoughness
-        texture = getattr(pbr, "baseColorTexture", None)
-        texels = self._texture(texture.index, material.name) if texture is not None else None
+        texels: dict[str, Any] = {
+            name: self._texels.get(index, label) for name, index in _textures(material).indices.items()
+        }
+        color = tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3]
+        if _is_unlit(material):
+            return MaterialSimple(base_color=color, name=material.name or "", **texels)
+        strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
         return MaterialPbr(
-            base_color=tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3],
+            base_color=color,
             metallic=_or(getattr(pbr, "metallicFactor", None), 1.0),
             roughness=_or(getattr(pbr, "roughnessFactor", None), 1.0),
             specular=_extension(material, "specular").get("specularFactor", 1.0),
             # The extension allows 0 as a switch of older assets; less than 1 means nothing here.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
             transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
-            base_color_texture=texels,
+            emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),  # type: ignore[arg-type]
+            normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
+            occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",
+            **texels,
         )
 
-    def _texture(self, index: int, material_name: str | None) -> npt.NDArray[np.uint8]:
-        file = self._file
-        texture = file.item("textures", index, f"material {material_name!r}")
-        webp = (texture.extensions or {}).get("EXT_texture_webp", {})
-        source = webp.get("source", texture.source)
-        image = file.item("images", source, f"textures[{index}]")
-        if source not in self._textures:
-            label = f"images[{source}]" + (f" {image.name!r}" if image.name else "")
-            if image.bufferView is not None:
-                data = bytes(file.view_bytes(image.bufferView, label)[0])
-            else:
-                data = file.resource(image.uri, label)
-                label = image.uri if not image.uri.startswith("data:") else label
-            self._textures[source] = decode_texture(data, file.path, label)[:, :, :3]
-        return self._textures[source]
 
-
-def base_color_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -> npt.NDArray[np.float32] | None:
-    """The texture coordinates that the base colour texture uses, its KHR_texture_transform applied, shape (V, 2).
+def texture_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -> npt.NDArray[np.float32] | None:
+    """The texture coordinates of the base colour texture, else of the material's first one, placed, shape (V, 2).
 
     None where the primitive lacks them.
 
     Raises:
         FormatError: The set or the transform is malformed.
     """
-    texture = None
+    placement = Placement()
     if primitive.material is not None:
-        material = file.item("materials", primitive.material, where)
-        texture = getattr(material.pbrMetallicRoughness, "baseColorTexture", None)
-    transform: dict[str, Any] = ((texture.extensions if texture else None) or {}).get("KHR_texture_transform", {})
-    uv_set = transform.get("texCoord", (texture.texCoord if texture else None) or 0)
-    accessor = getattr(primitive.attributes, f"TEXCOORD_{uv_set}", None)
+        placement = _textures(file.item("materials", primitive.material, where)).placement
+    accessor = getattr(primitive.attributes, f"TEXCOORD_{placement.uv_set}", None)
     if accessor is None:
         return None
-    uvs = file.floats(accessor, "VEC2", f"{where} TEXCOORD_{uv_set}")
-    return transformed_uvs(uvs, transform) if transform else uvs
-
-
-def transformed_uvs(uvs: npt.NDArray[np.float32], transform: dict[str, Any]) -> npt.NDArray[np.float32]:
-    """Scales, rotates, then offsets, shape (V, 2).
-
-    Positive angles turn counter-clockwise as one looks at the image, v down: as Khronos' viewer does, not as the GLSL
-    of the extension's text does (github.com/KhronosGroup/glTF issue 1563).
-    """
-    angle = float(transform.get("rotation", 0.0))
-    cos, sin = math.cos(angle), math.sin(angle)
-    linear = np.array([[cos, sin], [-sin, cos]]) @ np.diag(transform.get("scale", (1.0, 1.0)))
-    return (uvs @ linear.T + transform.get("offset", (0.0, 0.0))).astype(np.float32)
+    return placement.applied(file.floats(accessor, "VEC2", f"{where} TEXCOORD_{placement.uv_set}"))
 
 
 def _or(value: Any, default: Any) -> Any:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf_file import GltfFile
-from lumisplat.io.gltf_material import GltfMaterials, base_color_uvs
-from lumisplat.io.mesh_arrays import TriangleSieve, unit_normals, without_loose_texture
+from lumisplat.io.gltf_material import GltfMaterials, texture_uvs
+from lumisplat.io.mesh_arrays import TriangleSieve, unit_normals, without_loose_textures
 from lumisplat.scene.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _mesh(
         raise primitive.error("has no POSITION")
     normals = primitive.floats("NORMAL", "VEC3")
     colors = primitive.floats("COLOR_0", "VEC3 VEC4")
-    uvs = base_color_uvs(primitive.file, primitive.item, primitive.where)
+    uvs = texture_uvs(primitive.file, primitive.item, primitive.where)
     for name, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
         if array is not None and len(array) != len(positions):
             raise primitive.error(f"has {len(array):,} {name} for {len(positions):,} POSITION")
@@ -101,7 +101,7 @@ def _mesh(
         colors=None if colors is None else np.clip(colors[:, :3], 0.0, 1.0),
         name=mesh.name or "",
     )
-    return without_loose_texture(primitive.file.path, textured)
+    return without_loose_textures(primitive.file.path, textured)
 
 
 def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64]:

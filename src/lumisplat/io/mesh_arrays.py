@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -102,10 +102,13 @@ def unit_normals(
     return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
 
 
-def without_loose_texture(path: PathLike, mesh: Mesh) -> Mesh:
-    """The mesh; without its texture, and a log line that says so, if it has no texture coordinates to place it."""
-    if mesh.material.base_color_texture is None or mesh.uvs is not None:
+def without_loose_textures(path: PathLike, mesh: Mesh) -> Mesh:
+    """The mesh; without its textures, and a log line that says so, if it has no texture coordinates to place them."""
+    names = [field.name for field in fields(mesh.material) if field.name.endswith("_texture")]
+    loose = [name for name in names if getattr(mesh.material, name) is not None]
+    if not loose or mesh.uvs is not None:
         return mesh
     name = mesh.material.name or mesh.name
-    _log.warning("%s: the texture of %r is left out: there are no texture coordinates for it", os.fspath(path), name)
-    return replace(mesh, material=replace(mesh.material, base_color_texture=None))
+    said = f"the texture of {name!r} is" if len(loose) == 1 else f"the {len(loose)} textures of {name!r} are"
+    _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), said)
+    return replace(mesh, material=replace(mesh.material, **dict.fromkeys(loose)))

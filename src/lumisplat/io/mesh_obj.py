@@ -10,7 +10,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.image import read_texture
-from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_texture
+from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_textures
 from lumisplat.io.source import parsing, read_bytes
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
@@ -76,7 +76,7 @@ def _read(path: Path) -> list[Mesh]:
     meshes = [
         _mesh(listing, faces, name, materials.get(name), sieve) for name, faces in listing.faces_from_material.items()
     ]
-    left = [without_loose_texture(path, mesh) for mesh in meshes if mesh is not None]
+    left = [without_loose_textures(path, mesh) for mesh in meshes if mesh is not None]
     sieve.report(anything_left=bool(left))
     return left
 

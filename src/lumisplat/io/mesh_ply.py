@@ -8,7 +8,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.image import read_texture
-from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_texture
+from lumisplat.io.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_textures
 from lumisplat.io.ply import PlyHeader, read_ply_element
 from lumisplat.io.ply_lists import read_ply_lists
 from lumisplat.io.source import parsing
@@ -75,7 +75,7 @@ def _read(header: PlyHeader) -> Mesh:
         colors=colors,
         name=Path(header.path).stem,
     )
-    return without_loose_texture(header.path, mesh)
+    return without_loose_textures(header.path, mesh)
 
 
 def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
