@@ -20,6 +20,20 @@ def encode_srgb_color(linear: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def decode_srgb(display: float) -> float:
+    """Linear value of a display-referred one >= 0 (IEC 61966-2-1)."""
+    if display <= 0.04045:
+        return display / 12.92
+    return wp.pow((display + 0.055) / 1.055, 2.4)
+
+
+@wp.func
+def decode_srgb_color(display: wp.vec3) -> wp.vec3:
+    """The same for a colour."""
+    return wp.vec3(decode_srgb(display[0]), decode_srgb(display[1]), decode_srgb(display[2]))
+
+
+@wp.func
 def texel_linear(texels: wp.array(dtype=wp.uint32), linear_from_byte: wp.array(dtype=float), index: int) -> wp.vec3:
     """Linear colour of one RGBA8 texel, red in the low byte."""
     rgba = texels[index]

@@ -43,6 +43,12 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 
 @wp.func
+def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
+    """The normal, or its opposite, on the side of the eye."""
+    return wp.where(wp.dot(normal, to_eye) < 0.0, -normal, normal)
+
+
+@wp.func
 def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: GaussianData, i: int) -> Splat:
     """The splat of Gaussian ``i`` of an instance; log_opacity is -inf where it cannot touch the image."""
     splat = Splat()
@@ -100,9 +106,15 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     splat.across = 0.5 / yy
     splat.log_opacity = log_opacity
     to_eye = instance.eye - mean
-    degree = wp.min(camera.sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
-    splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
-    splat.normal = instance.world_from_object * gaussian_normal(rotation, scale, to_eye)
+    if instance.own_colors != 0:
+        splat.color = gaussians.albedo[i]
+    else:
+        degree = wp.min(instance.sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
+        splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
+    if instance.own_normals != 0:
+        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye)
+    else:
+        splat.normal = instance.world_from_object * gaussian_normal(rotation, scale, to_eye)
     return splat
 
 

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.gaussian import towards
 from lumisplat.device.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.random import draw
 from lumisplat.device.ray_structs import Ray, RayRadiance
@@ -29,6 +30,7 @@ def load_pixel(radiance: RayRadiance, ray: int) -> Pixel:
     pixel.normal = radiance.normal[ray]
     pixel.transmittance = radiance.transmittance[ray]
     pixel.splat = radiance.gaussian[ray]
+    pixel.hits = radiance.hits[ray]
     return pixel
 
 
@@ -39,6 +41,7 @@ def store_pixel(radiance: RayRadiance, ray: int, pixel: Pixel):
     radiance.normal[ray] = pixel.normal
     radiance.transmittance[ray] = pixel.transmittance
     radiance.gaussian[ray] = pixel.splat
+    radiance.hits[ray] = pixel.hits
 
 
 @wp.func
@@ -62,9 +65,15 @@ def blend_hit(
     origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     direction = instance.object_from_world * ray.direction
     eye = origin - ray.travelled * direction
-    color = gaussian_color(gaussians, i, eye, view.sh_degree)
+    color = wp.vec3()
+    if instance.own_colors != 0:
+        color = gaussians.albedo[i]
+    else:
+        color = gaussian_color(gaussians, i, eye, instance.sh_degree)
     normal = wp.vec3()
-    if view.ellipsoid_normal != 0:
+    if instance.own_normals != 0:
+        normal = towards(gaussians.normals[i], -direction)
+    elif view.ellipsoid_normal != 0:
         normal = ellipsoid_normal(instance.kernel, gaussians, i, origin, direction)
     else:
         normal = gaussian_facing(gaussians, i, eye)

@@ -17,3 +17,11 @@ def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
     block = ray // BLOCK_RAYS
     within = ray % BLOCK_RAYS
     return wp.vec2i((block % blocks_x) * BLOCK + within % BLOCK, (block // blocks_x) * BLOCK + within // BLOCK)
+
+
+@wp.func
+def ray_of_pixel(width: int, x: int, y: int) -> int:
+    """The ray of a pixel inside the image."""
+    blocks_x = (width + BLOCK - 1) // BLOCK
+    block = (y // BLOCK) * blocks_x + x // BLOCK
+    return block * BLOCK_RAYS + (y % BLOCK) * BLOCK + x % BLOCK

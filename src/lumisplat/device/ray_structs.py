@@ -149,7 +149,9 @@ class RayRadiance:
     depth: wp.array(dtype=float)
     """Distance of the surface; inf: not reached."""
     gaussian: wp.array(dtype=int)
-    """Gaussian of the surface, among all of the scene's; -1: not reached."""
+    """Gaussian of the surface, among all of the scene's; where it is not reached, -2 - the first one; -1: none."""
+    hits: wp.array(dtype=int)
+    """How many were blended."""
 
 
 @struct

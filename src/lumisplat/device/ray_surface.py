@@ -33,7 +33,7 @@ def surface_of_ray(
     surface.depth = radiance.depth[i]
     surface.gaussian = -1
     surface.instance = -1
-    if surface.depth < wp.inf:
+    if surface.depth < wp.inf and radiance.gaussian[i] >= 0:
         surface.instance = instance_of(instances, radiance.gaussian[i])
         surface.gaussian = radiance.gaussian[i] - instances[surface.instance].first
 

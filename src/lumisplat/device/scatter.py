@@ -30,7 +30,12 @@ def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float
 
 @wp.func
 def bounce_of(
-    material: SmoothData, base_color: wp.vec3, face_normal: wp.vec3, shading_normal: wp.vec3, direction: wp.vec3
+    material: SmoothData,
+    base_color: wp.vec3,
+    face_normal: wp.vec3,
+    shading_normal: wp.vec3,
+    direction: wp.vec3,
+    lit: bool,
 ) -> Bounce:
     """How a material splits the light that a ray brings.
 
@@ -43,9 +48,12 @@ def bounce_of(
         face_normal: Unit, out of the mesh: a ray along it comes from inside. What transmits nothing has no inside.
         shading_normal: Unit; not used where it would send light through the triangle that it should mirror, or back.
         direction: Of the ray, unit.
+        lit: Weights are for linear light instead of display-referred colours.
     """
     bounce = Bounce()
-    bounce.color = encode_srgb_color(base_color)
+    bounce.color = base_color
+    if not lit:
+        bounce.color = encode_srgb_color(base_color)
     bounce.eta = 1.0 / material.ior
     bounce.side = face_normal
     passes = material.transmission > 0.0
@@ -68,7 +76,10 @@ def bounce_of(
     let_through = dielectric * (1.0 - mirrored) * bounce.color
     bounce.reflected = wp.vec3(dielectric * mirrored)
     if material.metallic > 0.0:
-        bounce.reflected += material.metallic * encode_srgb_color(schlick(base_color, cosine))
+        metal = schlick(base_color, cosine)
+        if not lit:
+            metal = encode_srgb_color(metal)
+        bounce.reflected += material.metallic * metal
     bounce.refracted = material.transmission * let_through
     bounce.color = (1.0 - material.transmission) * let_through
     return bounce

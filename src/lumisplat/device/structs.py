@@ -37,7 +37,6 @@ class CameraData:
     near: float
     dilation: float
     """Variance added to projected covariances, pixel^2."""
-    sh_degree: int
     transmittance_min: float
     depth_iso_transmittance: float
     background: wp.vec3
@@ -57,6 +56,10 @@ class GaussianData:
     sh: wp.array(dtype=wp.vec3)
     """Coefficients, ``sh_count`` consecutive ones a Gaussian."""
     sh_count: int
+    normals: wp.array(dtype=wp.vec3)
+    """That the asset carries; without elements: none."""
+    albedo: wp.array(dtype=wp.vec3)
+    """Display-referred; without elements: none."""
 
 
 @struct
@@ -74,6 +77,12 @@ class InstanceData:
     """Index of the instance's first Gaussian among all of the scene's."""
     antialiased: int
     """1: compensate opacity for the dilation (Mip-Splatting)."""
+    sh_degree: int
+    """Highest that is evaluated."""
+    own_colors: int
+    """1: Gaussians show their albedo."""
+    own_normals: int
+    """1: normals are those that the asset carries."""
 
 
 @struct
@@ -170,7 +179,9 @@ class Pixel:
     transmittance: float
     """Negative: finished, with this magnitude."""
     splat: int
-    """Splat of the iso-opacity surface; -1: not reached."""
+    """Splat of the iso-opacity surface; where it is not reached, -2 - the first splat; -1: there is none."""
+    hits: int
+    """How many were blended."""
 
 
 @struct
@@ -188,6 +199,8 @@ class MeshData:
     """RGBA8, sRGB-encoded, all textures end to end."""
     linear_from_byte: wp.array(dtype=float)
     """sRGB decoding table, 256 entries."""
+    unit_from_byte: wp.array(dtype=float)
+    """Bytes over 255."""
 
 
 @struct

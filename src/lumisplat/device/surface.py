@@ -5,6 +5,8 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
+from lumisplat.device.ray_blocks import ray_of_pixel
+from lumisplat.device.ray_structs import RayRadiance
 from lumisplat.device.structs import CameraData, InstanceData, MeshHits, Pixel, Splat, SurfaceData
 
 wp.set_module_options({"enable_backward": False})
@@ -31,8 +33,11 @@ def lay_behind(pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha:
     pixel.color += weight * color
     pixel.normal += weight * normal
     pixel.transmittance = after
+    pixel.hits += 1
     if before >= iso and after < iso:
         pixel.splat = index
+    elif pixel.splat == -1:
+        pixel.splat = -2 - index
     return pixel
 
 
@@ -58,6 +63,20 @@ def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
         else:
             high = middle
     return low
+
+
+@wp.func
+def store_radiance(camera: CameraData, splats: wp.array(dtype=Splat), pixel: Pixel, x: int, y: int, out: RayRadiance):
+    """Writes what a pixel's splats give its ray, for what goes on from there."""
+    ray = ray_of_pixel(camera.width, x, y)
+    out.color[ray] = pixel.color
+    out.normal[ray] = pixel.normal
+    out.transmittance[ray] = wp.abs(pixel.transmittance)
+    out.depth[ray] = wp.inf
+    out.gaussian[ray] = pixel.splat
+    out.hits[ray] = pixel.hits
+    if pixel.splat >= 0:
+        out.depth[ray] = splats[pixel.splat].depth * wp.length(pixel_ray(camera, x, y))
 
 
 @wp.func

@@ -130,7 +130,6 @@ class TraceData:
     """1: Gaussians are hit where rays enter their ellipsoid."""
     ellipsoid_normal: int
     """1: normals are those of that ellipsoid."""
-    sh_degree: int
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float

@@ -15,8 +15,10 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.shade_structs import RayColors
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels as kernels
+from lumisplat.render import shade_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.mesh_hits import MeshHitFinder
 from lumisplat.render.order import grown
@@ -39,11 +41,20 @@ class Wave:
     weights: Any
     """Share of a ray's colour in that of the ray it branches off; none in the first wave."""
     colors: Any
-    """What each ray sees, display-referred sRGB: first without its branches, then with them."""
+    """What each ray sees, first without its branches, then with them: display-referred sRGB, or RayColors if lit."""
     branches: Any
     """How many rays go on in each branch, 0 or 1."""
     branch_ends: Any
     """Inclusive sum of these: one more than where the branch's ray is in the next wave."""
+
+    @property
+    def count(self) -> int:
+        """Rays, and places for rays."""
+        return self.rays.t_max.shape[0]
+
+
+Light = Callable[[Wave, int, bool], None]
+"""Writes the colours of a wave, by its number, and, where it may branch, its branches."""
 
 
 class Bounces:
@@ -59,7 +70,16 @@ class Bounces:
         self._launcher, self._buffers, self._mesh_hits = launcher, buffers, mesh_hits
 
     def resolve(
-        self, scene: DeviceScene, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, *, trace: Trace, bounces: int
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        hits: RayMeshHits,
+        radiance: RayRadiance,
+        *,
+        trace: Trace,
+        bounces: int,
+        light: Light | None = None,
+        reflection: Any = None,
     ) -> Any:
         """The colour that each ray sees, over the mesh or the background behind the Gaussians.
 
@@ -72,34 +92,48 @@ class Bounces:
             radiance: What the Gaussians before that give them.
             trace: The same for the rays that go on.
             bounces: How often a ray may go on; beyond, it sees the background.
+            light: Lights what rays meet; None: surfaces show their own colour.
+            reflection: If lit, receives what reflected and refracted rays bring, linear.
+
+        Returns:
+            Display-referred colours, or what ``light`` returned for these rays.
         """
-        waves = [self._wave(0, rays, hits, radiance)]
+        waves = [self._wave(0, rays, hits, radiance, light)]
         waves[0].path_weights.fill_(1.0)
-        while count := self._scatter(scene, waves[-1], may_branch=len(waves) <= bounces):
-            waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace))
+        while count := self._scatter(scene, waves[-1], len(waves) - 1, light, may_branch=len(waves) <= bounces):
+            waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace, light))
+        nothing = self._buffers.get("bounce.nothing", wp.vec3, 0)
+        if reflection is not None:
+            reflection.zero_()
         for near, far in reversed(list(itertools.pairwise(waves))):
-            self._launcher.run_banded(
-                kernels.gather_branches,
-                near.colors.shape[0],
-                *(near.branches, near.branch_ends, far.weights, far.colors, near.colors),
-            )
+            links = (near.branches, near.branch_ends, far.weights, far.colors)
+            if light is None:
+                self._launcher.run_banded(kernels.gather_branches, near.count, *links, near.colors)
+            else:
+                kept = nothing if reflection is None or near is not waves[0] else reflection
+                self._launcher.run_banded(shade_kernels.gather_lit, near.count, *links, near.colors.light, kept)
         return waves[0].colors
 
-    def _scatter(self, scene: DeviceScene, wave: Wave, may_branch: bool) -> int:
+    def _scatter(self, scene: DeviceScene, wave: Wave, number: int, light: Light | None, *, may_branch: bool) -> int:
         """Colours without branches; how many rays go on."""
-        may_branch = may_branch and scene.has_smooth_meshes and wave.colors.shape[0] > 0
-        self._launcher.run_banded(
-            kernels.scatter_rays,
-            wave.colors.shape[0],
-            *(may_branch, scene.camera, scene.mesh_instances, scene.placements, scene.mesh_data),
-            *(wave.rays, wave.hits, wave.radiance, wave.path_weights, wave.colors, wave.branches),
-        )
+        may_branch = may_branch and scene.has_smooth_meshes and wave.count > 0
+        if light is not None:
+            light(wave, number, may_branch)
+        else:
+            self._launcher.run_banded(
+                kernels.scatter_rays,
+                wave.count,
+                *(may_branch, scene.camera, scene.mesh_instances, scene.placements, scene.mesh_data),
+                *(wave.rays, wave.hits, wave.radiance, wave.path_weights, wave.colors, wave.branches),
+            )
         if not may_branch:
             return 0
         wp.utils.array_scan(wave.branches, wave.branch_ends, inclusive=True)
         return int(wave.branch_ends[-1:].numpy()[0])
 
-    def _next_wave(self, scene: DeviceScene, wave: Wave, number: int, count: int, trace: Trace) -> Wave:
+    def _next_wave(
+        self, scene: DeviceScene, wave: Wave, number: int, count: int, trace: Trace, light: Light | None
+    ) -> Wave:
         capacity = grown(count)  # a few sizes of arrays instead of one a frame; what is not used is no ray
         rays = self._buffers.struct(f"bounce.rays{number % 2}", RayData, capacity)
         rays.t_max.fill_(float("-inf"))
@@ -108,21 +142,34 @@ class Bounces:
         self._launcher.run_banded(
             kernels.spawn_rays,
             wave.branches.shape[0],
-            *(scene.mesh_instances, scene.placements, scene.mesh_data, wave.rays, wave.hits, wave.radiance),
+            *(
+                light is not None,
+                scene.mesh_instances,
+                scene.placements,
+                scene.mesh_data,
+                wave.rays,
+                wave.hits,
+                wave.radiance,
+            ),
             *(wave.path_weights, wave.branches, wave.branch_ends, rays, weights, path_weights),
         )
         hits = self._mesh_hits.find(scene, rays, "bounce.hits")
-        return self._wave(number, rays, hits, trace(rays))
+        return self._wave(number, rays, hits, trace(rays), light)
 
-    def _wave(self, number: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance) -> Wave:
+    def _wave(self, number: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, light: Light | None) -> Wave:
         count, get = rays.t_max.shape[0], self._buffers.get
+        colors: Any = (
+            get(f"bounce.{number}.colors", wp.vec3, count)
+            if light is None
+            else self._buffers.struct(f"bounce.{number}.lit", RayColors, count)
+        )
         return Wave(
             rays,
             hits,
             radiance,
             path_weights=get(f"bounce.path_weights{number % 2}", wp.float32, count),
             weights=get(f"bounce.{number}.weights", wp.vec3, count if number else 0),
-            colors=get(f"bounce.{number}.colors", wp.vec3, count),
+            colors=colors,
             branches=get(f"bounce.{number}.branches", wp.int32, 2 * count),
             branch_ends=get(f"bounce.{number}.branch_ends", wp.int32, 2 * count),
         )

@@ -28,6 +28,7 @@ def bounce_of_ray(
     instances: wp.array(dtype=MeshInstanceData),
     placements: wp.array(dtype=MeshPlacement),
     meshes: MeshData,
+    lit: bool,
 ) -> Bounce:
     """What the mesh that a ray met does with it."""
     number = hits.instance[i]
@@ -40,6 +41,7 @@ def bounce_of_ray(
         face_normal(instance, meshes, corners),
         surface_normal(instance, meshes, corners, weights),
         rays.direction[i],
+        lit,
     )
 
 
@@ -67,7 +69,7 @@ def scatter_rays(
         transmittance = radiance.transmittance[i]
         color = radiance.color[i]
         if hits.face[i] >= 0:
-            bounce = bounce_of_ray(i, rays, hits, instances, placements, meshes)
+            bounce = bounce_of_ray(i, rays, hits, instances, placements, meshes, False)
             color += transmittance * bounce.color
             if may_branch:
                 weight = transmittance * path_weights[i]
@@ -88,6 +90,7 @@ def scatter_rays(
 @wp.kernel
 def spawn_rays(
     start: int,
+    lit: bool,
     instances: wp.array(dtype=MeshInstanceData),
     placements: wp.array(dtype=MeshPlacement),
     meshes: MeshData,
@@ -108,7 +111,7 @@ def spawn_rays(
     stride = branches.shape[0] // 2
     refracted = j // stride
     i = j % stride
-    bounce = bounce_of_ray(i, rays, hits, instances, placements, meshes)
+    bounce = bounce_of_ray(i, rays, hits, instances, placements, meshes, lit)
     weight = radiance.transmittance[i] * bounce.reflected
     direction = reflect(rays.direction[i], bounce.normal)
     side = bounce.side

@@ -14,6 +14,7 @@ from lumisplat.constants import INSTANCE_BOX_MARGIN, JACOBIAN_CLAMP, RAY_START_B
 from lumisplat.device.ray_structs import MeshPlacement
 from lumisplat.device.structs import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
 from lumisplat.errors import DeviceError
+from lumisplat.render.materials import own_looks
 from lumisplat.render.upload import (
     TextureKey,
     build_triangle_tree,
@@ -80,7 +81,8 @@ class DeviceScene:
         self._meshes: dict[int, Mesh] = {}
         self._trees: dict[int, TriangleTree] = {}
         self._face_first: dict[int, int] = {}
-        self._texture_first: dict[TextureKey, int] = {}
+        self.texture_first: dict[TextureKey, int] = {}
+        """First texel of each texture."""
         self.version = 0
         """Changes whenever device arrays or what they stand for did, so that captured graphs can tell."""
         self.assets: list[SplatAsset] = []
@@ -99,8 +101,24 @@ class DeviceScene:
         self.has_smooth_meshes = False
         """Whether rays go on from some mesh, reflected or refracted."""
 
-    def sync(self, scene: Scene, camera: Camera, config: RenderConfig) -> None:
-        """Uploads the assets that are new, drops those no longer used, and writes poses and camera."""
+    def sync(
+        self,
+        scene: Scene,
+        camera: Camera,
+        config: RenderConfig,
+        *,
+        lit: bool = False,
+        offset: tuple[float, float] = (0.5, 0.5),
+    ) -> None:
+        """Uploads the assets that are new, drops those no longer used, and writes poses and camera.
+
+        Args:
+            scene: What there is.
+            camera: From where the frame looks.
+            config: Its settings.
+            lit: Whether it is lit; then sets that reflect light show their own albedo and normals.
+            offset: Where in its pixel the sample lies that is rasterised, 0..1.
+        """
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
         if structure != self._structure:
             self._structure = None  # until all of it is there: a failed upload is not taken for a finished one
@@ -109,11 +127,15 @@ class DeviceScene:
             except RuntimeError as error:
                 raise DeviceError(f"{self._device} has no room for the scene: {error}") from None
             self._structure = structure
-        self.camera.assign(camera_table(camera, config))
+        self.place_sample(camera, config, offset)
         if scene.splats:
-            self.instances.assign(splat_table(scene, camera, config))
+            self.instances.assign(splat_table(scene, camera, config, lit))
         if scene.meshes:
             self.mesh_instances.assign(self._mesh_table(scene, camera))
+
+    def place_sample(self, camera: Camera, config: RenderConfig, offset: tuple[float, float]) -> None:
+        """Writes the camera so that pixels are rasterised at ``offset`` from their corner, 0..1."""
+        self.camera.assign(camera_table(camera, config, offset))
 
     def sync_rays(self, scene: Scene) -> None:
         """Builds the trees of the meshes that rays have not met before, and writes where rays meet the instances.
@@ -166,7 +188,7 @@ class DeviceScene:
         if list(meshes) != list(self._meshes):
             self._meshes, self.mesh_data = {}, MeshData()
             self._face_first = first_of({key: mesh.face_count for key, mesh in meshes.items()})
-            self.mesh_data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
+            self.mesh_data, self.texture_first = upload_meshes(tuple(meshes.values()), self._device)
             self._meshes = meshes
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
         self.instances = wp.zeros(len(scene.splats), dtype=InstanceData, device=self._device)
@@ -189,7 +211,7 @@ class DeviceScene:
             row["base_color"] = mesh.material.base_color
             texture = mesh.material.base_color_texture
             if texture is not None and mesh.uvs is not None:
-                row["texture_first"] = self._texture_first[texture_key(texture)]
+                row["texture_first"] = self.texture_first[texture_key(texture)]
                 row["texture_height"], row["texture_width"] = texture.shape[:2]
         return table
 
@@ -212,7 +234,7 @@ class DeviceScene:
         return table
 
 
-def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarray:
+def splat_table(scene: Scene, camera: Camera, config: RenderConfig, lit: bool) -> np.ndarray:
     """The rows that place a scene's splat instances in a frame."""
     transforms = np.array([instance.transform for instance in scene.splats])
     camera_from_object = camera.camera_from_world @ transforms
@@ -222,6 +244,9 @@ def splat_table(scene: Scene, camera: Camera, config: RenderConfig) -> np.ndarra
     table["world_from_object"] = transforms[:, :3, :3] / np.cbrt(np.linalg.det(transforms[:, :3, :3]))[:, None, None]
     table["eye"] = (np.linalg.inv(transforms) @ [*camera.eye, 1.0])[:, :3]
     table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
+    table["sh_degree"] = [min(config.raster.sh_degree, instance.sh_degree) for instance in scene.splats]
+    for name, values in own_looks(scene, lit).items():
+        table[name] = values
     forced = config.raster.antialiasing is Antialiasing.ON
     by_file = config.raster.antialiasing is Antialiasing.AUTO
     table["antialiased"] = [forced or (by_file and instance.gaussians.antialiased) for instance in scene.splats]
@@ -238,11 +263,12 @@ def tile_grid(camera: Camera) -> tuple[int, int]:
     return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
 
 
-def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
+def camera_table(camera: Camera, config: RenderConfig, offset: tuple[float, float] = (0.5, 0.5)) -> np.ndarray:
     """The 1-element table that kernels read the frame's camera and settings from."""
     row = table = np.zeros(1, dtype=table_dtype(CameraData))
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
-    center = np.array([camera.cx, camera.cy])
+    # The ray through the offset is that through the pixel's centre of a camera whose centre has moved against it.
+    center = np.array([camera.cx, camera.cy]) + 0.5 - np.array(offset)
     margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
     row["world_from_camera"] = camera.world_from_camera[:3, :3]
     row["eye"] = camera.eye
@@ -253,7 +279,6 @@ def camera_table(camera: Camera, config: RenderConfig) -> np.ndarray:
     row["tiles_x"], row["tiles_y"] = tile_grid(camera)
     row["near"] = camera.near
     row["dilation"] = config.raster.dilation
-    row["sh_degree"] = config.raster.sh_degree
     row["transmittance_min"] = config.raster.transmittance_min
     row["depth_iso_transmittance"] = config.raster.depth_iso_transmittance
     row["background"] = config.background or (0.0, 0.0, 0.0)

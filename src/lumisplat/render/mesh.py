@@ -8,6 +8,7 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.device.ray_structs import RayData, RayMeshHits
 from lumisplat.device.structs import MeshHits, Rect, Triangle
 from lumisplat.launcher import Launcher
 from lumisplat.render import mesh_kernels as kernels
@@ -30,6 +31,36 @@ class MeshRaster:
 
     def draw(self, scene: DeviceScene, camera: Camera) -> MeshHits:
         """Depth, colour and normal of the meshes; depth is infinite where there is none."""
+        hits, triangles, winners = self._find(scene, camera)
+        if triangles is None:
+            return hits
+        pixels = camera.width * camera.height
+        for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
+            setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, pixels))
+        self._launcher.run_banded(
+            kernels.shade_hits,
+            pixels,
+            *(scene.camera, scene.mesh_instances, scene.instances.shape[0], scene.mesh_data, triangles, winners, hits),
+        )
+        return hits
+
+    def meet(self, scene: DeviceScene, camera: Camera, rays: RayData) -> tuple[MeshHits, RayMeshHits]:
+        """Depth of the meshes alone, and what of them the rays of the pixels meet, whose ``t_max`` moves there."""
+        hits, triangles, winners = self._find(scene, camera)
+        count = rays.t_max.shape[0]
+        ray_hits = self._buffers.struct("mesh.ray_hits", RayMeshHits, count)
+        if triangles is None:
+            ray_hits.face.fill_(-1)
+        else:
+            self._launcher.run_banded(
+                kernels.hits_of_rays,
+                count,
+                *(scene.camera, scene.instances.shape[0], triangles, winners, hits.depth_z, rays, ray_hits),
+            )
+        return hits, ray_hits
+
+    def _find(self, scene: DeviceScene, camera: Camera) -> tuple[MeshHits, Any, Any]:
+        """Depth, and the triangles of which one is nearest at each pixel; None where there are none."""
         pixels = camera.width * camera.height
         hits = MeshHits()
         hits.depth_z = self._buffers.get("mesh.depth", wp.float32, pixels)
@@ -37,7 +68,7 @@ class MeshRaster:
             hits.depth_z.fill_(float("inf"))
             for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
                 setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, 1))
-            return hits
+            return hits, None, None
         tiles_x, tiles_y = tile_grid(camera)
         triangles, rects = self._project(scene)
         everything = self._order.unsorted(triangles.shape[0])
@@ -49,14 +80,7 @@ class MeshRaster:
         else:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
-        for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
-            setattr(hits, name, self._buffers.get(f"mesh.{name}", dtype, pixels))
-        self._launcher.run_banded(
-            kernels.shade_hits,
-            pixels,
-            *(scene.camera, scene.mesh_instances, scene.instances.shape[0], scene.mesh_data, triangles, winners, hits),
-        )
-        return hits
+        return hits, triangles, winners
 
     def _project(self, scene: DeviceScene) -> tuple[Any, Any]:
         triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)

@@ -2,13 +2,15 @@
 
 ``project_triangles``: one item is one triangle of one instance. ``raster_tiles`` (CPU): one item is one tile, rows of
 16 pixels as in the splat compositor. ``raster_pixels`` (CUDA): one item is one pixel, one block is one tile.
-``shade_hits``: one item is one pixel; colour and normal of what was hit.
+``shade_hits``: one item is one pixel; colour and normal of what was hit. ``hits_of_rays``: one item is one ray.
 """
 
 import warp as wp
 
 from lumisplat.device.color import encode_srgb_color
 from lumisplat.device.mesh_surface import surface_color, surface_normal
+from lumisplat.device.ray_blocks import pixel_of_ray
+from lumisplat.device.ray_structs import RayData, RayMeshHits
 from lumisplat.device.structs import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
 from lumisplat.device.surface import instance_of, pixel_ray
 from lumisplat.device.tiles import TILE, TILE_PIXELS, RowFloats, TileFloats, TileInts, tile_corner, tile_pixel
@@ -144,6 +146,39 @@ def raster_pixels(
                 winner = index
     depth_out[y * view.width + x] = nearest
     triangle_out[y * view.width + x] = winner
+
+
+@wp.kernel
+def hits_of_rays(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    splat_instance_count: int,
+    triangles: wp.array(dtype=Triangle),
+    triangle_of_pixel: wp.array(dtype=int),
+    depth_z: wp.array(dtype=float),
+    rays_inout: RayData,
+    hits_out: RayMeshHits,
+):
+    """Item = ray: what its pixel's triangle is to it."""
+    i = start + wp.tid()
+    view = camera[0]
+    hits_out.face[i] = -1
+    position = pixel_of_ray(view.width, i)
+    x = position[0]
+    y = position[1]
+    if x >= view.width or y >= view.height:
+        return
+    pixel = y * view.width + x
+    index = triangle_of_pixel[pixel]
+    if index < 0:
+        return
+    triangle = triangles[index]
+    ray = pixel_ray(view, x, y)
+    weights = barycentric(triangle, ray)
+    hits_out.face[i] = triangle.face
+    hits_out.instance[i] = triangle.instance - splat_instance_count
+    hits_out.weights[i] = wp.vec2(weights[1], weights[2])
+    rays_inout.t_max[i] = depth_z[pixel] * wp.length(ray)
 
 
 @wp.kernel

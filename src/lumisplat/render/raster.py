@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.constants import KERNEL_DEGREE, TILE_BANDS_PER_THREAD, TILE_PX
+from lumisplat.device.ray_structs import RayRadiance
 from lumisplat.device.structs import MeshHits, Rect, Splat
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
@@ -81,9 +82,53 @@ class SplatRaster:
 
     def composite(self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits) -> None:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
+        surface, nothing = Surface.of(self._buffers, camera), self._buffers.struct("raster.no_rays", RayRadiance, 0)
+        self._composite(
+            scene, camera, (scene.instances, splats, lists.starts, lists.items, hits, False, surface.data, nothing)
+        )
+
+    def radiate(
+        self,
+        scene: DeviceScene,
+        camera: Camera,
+        splats: Any,
+        lists: TileLists,
+        hits: MeshHits,
+        *,
+        radiance: RayRadiance,
+    ) -> None:
+        """The same, but writes what the splats before the mesh give the rays of the pixels."""
+        nothing = Surface.of_shape(self._buffers, (0, 0))
+        self._composite(
+            scene, camera, (scene.instances, splats, lists.starts, lists.items, hits, True, nothing.data, radiance)
+        )
+
+    def pick(
+        self,
+        scene: DeviceScene,
+        camera: Camera,
+        splats: Any,
+        lists: TileLists,
+        hits: MeshHits,
+        *,
+        lens: Any,
+        radiance: RayRadiance,
+    ) -> None:
+        """One splat a pixel, by chance, as the radiance of its ray; lists need no order.
+
+        ``lens`` tells the sample and the seed.
+        """
         tiles_x, tiles_y = tile_grid(camera)
-        surface = Surface.of(self._buffers, camera)
-        inputs = (scene.camera, scene.instances, splats, lists.starts, lists.items, hits, surface.data)
+        inputs = (scene.camera, lens, splats, lists.starts, lists.items, hits, radiance)
+        if self._launcher.is_parallel:
+            self._launcher.run(kernels.pick_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
+        else:
+            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+            self._launcher.run_banded(kernels.pick_tiles, tiles_x * tiles_y, *inputs, bands=bands)
+
+    def _composite(self, scene: DeviceScene, camera: Camera, arguments: tuple[Any, ...]) -> None:
+        tiles_x, tiles_y = tile_grid(camera)
+        inputs = (scene.camera, *arguments)
         if self._launcher.is_parallel:
             self._launcher.run(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
         else:

@@ -4,12 +4,15 @@
 ``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
 the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
 one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
+``pick_tiles`` and ``pick_pixels`` do without order: one splat a pixel, by chance.
 """
 
 import warp as wp
 
-from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, TILE_PX
 from lumisplat.device.gaussian import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
+from lumisplat.device.random import draw, draw_mixed, mix, stream_of
+from lumisplat.device.ray_structs import LensData, RayRadiance
 from lumisplat.device.structs import (
     CameraData,
     GaussianData,
@@ -20,7 +23,7 @@ from lumisplat.device.structs import (
     Splat,
     SurfaceData,
 )
-from lumisplat.device.surface import blend, store_surface
+from lumisplat.device.surface import blend, store_radiance, store_surface
 from lumisplat.device.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
 
 wp.set_module_options(
@@ -34,6 +37,7 @@ wp.set_module_options(
     }
 )
 
+TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
 CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
@@ -98,6 +102,40 @@ def project_splats(
     rects_out[splat.index] = rect
 
 
+@wp.func
+def log_alpha_at(splat: Splat, x: int, y: int) -> float:
+    """Logarithm of a splat's alpha at a pixel, before it is limited."""
+    dy = float(y) + 0.5 - splat.center[1]
+    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
+    return splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
+
+
+@wp.func
+def picked(splats: wp.array(dtype=Splat), index: int) -> Pixel:
+    """A pixel that shows one splat, as if it were opaque; index -1: none."""
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = index
+    if index >= 0:
+        pixel.transmittance = 0.0
+        pixel.color = splats[index].color
+        pixel.normal = splats[index].normal
+        pixel.hits = 1
+    return pixel
+
+
+@wp.func
+def first_touching(
+    splats: wp.array(dtype=Splat), tile_splats: wp.array(dtype=int), begin: int, end: int, x: int, y: int
+) -> int:
+    """As ``Pixel.splat`` says it for a pixel that reaches no surface: -2 - its first splat; -1 if it has none."""
+    for j in range(begin, end):
+        index = tile_splats[j]
+        if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
+            return -2 - index
+    return -1
+
+
 @wp.kernel
 def composite_pixels(
     start: int,
@@ -107,9 +145,11 @@ def composite_pixels(
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
+    keeps_rays: bool,
     surface_out: SurfaceData,
+    radiance_out: RayRadiance,
 ):
-    """Item = tile * 256 + pixel of the tile."""
+    """Item = tile * 256 + pixel of the tile. Pixels end on the surface, or, if it ``keeps_rays``, as rays' radiance."""
     i = start + wp.tid()
     view = camera[0]
     tile = i // TILE_PIXELS
@@ -129,9 +169,7 @@ def composite_pixels(
         splat = splats[index]
         if splat.depth >= mesh_z:
             break
-        dy = float(y) + 0.5 - splat.center[1]
-        dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
-        log_alpha = splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
+        log_alpha = log_alpha_at(splat, x, y)
         if log_alpha >= LOG_ALPHA_MIN:
             pixel = blend(
                 pixel, splat, index, alpha_from_log(log_alpha), view.transmittance_min, view.depth_iso_transmittance
@@ -139,7 +177,10 @@ def composite_pixels(
             if pixel.transmittance <= 0.0:
                 break
         j += 1
-    store_surface(view, instances, splats, hits, pixel, x, y, surface_out)
+    if keeps_rays:
+        store_radiance(view, splats, pixel, x, y, radiance_out)
+    else:
+        store_surface(view, instances, splats, hits, pixel, x, y, surface_out)
 
 
 @wp.kernel
@@ -151,7 +192,9 @@ def composite_tiles(
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
+    keeps_rays: bool,
     surface_out: SurfaceData,
+    radiance_out: RayRadiance,
 ):
     """The arithmetic of ``blend``, written as selections over rows of pixels."""
     tile = start + wp.tid()
@@ -230,4 +273,106 @@ def composite_tiles(
             pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
             pixel.transmittance = transmittance[i]
             pixel.splat = surface[i]
-            store_surface(view, instances, splats, hits, pixel, left + x, top + y, surface_out)
+            if keeps_rays:
+                if pixel.splat < 0 and pixel.transmittance != 1.0:
+                    pixel.splat = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
+                store_radiance(view, splats, pixel, left + x, top + y, radiance_out)
+            else:
+                store_surface(view, instances, splats, hits, pixel, left + x, top + y, surface_out)
+
+
+@wp.kernel
+def pick_pixels(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    lenses: wp.array(dtype=LensData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    radiance_out: RayRadiance,
+):
+    """Item = tile * 256 + pixel of the tile: the nearest of the splats that chance accepts, in any order."""
+    i = start + wp.tid()
+    view = camera[0]
+    lens = lenses[0]
+    tile = i // TILE_PIXELS
+    position = tile_pixel(view, i)
+    x = position[0]
+    y = position[1]
+    if x >= view.width or y >= view.height:
+        return
+    stream = stream_of(y * view.width + x, lens.sample, lens.seed)
+    nearest = hits.depth_z[y * view.width + x]
+    winner = int(-1)
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_splats[j]
+        splat = splats[index]
+        if splat.depth < nearest or (splat.depth == nearest and index < winner):
+            log_alpha = log_alpha_at(splat, x, y)
+            if log_alpha >= LOG_ALPHA_MIN and draw(stream, wp.uint32(index)) < alpha_from_log(log_alpha):
+                nearest = splat.depth
+                winner = index
+    store_radiance(view, splats, picked(splats, winner), x, y, radiance_out)
+
+
+@wp.kernel
+def pick_tiles(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    lenses: wp.array(dtype=LensData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    radiance_out: RayRadiance,
+):
+    """The same, written as selections over rows of pixels."""
+    tile = start + wp.tid()
+    view = camera[0]
+    lens = lenses[0]
+    corner = tile_corner(view, tile)
+    left = corner[0]
+    top = corner[1]
+    rows = wp.min(TILE, view.height - top)
+    columns = wp.min(TILE, view.width - left)
+    nearest = TileFloats(-1.0)  # nothing is nearer than what is outside the image
+    winner = TileInts(-1)
+    streams = TileWords()
+    for y in range(rows):
+        for x in range(columns):
+            i = y * TILE + x
+            nearest[i] = hits.depth_z[(top + y) * view.width + left + x]
+            streams[i] = stream_of((top + y) * view.width + left + x, lens.sample, lens.seed)
+
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_splats[j]
+        splat = splats[index]
+        center_x = splat.center[0] - float(left)
+        center_y = splat.center[1] - float(top)
+        dimension = mix(wp.uint32(index))
+        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
+        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
+        for y in range(y0, y1):
+            dy = float(y) + 0.5 - center_y
+            row_log_alpha = splat.log_opacity - splat.across * dy * dy
+            row_center = center_x + splat.shear * dy
+            first = y * TILE
+            for x in range(TILE):
+                i = first + x
+                dx = float(x) + 0.5 - row_center
+                log_alpha = row_log_alpha - splat.along * dx * dx
+                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
+                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = wp.where(draw_mixed(streams[i], dimension) < alpha, 1.0, 0.0)
+                ahead = wp.where(splat.depth < nearest[i], 1, 0) | (
+                    wp.where(splat.depth == nearest[i], 1, 0) & wp.where(index < winner[i], 1, 0)
+                )
+                ahead = wp.where(alpha > 0.0, ahead, 0)
+                nearest[i] = wp.where(ahead != 0, splat.depth, nearest[i])
+                winner[i] = wp.where(ahead != 0, index, winner[i])
+
+    for y in range(rows):
+        for x in range(columns):
+            pixel = picked(splats, winner[y * TILE + x])
+            store_radiance(view, splats, pixel, left + x, top + y, radiance_out)

@@ -11,8 +11,7 @@ from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import store_sample, surface_of_ray
 from lumisplat.device.rays import camera_ray
-from lumisplat.device.structs import MeshData, MeshInstanceData, SurfaceData
-from lumisplat.device.trace_structs import TreeInstance
+from lumisplat.device.structs import InstanceData, MeshData, MeshInstanceData, SurfaceData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,7 +46,7 @@ def store_rays(
     radiance: RayRadiance,
     hits: RayMeshHits,
     colors: wp.array(dtype=wp.vec3),
-    instances: wp.array(dtype=TreeInstance),
+    instances: wp.array(dtype=InstanceData),
     mesh_instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
     surface_inout: SurfaceData,
@@ -104,17 +103,18 @@ def load_rays(
 def store_hits(
     start: int,
     sample: int,
+    lit: bool,
     rays: RayData,
     radiance: RayRadiance,
     hits: RayMeshHits,
     colors: wp.array(dtype=wp.vec3),
-    instances: wp.array(dtype=TreeInstance),
+    instances: wp.array(dtype=InstanceData),
     mesh_instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
     surface_inout: SurfaceData,
     nonfinite_inout: wp.array(dtype=int),
 ):
-    """As ``store_rays``, without a background."""
+    """As ``store_rays``, without a background; ``lit`` colours have none."""
     i = start + wp.tid()
     if sample == 0:
         nonfinite_inout[i] = 0
@@ -123,8 +123,9 @@ def store_hits(
     color = radiance.color[i]
     alpha = 1.0 - radiance.transmittance[i]
     if hits.face[i] >= 0:
-        color = colors[i]
         alpha = float(1.0)
+    if lit or hits.face[i] >= 0:
+        color = colors[i]
     surface = RaySurface()
     if sample == 0:
         surface = surface_of_ray(i, rays, radiance, hits, instances, mesh_instances, meshes)

@@ -15,13 +15,15 @@ from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
 from lumisplat.constants import RAY_BATCH
 from lumisplat.device.ray_structs import RayData
+from lumisplat.device.shade_structs import RayColors
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Launcher
-from lumisplat.render import ray_kernels
+from lumisplat.render import film_kernels, ray_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.order import grown
 from lumisplat.render.surface import Surface
 from lumisplat.render.trace import PACKET_RAYS, RayTracer
+from lumisplat.render.transport import Transport
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.arrays import FloatArray, IntArray
 
@@ -34,7 +36,7 @@ class RayHits:
     """What N rays see."""
 
     radiance: FloatArray
-    """Display-referred sRGB of all that the ray meets, without a background, (N, 3)."""
+    """Of all that the ray meets, in ``color_space``, without a background or an environment behind it, (N, 3)."""
     transmittance: FloatArray
     """What is left for a background, 0..1, (N,); 0 where the ray meets a mesh, also one of clear glass: what is seen
     through it is in ``radiance``."""
@@ -46,6 +48,8 @@ class RayHits:
     """Gaussian at the surface, within its own instance, (N,); -1: none."""
     instance_index: IntArray
     """Instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+    color_space: str = "srgb"
+    """Of the radiance: ``srgb``, display-referred, or ``linear`` if it is lit."""
 
     def __len__(self) -> int:
         return len(self.depth)
@@ -58,16 +62,22 @@ class RayQueries:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         tracer: Follows the rays.
+        transport: Colours what they meet.
         config: Its settings.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, config: RenderConfig) -> None:
-        self._launcher, self._buffers, self._tracer, self._config = launcher, buffers, tracer, config
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, transport: Transport, config: RenderConfig
+    ) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._tracer, self._transport = tracer, transport
 
-    def look(self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray) -> RayHits:
+    def look(
+        self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray, *, lit: bool
+    ) -> RayHits:
         """What rays see; ``directions`` are unit vectors."""
         # Given rays do not spread over a pixel: without chance, all samples are the first.
-        samples = 1 if self._config.trace.strategy is TraceStrategy.SORTED else self._config.samples
+        samples = 1 if self._config.trace.strategy is TraceStrategy.SORTED and not lit else self._config.samples
         parts, nonfinite = [], 0
         distances = np.full(len(origins), np.inf, np.float32)
         for first, given in _batches(origins, directions, distances):
@@ -77,11 +87,24 @@ class RayQueries:
             uploaded = self._uploaded(given)
             for sample in range(samples):
                 self._load(first, count, sample, uploaded, rays)
-                hits, radiance, colors = self._tracer.look(scene, trees, rays)
+                hits, radiance = self._tracer.look(scene, trees, rays)
+                colors = self._transport.colors(scene, trees, rays, hits, radiance, lit=lit)
+                if lit:
+                    colors = self._linear(colors)
                 self._launcher.run_banded(
                     ray_kernels.store_hits,
                     rays.t_max.shape[0],
-                    *(sample, rays, radiance, hits, colors, trees.instances, scene.mesh_instances, scene.mesh_data),
+                    *(
+                        sample,
+                        lit,
+                        rays,
+                        radiance,
+                        hits,
+                        colors,
+                        scene.instances,
+                        scene.mesh_instances,
+                        scene.mesh_data,
+                    ),
                     *(surface.data, flags),
                 )
             nonfinite += int(flags.numpy()[:count].sum())
@@ -96,7 +119,15 @@ class RayQueries:
             normal=joined["normal"],
             gaussian_index=joined["gaussian"],
             instance_index=joined["instance"],
+            color_space="linear" if lit else "srgb",
         )
+
+    def _linear(self, colors: RayColors) -> Any:
+        """What lit rays see, without what was captured apart."""
+        count = colors.light.shape[0]
+        linear = self._buffers.get("rays.linear", wp.vec3, count)
+        self._launcher.run_banded(film_kernels.add_captured, count, colors, linear)
+        return linear
 
     def transmit(
         self,

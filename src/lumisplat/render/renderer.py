@@ -8,21 +8,27 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import Pipeline, RenderConfig, check_kind
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows, check_kind
 from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.launcher import Launcher, Progress
-from lumisplat.render import mesh_kernels, order_kernels, raster_kernels
+from lumisplat.render import bounce_kernels, build_kernels, mesh_kernels, order_kernels, raster_kernels, ray_kernels
 from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.film import Film
 from lumisplat.render.frame import Frame, FrameStats
+from lumisplat.render.lens import subpixel
 from lumisplat.render.mesh import MeshRaster
 from lumisplat.render.order import OrderChunked, OrderCounts, OrderParallel
+from lumisplat.render.primary import RasterPrimary
 from lumisplat.render.raster import SplatRaster, refuse_lens
 from lumisplat.render.rays import RayHits, RayQueries, checked_distances, checked_rays, tracing
 from lumisplat.render.surface import Surface
-from lumisplat.render.trace import RayTracer, trace_modules
+from lumisplat.render.trace import RayTracer, ray_count, trace_modules
+from lumisplat.render.transport import Transport, light_modules
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.arrays import FloatArray
 from lumisplat.scene.camera import Camera
@@ -43,16 +49,21 @@ class Renderer:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self._scene = DeviceScene(launcher.device)
-        if config.pipeline is Pipeline.TRACE:
-            launcher.load(trace_modules(launcher, config), progress)
-            self._trees = TreeScene(launcher)
-            self._tracer = RayTracer(launcher, self._buffers, config)
-            self._queries = RayQueries(launcher, self._buffers, self._tracer, config)
-        else:
-            launcher.load([raster_kernels, order_kernels, mesh_kernels], progress)
-            self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
-            self._meshes = MeshRaster(launcher, self._buffers, self._order)
-            self._splats = SplatRaster(launcher, self._buffers, self._order)
+        self._trees = TreeScene(launcher)
+        self._tracer = RayTracer(launcher, self._buffers, config)
+        self._transport = Transport(launcher, self._buffers, config, self._tracer)
+        self._film = Film(launcher, self._buffers, config)
+        self._queries = RayQueries(launcher, self._buffers, self._tracer, self._transport, config)
+        self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
+        self._meshes = MeshRaster(launcher, self._buffers, self._order)
+        self._splats = SplatRaster(launcher, self._buffers, self._order)
+        self._primary = RasterPrimary(
+            launcher, self._buffers, config, order=self._order, meshes=self._meshes, splats=self._splats
+        )
+        self._loaded: set[int] = set()
+        self._load(self._pipeline_modules(), progress)
+        if config.lighting:
+            self._load(self._light_modules(), progress)
 
     @property
     def device(self) -> str:
@@ -81,17 +92,23 @@ class Renderer:
         """
         check_scene(scene)
         check_camera(camera)
-        first = 0 if resume is None else self._resumed(resume, camera)
+        lit = is_lit(self.config, scene)
+        first = 0 if resume is None else self._resumed(resume, camera, lit)
         self._launcher.stage_ms = {}
-        if self.config.pipeline is Pipeline.TRACE:
-            return self._trace(scene, camera, first, progress)
+        if self.config.pipeline is not Pipeline.TRACE:
+            refuse_lens(camera)
+            self._splats.warn_of_degree(scene)
+        if lit:
+            self._load(self._light_modules(), progress)
+        if self._samples(lit):
+            return self._sampled(scene, camera, lit, first, progress)
         return self._raster(scene, camera)
 
     def trace_rays(self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike) -> RayHits:
         """As the function ``trace_rays``; of a renderer with ``Pipeline.TRACE``, which keeps the scene's trees."""
         start, along = checked_rays(origins, directions)
-        self._sync_rays(scene)
-        return self._queries.look(self._scene, self._trees, start, along)
+        lit = self._sync_rays(scene)
+        return self._queries.look(self._scene, self._trees, start, along, lit=lit)
 
     def transmittance(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
@@ -102,51 +119,127 @@ class Renderer:
         self._sync_rays(scene)
         return self._queries.transmit(self._scene, self._trees, start, along, distances)
 
-    def _sync_rays(self, scene: Scene) -> None:
+    def _sync_rays(self, scene: Scene) -> bool:
+        """Brings the device up to date for rays; whether they are lit."""
         if self.config.pipeline is not Pipeline.TRACE:
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
         check_scene(scene)
+        lit = is_lit(self.config, scene)
+        if lit:
+            self._load(self._light_modules())
         self._launcher.stage_ms = {}
-        self._sync(scene, Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        self._sync(scene, Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), lit, for_camera=False)
+        return lit
 
-    def _sync(self, scene: Scene, camera: Camera) -> None:
-        """Brings the device up to date for rays."""
+    def _sync(self, scene: Scene, camera: Camera, lit: bool, *, for_camera: bool = True) -> TreeScene | None:
+        """Brings the device up to date; the trees, if any ray is traced."""
         with self._launcher.stage("sync"):
-            self._scene.sync(scene, camera, self.config)
-            self._scene.sync_rays(scene)
-        with self._launcher.stage("build"):
-            self._trees.sync(scene, self._scene, self.config)
+            self._scene.sync(scene, camera, self.config, lit=lit)
+            trees = self._trees if self._traces(scene, lit) else None
+            if trees or lit or self._samples(lit):
+                self._scene.sync_rays(scene)
+            if lit:
+                self._transport.lit.sync(scene, self._scene, camera, for_camera=for_camera)
+        if trees:
+            with self._launcher.stage("build"):
+                trees.sync(scene, self._scene, self.config, lit=lit)
+        return trees
+
+    def _traces(self, scene: Scene, lit: bool) -> bool:
+        """Whether a frame follows rays: from the camera, from mesh to mesh, or to lights."""
+        if self.config.pipeline is not Pipeline.RASTER:
+            return True
+        casts = any(light.enabled and light.casts_shadow for light in scene.lights)
+        return lit and casts and self.config.shadows is not Shadows.OFF
+
+    def _samples(self, lit: bool) -> bool:
+        """Whether a frame is the mean of samples: all are but the unlit, sorted raster."""
+        stochastic = self.config.raster.strategy is RasterStrategy.STOCHASTIC
+        return lit or stochastic or self.config.pipeline is not Pipeline.RASTER
+
+    def _pipeline_modules(self) -> list[Any]:
+        modules: list[Any] = []
+        if self.config.pipeline is not Pipeline.RASTER:
+            modules += trace_modules(self._launcher, self.config)
+        if self.config.pipeline is not Pipeline.TRACE:
+            modules += [raster_kernels, order_kernels, mesh_kernels]
+        if self.config.raster.strategy is RasterStrategy.STOCHASTIC:
+            modules += [ray_kernels, bounce_kernels]
+        return modules
+
+    def _light_modules(self) -> list[Any]:
+        shadowed = self.config.shadows is not Shadows.OFF
+        return [ray_kernels, *([build_kernels] if shadowed else []), *light_modules(self._launcher, self.config)]
+
+    def _load(self, modules: list[Any], progress: Progress | None = None) -> None:
+        missing = [module for module in modules if id(module) not in self._loaded]
+        if missing:
+            self._launcher.load(missing, progress)
+            self._loaded |= {id(module) for module in missing}
 
     def _raster(self, scene: Scene, camera: Camera) -> Frame:
-        refuse_lens(camera)
-        self._splats.warn_of_degree(scene)
-        with self._launcher.stage("sync"):
-            self._scene.sync(scene, camera, self.config)
+        self._sync(scene, camera, False)
         self._draw(camera)
         while not self._order.finish():
             self._draw(camera)
         with self._launcher.stage("download"):
-            return self._frame(scene, camera, self._order.counts, samples=0)
+            return self._frame(scene, camera, self._order.counts, samples=0, lit=False)
 
-    def _trace(self, scene: Scene, camera: Camera, first: int, progress: Progress | None) -> Frame:
-        self._sync(scene, camera)
-        self._tracer.begin(camera)
+    def _sampled(self, scene: Scene, camera: Camera, lit: bool, first: int, progress: Progress | None) -> Frame:
+        trees = self._sync(scene, camera, lit)
+        self._film.begin(camera)
         count = self.config.samples
         for sample in range(first, first + count):
-            self._tracer.draw_sample(self._scene, self._trees, camera, sample)
+            self._add_sample(camera, trees, sample, lit)
             if progress:
-                progress("tracing", (sample - first + 1) / count)
+                progress("rendering", (sample - first + 1) / count)
         with self._launcher.stage("download"):
-            counts = OrderCounts(visible=0, nonfinite=self._tracer.nonfinite_count(camera), pairs=0)
-            return self._frame(scene, camera, counts, samples=first + count)
+            counts = OrderCounts(visible=0, nonfinite=0, pairs=0)
+            if self.config.pipeline is not Pipeline.TRACE:
+                counts = self._order.counts
+            counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count(camera))
+            return self._frame(scene, camera, counts, samples=first + count, lit=lit)
 
-    def _resumed(self, frame: Frame, camera: Camera) -> int:
+    def _add_sample(self, camera: Camera, trees: TreeScene | None, sample: int, lit: bool) -> None:
+        """One ray a pixel: what it meets, what it sees there, and onto the film."""
+        film = self._film
+        film.begin_sample(camera, sample)
+        rays, hits, radiance = self._met(camera, trees, sample)
+        reflection = None
+        if lit and "reflection" in self.config.aovs:
+            reflection = self._buffers.get("film.ray.reflection", wp.vec3, rays.t_max.shape[0])
+        with self._launcher.stage("light" if lit else "bounce"):
+            colors = self._transport.colors(self._scene, trees, rays, hits, radiance, lit=lit, reflection=reflection)
+        if lit:
+            lights = self._transport.light_images(rays.t_max.shape[0])
+            film.add_lit(
+                self._transport.lit, camera, rays, hits, radiance, colors, lights=lights, reflection=reflection
+            )
+        else:
+            film.add(self._scene, camera, rays, hits, radiance, colors)
+
+    def _met(self, camera: Camera, trees: TreeScene | None, sample: int) -> tuple[RayData, RayMeshHits, RayRadiance]:
+        """The rays of a sample, the meshes that they meet, and what the Gaussians before those give them."""
+        if self.config.pipeline is not Pipeline.TRACE:
+            self._scene.place_sample(camera, self.config, subpixel(sample if self.config.trace.jitter else 0))
+            return self._primary.look(self._scene, camera, self._film.lens)
+        assert trees is not None
+        with self._launcher.stage("rays"):
+            rays = self._buffers.struct("trace.rays", RayData, ray_count(camera))
+            self._launcher.run_banded(ray_kernels.start_rays, rays.t_max.shape[0], self._film.lens, rays)
+        return rays, *self._tracer.look(self._scene, trees, rays)
+
+    def _resumed(self, frame: Frame, camera: Camera, lit: bool) -> int:
         """Puts a frame back into the surface buffers; the number of the next sample."""
         check_kind("resume", frame, Frame)
-        if self.config.pipeline is not Pipeline.TRACE:
-            raise ConfigError("only Pipeline.TRACE resumes a frame: the rasteriser draws it in one go")
+        if not self._samples(lit):
+            raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
         if frame.samples == 0:
             raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
+        if lit != (frame.light is not None):
+            raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
+        if frame.config is not None and frame.config.aovs:
+            raise ConfigError("a frame with aovs cannot be resumed: their images are not kept as means")
         if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != self.config.background:
             height, width = frame.color.shape[:2]
             raise ConfigError(
@@ -162,15 +255,17 @@ class Renderer:
             )
         if frame.samples + self.config.samples > SAMPLES_MAX:
             raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
-        images = {
-            "color": frame.color,
+        images: dict[str, Any] = {
+            "color": frame.color if frame.captured is None else frame.captured,
             "alpha": frame.alpha,
             "depth": frame.depth,
             "normal": frame.normal,
             "gaussian": frame.gaussian_index,
             "instance": frame.instance_index,
         }
-        Surface.of(self._buffers, camera).upload(images)
+        if frame.light is not None:
+            images |= {"captured_weight": frame.captured_weight, "light": frame.light, "linear": frame.color}
+        self._film.resume(camera, images)
         return frame.samples
 
     def _draw(self, camera: Camera) -> None:
@@ -191,11 +286,18 @@ class Renderer:
         with stage("composite"):
             self._splats.composite(self._scene, camera, splats, lists, hits)
 
-    def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int) -> Frame:
+    def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int, lit: bool) -> Frame:
+        developed = self._film.develop(camera) if lit else {}
         images = Surface.of(self._buffers, camera).download()
-        tree_bytes = self._trees.bytes if self.config.pipeline is Pipeline.TRACE else 0
+        light: dict[str, Any] = {}
+        if lit:
+            names = self._transport.lit.light_names
+            light = {"captured": images["color"], "captured_weight": developed["captured_weight"]}
+            light |= {"light": developed["light"], "color_space": "linear"}
+            light |= self._film.images(camera, len(names))
+            light["light_names"] = names if "lights" in self.config.aovs else None
         return Frame(
-            color=images["color"],
+            color=developed["color"] if lit else images["color"],
             alpha=images["alpha"],
             depth=images["depth"],
             normal=images["normal"],
@@ -212,9 +314,15 @@ class Renderer:
                 nonfinite_count=counts.nonfinite,
                 pair_count=counts.pairs,
                 triangle_count=scene.face_count,
-                memory_bytes=self._scene.bytes + self._buffers.bytes + tree_bytes,
+                memory_bytes=self._scene.bytes + self._buffers.bytes + self._trees.bytes,
             ),
+            **light,
         )
+
+
+def is_lit(config: RenderConfig, scene: Scene) -> bool:
+    """Whether lights light a scene: as the settings say, or if it has any."""
+    return bool(scene.lights) if config.lighting is None else config.lighting
 
 
 def check_scene(scene: Scene) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.buffers import Buffers
+from lumisplat.device.film import LitPixels
 from lumisplat.device.structs import SurfaceData
 from lumisplat.scene.camera import Camera
 
@@ -23,16 +24,22 @@ FIELDS = (
 """Arrays of ``SurfaceData``: name, element, 32-bit words an element."""
 
 
+LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
+"""The same of ``LitPixels``."""
+
+
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Surface arrays, one after another in one block of device memory."""
+    """Arrays of a frame's pixels, one after another in one block of device memory."""
 
-    data: SurfaceData
-    """What kernels take."""
+    data: Any
+    """What kernels take: SurfaceData, or LitPixels."""
     block: Any
     """The memory, as float32."""
     shape: tuple[int, int]
     """Height and width of the image."""
+    fields: tuple[tuple[str, Any, int], ...]
+    """What the block holds."""
 
     @classmethod
     def of(cls, buffers: Buffers, camera: Camera) -> Surface:
@@ -42,15 +49,25 @@ class Surface:
     @classmethod
     def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
         """The same for any image, or a row of rays."""
-        block, arrays = buffers.split("surface", FIELDS, shape[0] * shape[1])
-        data = SurfaceData()
-        for name, array in arrays.items():
-            setattr(data, name, array)
-        return cls(data, block, shape)
+        return cls._of(buffers, "surface", SurfaceData(), FIELDS, shape)
+
+    @classmethod
+    def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+        """What a lit image keeps beside them."""
+        return cls._of(buffers, "lit", LitPixels(), LIT_FIELDS, shape)
+
+    @classmethod
+    def _of(
+        cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], shape: tuple[int, int]
+    ) -> Surface:
+        block, arrays = buffers.split(name, fields, shape[0] * shape[1])
+        for field, array in arrays.items():
+            setattr(data, field, array)
+        return cls(data, block, shape, fields)
 
     def upload(self, images: dict[str, np.ndarray]) -> None:
         """Puts images back that ``download`` gave."""
-        self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in FIELDS]))
+        self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
     def download(self) -> dict[str, np.ndarray]:
         """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
@@ -59,7 +76,7 @@ class Surface:
             words = words.copy()  # there, what Warp gives is the buffer itself
         height, width = self.shape
         images, first = {}, 0
-        for name, dtype, channels in FIELDS:
+        for name, dtype, channels in self.fields:
             image = words[first : first + height * width * channels]
             images[name] = image.reshape((height, width) if channels == 1 else (height, width, channels))
             if dtype is wp.int32:

@@ -6,21 +6,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
-from lumisplat.device.ray_structs import LensData, RayData, RayRadiance
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.device.trace_structs import TraceData
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels, build_kernels, mesh_hits_kernels, ray_kernels, trace_kernels
-from lumisplat.render.bounce import Bounces
 from lumisplat.render.device_scene import DeviceScene, table_dtype
-from lumisplat.render.lens import lens_table
 from lumisplat.render.mesh_hits import MeshHitFinder
 from lumisplat.render.shadow import shadow_modules
-from lumisplat.render.surface import Surface
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.camera import Camera
 
@@ -44,72 +40,26 @@ class RayTracer:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         self._integrate = integrator_of(launcher, config)
-        self._mesh_hits = MeshHitFinder(launcher, buffers)
-        self._bounces = Bounces(launcher, buffers, self._mesh_hits)
+        self.mesh_hits = MeshHitFinder(launcher, buffers)
+        """Looks for meshes alone."""
         self._settings = buffers.get("trace.settings", TraceData, 1)
         self._settings.assign(trace_table(config.trace))
         self._product_settings = buffers.get("trace.product_settings", TraceData, 1)
         self._product_settings.assign(product_table(config.trace))
-        self._lens = buffers.get("trace.lens", LensData, 1)
 
-    def begin(self, camera: Camera) -> None:
-        """Before the samples that a frame adds, the first ones or more: starts to count anew."""
-        self._nonfinite(camera).zero_()
-
-    def draw_sample(self, scene: DeviceScene, trees: TreeScene, camera: Camera, sample: int) -> None:
-        """Adds one ray a pixel to the surface buffers.
-
-        Args:
-            scene: After ``sync`` and ``sync_rays``.
-            trees: Of the same scene.
-            camera: From where.
-            sample: Its number; 0 starts anew.
-        """
-        stage, run = self._launcher.stage, self._launcher.run_banded
-        self._lens.assign(lens_table(camera, self._config, sample))
-        with stage("rays"):
-            rays = self._buffers.struct("trace.rays", RayData, ray_count(camera))
-            run(ray_kernels.start_rays, rays.t_max.shape[0], self._lens, rays)
-        hits, radiance, colors = self.look(scene, trees, rays)
-        with stage("store"):
-            surface = Surface.of(self._buffers, camera).data
-            run(
-                ray_kernels.store_rays,
-                rays.t_max.shape[0],
-                *(self._lens, wp.vec3(*(self._config.background or (0.0, 0.0, 0.0))), rays, radiance, hits, colors),
-                *(trees.instances, scene.mesh_instances, scene.mesh_data, surface, self._nonfinite(camera)),
-            )
-
-    def nonfinite_count(self, camera: Camera) -> int:
-        """Samples since ``begin`` whose colour was NaN or infinite."""
-        return int(self._nonfinite(camera).numpy().sum())
-
-    def _nonfinite(self, camera: Camera) -> Any:
-        return self._buffers.get("trace.nonfinite", wp.int32, camera.width * camera.height)
-
-    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, RayRadiance, Any]:
-        """What rays meet and see: nearest triangles, radiance before them, and colours over all that is behind.
+    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[RayMeshHits, RayRadiance]:
+        """What rays meet: nearest triangles, and radiance of the Gaussians before them.
 
         Args:
             scene: After ``sync`` and ``sync_rays``.
             trees: Of the same scene.
             rays: A multiple of ``PACKET_RAYS``; ``t_max`` moves to the meshes.
         """
-        stage = self._launcher.stage
-        with stage("mesh"):
-            hits = self._mesh_hits.find(scene, rays, "trace.hits")
-        with stage("gaussians"):
-            radiance = self._integrated(trees, rays, "trace.radiance")
-        with stage("bounce"):
-            colors = self._bounces.resolve(
-                scene,
-                rays,
-                hits,
-                radiance,
-                trace=lambda rays: self._integrated(trees, rays, "trace.branch_radiance"),
-                bounces=self._config.max_bounces,
-            )
-        return hits, radiance, colors
+        with self._launcher.stage("mesh"):
+            hits = self.mesh_hits.find(scene, rays, "trace.hits")
+        with self._launcher.stage("gaussians"):
+            radiance = self.integrate(trees, rays, "trace.radiance")
+        return hits, radiance
 
     def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, Any]:
         """Nearest triangles, and what the Gaussians before them let through.
@@ -119,11 +69,11 @@ class RayTracer:
             trees: Of the same scene.
             rays: As for ``look``.
         """
-        hits = self._mesh_hits.find(scene, rays, "trace.hits")
-        return hits, self._integrated(trees, rays, "trace.radiance", self._product_settings).transmittance
+        hits = self.mesh_hits.find(scene, rays, "trace.hits")
+        return hits, self.integrate(trees, rays, "trace.radiance", self._product_settings).transmittance
 
-    def _integrated(self, trees: TreeScene, rays: RayData, name: str, settings: Any = None) -> RayRadiance:
-        """What the Gaussians up to ``t_max`` give rays."""
+    def integrate(self, trees: TreeScene, rays: RayData, name: str, settings: Any = None) -> RayRadiance:
+        """What the Gaussians up to ``t_max`` give rays, in buffers of that name."""
         count = rays.t_max.shape[0]
         radiance = self._buffers.struct(name, RayRadiance, count)
         self._launcher.run_banded(
@@ -170,7 +120,6 @@ def trace_table(config: TraceConfig) -> np.ndarray:
     row["hits_per_pass"] = config.hits_per_pass
     row["hull"] = config.hit_distance is HitDistance.HULL
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
-    row["sh_degree"] = config.sh_degree
     # What ends a sorted ray early would bias a stochastic one, which ends when its lottery is won: at 0.
     row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
     # A stochastic hit is a surface, whatever the threshold.

@@ -17,6 +17,7 @@ from lumisplat.errors import DeviceError
 from lumisplat.launcher import Launcher
 from lumisplat.render.build import GaussianTree
 from lumisplat.render.device_scene import DeviceScene, SplatAsset, table_dtype
+from lumisplat.render.materials import own_looks
 from lumisplat.render.upload import upload_structs
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
@@ -60,13 +61,14 @@ class TreeScene:
         """Memory of the trees, bytes."""
         return self._buffers.bytes + sum(held.tree.bytes for held in self._held)
 
-    def sync(self, scene: Scene, device_scene: DeviceScene, config: RenderConfig) -> None:
+    def sync(self, scene: Scene, device_scene: DeviceScene, config: RenderConfig, *, lit: bool = False) -> None:
         """Builds or refits what changed, and writes where the instances are.
 
         Args:
             scene: What ``device_scene`` was synchronised with last.
             device_scene: Its Gaussians on the device.
             config: Its kernel settings are those that the bounds follow.
+            lit: Whether the frame is; then sets that reflect light show their own albedo and normals.
         """
         assets = device_scene.assets
         if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
@@ -82,7 +84,7 @@ class TreeScene:
                 raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
-        table = self._instance_table(scene, places) if places else np.zeros(0)
+        table = self._instance_table(scene, places, config, lit) if places else np.zeros(0)
         if table.tobytes() == self._placed:
             return  # nothing has moved
         self._placed = None  # until all of it is there
@@ -123,7 +125,7 @@ class TreeScene:
             rows.append(row)
         return rows
 
-    def _instance_table(self, scene: Scene, places: list[int]) -> np.ndarray:
+    def _instance_table(self, scene: Scene, places: list[int], config: RenderConfig, lit: bool) -> np.ndarray:
         world_from_object = np.array([instance.transform for instance in scene.splats])
         object_from_world = np.linalg.inv(world_from_object)
         scales = np.array([instance.scale for instance in scene.splats])
@@ -134,12 +136,12 @@ class TreeScene:
         table["object_per_world"] = np.linalg.norm(object_from_world[:, :3, :3], ord=2, axis=(1, 2))
         table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
         table["asset"] = places
-        for row, place in zip(table, places, strict=True):
-            kernel = self._held[place].kernel
         table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
         table["sh_degree"] = [min(config.trace.sh_degree, instance.sh_degree) for instance in scene.splats]
         for name, values in own_looks(scene, lit).items():
             table[name] = values
+        for row, place in zip(table, places, strict=True):
+            kernel = self._held[place].kernel
             for name in ("degree", "falloff", "min_response", "adaptive"):
                 row["kernel"][name] = getattr(kernel, name)
         return table

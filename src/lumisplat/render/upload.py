@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,8 +10,9 @@ import warp as wp
 
 from lumisplat.constants import TRIANGLE_BOX_MARGIN
 from lumisplat.device.structs import GaussianData, MeshData
-from lumisplat.scene.color import decode_srgb
+from lumisplat.scene.color import decode_srgb, encode_srgb
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
 Key = TypeVar("Key")
@@ -26,6 +28,10 @@ def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
     data.opacities = _shared(gaussians.opacities, wp.float32, device)
     data.sh = _shared(gaussians.sh.reshape(-1, 3), wp.vec3, device)
     data.sh_count = gaussians.sh.shape[1]
+    if gaussians.normals is not None:
+        data.normals = _shared(gaussians.normals, wp.vec3, device)
+    if gaussians.albedo is not None:
+        data.albedo = wp.array(encode_srgb(gaussians.albedo), dtype=wp.vec3, device=device)
     return data
 
 
@@ -46,12 +52,19 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
     data.uvs = wp.array(attribute("uvs", 0.0, 2), dtype=wp.vec2, device=device)
     data.colors = wp.array(attribute("colors", 1.0, 3), dtype=wp.vec3, device=device)
     data.indices = wp.array(indices.astype(np.int32), dtype=wp.vec3i, device=device)
-    texels, texture_first = pack_textures([mesh.material.base_color_texture for mesh in meshes])
+    texels, texture_first = pack_textures([texture for mesh in meshes for texture in textures_of(mesh.material)])
     data.texels = wp.array(texels, dtype=wp.uint32, device=device)
     data.linear_from_byte = wp.array(
         decode_srgb(np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device
     )
+    data.unit_from_byte = wp.array((np.arange(256) / 255.0).astype(np.float32), dtype=wp.float32, device=device)
     return data, texture_first
+
+
+def textures_of(material: Material) -> list[Any]:
+    """All textures that a material may have; None: it has not."""
+    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
+    return [getattr(material, name) for name in names]
 
 
 def build_triangle_tree(mesh: Mesh, device: str) -> Any:

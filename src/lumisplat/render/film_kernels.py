@@ -1,0 +1,143 @@
+"""What lit rays saw, onto the film: running means over the samples. One item is one ray, in blocks of pixels."""
+
+import warp as wp
+
+from lumisplat.device.film import LitPixels, store_lit_sample
+from lumisplat.device.mesh_surface import hit_weights, surface_color
+from lumisplat.device.ray_blocks import pixel_of_ray
+from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
+from lumisplat.device.ray_surface import surface_of_ray
+from lumisplat.device.shade_structs import SEES_ENVIRONMENT, RayColors, ShadeScene
+from lumisplat.device.shading import captured_color, mesh_shine, splat_look
+from lumisplat.device.structs import SurfaceData
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def pixel_index(lens: LensData, ray: int) -> int:
+    """The pixel of a ray; -1 beyond the image."""
+    position = pixel_of_ray(lens.width, ray)
+    if position[0] >= lens.width or position[1] >= lens.height:
+        return -1
+    return position[1] * lens.width + position[0]
+
+
+@wp.func
+def coverage(i: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeScene) -> float:
+    """Alpha of a ray: what is not background."""
+    if not rays.t_max[i] > rays.t_min[i]:
+        return 0.0
+    if hits.face[i] >= 0 or scene.settings[0].camera_sees == SEES_ENVIRONMENT:
+        return 1.0
+    return 1.0 - splat_look(i, hits, radiance, scene, False).transmittance
+
+
+@wp.kernel
+def store_lit_rays(
+    start: int,
+    lenses: wp.array(dtype=LensData),
+    scene: ShadeScene,
+    rays: RayData,
+    radiance: RayRadiance,
+    hits: RayMeshHits,
+    colors: RayColors,
+    surface_inout: SurfaceData,
+    lit_inout: LitPixels,
+    nonfinite_inout: wp.array(dtype=int),
+):
+    """Means of what was captured and of light, and the surface that the first sample met."""
+    i = start + wp.tid()
+    lens = lenses[0]
+    pixel = pixel_index(lens, i)
+    if pixel < 0:
+        return
+    surface = RaySurface()
+    surface.depth = wp.inf
+    surface.gaussian = -1
+    surface.instance = -1
+    if lens.sample == 0 and rays.t_max[i] > rays.t_min[i]:
+        surface = surface_of_ray(i, rays, radiance, hits, scene.splats, scene.mesh_instances, scene.meshes)
+    alpha = coverage(i, rays, hits, radiance, scene)
+    store_lit_sample(
+        pixel,
+        lens.sample,
+        colors.captured[i],
+        colors.captured_weight[i],
+        colors.light[i],
+        alpha,
+        surface,
+        surface_inout,
+        lit_inout,
+        nonfinite_inout,
+    )
+
+
+@wp.kernel
+def develop(start: int, surface: SurfaceData, lit_inout: LitPixels):
+    """The linear image: what was captured, and light."""
+    i = start + wp.tid()
+    color = captured_color(surface.color[i], lit_inout.captured_weight[i]) + lit_inout.light[i]
+    lit_inout.color[i] = wp.max(color, wp.vec3(0.0))
+
+
+@wp.kernel
+def add_captured(start: int, colors: RayColors, linear_out: wp.array(dtype=wp.vec3)):
+    """Linear colours of rays: what was captured, and light."""
+    i = start + wp.tid()
+    linear_out[i] = captured_color(colors.captured[i], colors.captured_weight[i]) + colors.light[i]
+
+
+@wp.kernel
+def store_image(
+    start: int,
+    lenses: wp.array(dtype=LensData),
+    values: wp.array(dtype=wp.vec3),
+    image_inout: wp.array(dtype=wp.vec3),
+):
+    """The running mean of any colour of the rays."""
+    i = start + wp.tid()
+    lens = lenses[0]
+    pixel = pixel_index(lens, i)
+    if pixel < 0:
+        return
+    if lens.sample == 0:
+        image_inout[pixel] = values[i]
+    else:
+        image_inout[pixel] += (values[i] - image_inout[pixel]) / float(lens.sample + 1)
+
+
+@wp.kernel
+def look_at_surfaces(
+    start: int,
+    scene: ShadeScene,
+    rays: RayData,
+    hits: RayMeshHits,
+    radiance: RayRadiance,
+    albedo_out: wp.array(dtype=wp.vec3),
+    emission_out: wp.array(dtype=wp.vec3),
+    hits_out: wp.array(dtype=wp.vec3),
+):
+    """What surfaces are without light: their own colour, what they shine by themselves; how many Gaussians blended."""
+    i = start + wp.tid()
+    albedo_out[i] = wp.vec3(0.0)
+    emission_out[i] = wp.vec3(0.0)
+    hits_out[i] = wp.vec3(0.0)
+    if not rays.t_max[i] > rays.t_min[i]:
+        return
+    look = splat_look(i, hits, radiance, scene, True)
+    own = captured_color(look.captured, look.weight)
+    albedo = own
+    emission = own
+    if look.instance >= 0 and scene.materials[look.instance].shadow_only == 0:
+        material = scene.materials[look.instance]
+        emission = wp.cw_mul(material.emissive + material.ambient, own)
+    if hits.face[i] >= 0:
+        number = hits.instance[i]
+        corners = scene.meshes.indices[hits.face[i]]
+        color = surface_color(scene.mesh_instances[number], scene.meshes, corners, hit_weights(hits.weights[i]))
+        albedo += look.transmittance * color
+        emission += look.transmittance * mesh_shine(hits, i, scene, scene.splats.shape[0])
+    albedo_out[i] = albedo
+    emission_out[i] = emission
+    hits_out[i] = wp.vec3(float(radiance.hits[i]))

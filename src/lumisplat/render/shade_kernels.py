@@ -1,0 +1,286 @@
+"""Light where rays end. One item is one ray, or one ray towards a light.
+
+A ray has two surfaces that light may reach, numbered ``ray`` (that of the Gaussians) and ``stride + ray`` (the mesh
+behind them). ``start_shading`` writes what is there without lights, and adds those that nothing blocks; for every other
+light, ``spawn_shadow_rays`` and ``add_light`` go before and after the shadow rays. ``darken_captured`` ends what is
+only darkened, and ``gather_lit`` brings back what reflected and refracted rays saw.
+"""
+
+import warp as wp
+
+from lumisplat.constants import BOUNCE_WEIGHT_MIN
+from lumisplat.device.color import decode_srgb_color
+from lumisplat.device.environment import environment_radiance
+from lumisplat.device.light_structs import LIGHT_ENVIRONMENT
+from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.random import branch_stream
+from lumisplat.device.ray_structs import Bounce, RayData, RayMeshHits, RayRadiance
+from lumisplat.device.scatter import bounce_of
+from lumisplat.device.shade_structs import SEES_BACKGROUND, SEES_NOTHING, Arrivals, RayColors, ShadeScene, ShadingPoint
+from lumisplat.device.shading import (
+    LIGHT_BRANCHES,
+    captured_color,
+    contribution_of,
+    is_black,
+    mesh_point,
+    mesh_shine,
+    splat_look,
+    splat_point,
+)
+from lumisplat.device.specular import reflect, refract
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
+
+
+@wp.func
+def has_ray(rays: RayData, i: int) -> bool:
+    """Whether there is a ray ``i``."""
+    return rays.t_max[i] > rays.t_min[i]
+
+
+@wp.func
+def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: ShadeScene) -> bool:
+    """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
+    if hits.face[i] >= 0:
+        return True
+    if from_camera:
+        return scene.settings[0].camera_sees != SEES_BACKGROUND
+    return scene.environment.exists != 0
+
+
+@wp.func
+def far_radiance(direction: wp.vec3, scene: ShadeScene) -> wp.vec3:
+    """What a ray that is not followed sees, linear."""
+    if scene.environment.exists != 0:
+        return environment_radiance(scene.environment, direction)
+    return decode_srgb_color(scene.settings[0].background)
+
+
+@wp.func
+def lit_bounce(i: int, rays: RayData, hits: RayMeshHits, scene: ShadeScene) -> Bounce:
+    """What the mesh that a ray met does with it, in linear light."""
+    number = hits.instance[i]
+    instance = scene.mesh_instances[number]
+    corners = scene.meshes.indices[hits.face[i]]
+    weights = hit_weights(hits.weights[i])
+    return bounce_of(
+        scene.placements[number].material,
+        surface_color(instance, scene.meshes, corners, weights),
+        face_normal(instance, scene.meshes, corners),
+        surface_normal(instance, scene.meshes, corners, weights),
+        rays.direction[i],
+        True,
+    )
+
+
+@wp.func
+def light_from(number: int, point: ShadingPoint, stream: wp.uint32, scene: ShadeScene) -> wp.vec3:
+    """What light ``number`` adds by way of a surface, with nothing in the way."""
+    if point.exists == 0:
+        return wp.vec3(0.0)
+    color = contribution_of(number, False, point, stream, scene).color
+    if scene.lights[number].kind == LIGHT_ENVIRONMENT:
+        color += contribution_of(number, True, point, stream, scene).color
+    return color
+
+
+@wp.kernel
+def start_shading(
+    start: int,
+    from_camera: bool,
+    may_branch: bool,
+    adds_lights: int,
+    scene: ShadeScene,
+    rays: RayData,
+    hits: RayMeshHits,
+    radiance: RayRadiance,
+    path_weights: wp.array(dtype=float),
+    colors_out: RayColors,
+    branches_out: wp.array(dtype=int),
+):
+    """What a ray shows without lights and without its branches.
+
+    ``adds_lights``: 0 leaves all lights to shadow rays, 1 adds those that cast no shadow, 2 all.
+    """
+    i = start + wp.tid()
+    if may_branch:
+        branches_out[i] = 0
+        branches_out[branches_out.shape[0] // 2 + i] = 0
+    if not has_ray(rays, i):
+        colors_out.captured[i] = wp.where(from_camera, scene.settings[0].background, wp.vec3(0.0))
+        colors_out.captured_weight[i] = wp.where(from_camera, 1.0, 0.0)
+        colors_out.light[i] = wp.vec3(0.0)
+        return
+    over_light = is_over_light(i, from_camera, hits, scene)
+    look = splat_look(i, hits, radiance, scene, over_light)
+    splat_count = scene.splats.shape[0]
+    light = wp.vec3(0.0)
+    if hits.face[i] >= 0:
+        light = look.transmittance * mesh_shine(hits, i, scene, splat_count)
+        if scene.placements[hits.instance[i]].material.smooth != 0:
+            bounce = lit_bounce(i, rays, hits, scene)
+            reflects = int(0)
+            refracts = int(0)
+            if may_branch:
+                weight = look.transmittance * path_weights[i]
+                reflects = int(weight * wp.max(bounce.reflected) >= WEIGHT_MIN)
+                refracts = int(weight * wp.max(bounce.refracted) >= WEIGHT_MIN)
+                branches_out[i] = reflects
+                branches_out[branches_out.shape[0] // 2 + i] = refracts
+            if reflects == 0 and not is_black(bounce.reflected):
+                seen = far_radiance(reflect(rays.direction[i], bounce.normal), scene)
+                light += look.transmittance * wp.cw_mul(bounce.reflected, seen)
+            if refracts == 0 and not is_black(bounce.refracted):
+                seen = far_radiance(refract(rays.direction[i], bounce.normal, bounce.eta), scene)
+                light += look.transmittance * wp.cw_mul(bounce.refracted, seen)
+    elif over_light and not (from_camera and scene.settings[0].camera_sees == SEES_NOTHING):
+        light = look.transmittance * environment_radiance(scene.environment, rays.direction[i])
+
+    splats = splat_point(i, look, rays, radiance, scene)
+    if splats.exists != 0 and splats.shadow_only == 0:
+        material = scene.materials[look.instance]
+        change = material.emissive + material.ambient - wp.vec3(1.0)
+        light += wp.cw_mul(change, wp.cw_mul(look.scale, look.albedo))
+    if adds_lights > 0:
+        mesh = mesh_point(i, look.transmittance, rays, hits, scene, splat_count)
+        for number in range(scene.settings[0].light_count):
+            if adds_lights == 2 or scene.lights[number].casts_shadow == 0:
+                if splats.shadow_only == 0:
+                    light += light_from(number, splats, rays.stream[i], scene)
+                light += light_from(number, mesh, rays.stream[i], scene)
+    colors_out.captured[i] = look.captured
+    colors_out.captured_weight[i] = look.weight
+    colors_out.light[i] = light
+
+
+@wp.kernel
+def spawn_shadow_rays(
+    start: int,
+    number: int,
+    picks_bsdf: bool,
+    from_camera: bool,
+    scene: ShadeScene,
+    rays: RayData,
+    hits: RayMeshHits,
+    radiance: RayRadiance,
+    rays_out: RayData,
+    skips_out: wp.array(dtype=int),
+    contributions_out: wp.array(dtype=wp.vec3),
+):
+    """Rays from both surfaces of a ray to light ``number``, and what it adds if nothing is in the way."""
+    i = start + wp.tid()
+    stride = contributions_out.shape[0] // 2
+    rays_out.t_max[i] = -wp.inf
+    rays_out.t_max[stride + i] = -wp.inf
+    contributions_out[i] = wp.vec3(0.0)
+    contributions_out[stride + i] = wp.vec3(0.0)
+    if not has_ray(rays, i):
+        return
+    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
+    for slot in range(2):
+        point = ShadingPoint()
+        if slot == 0:
+            point = splat_point(i, look, rays, radiance, scene)
+        else:
+            point = mesh_point(i, look.transmittance, rays, hits, scene, scene.splats.shape[0])
+        if point.exists != 0:
+            j = slot * stride + i
+            contribution = contribution_of(number, picks_bsdf, point, rays.stream[i], scene)
+            if not is_black(contribution.color):
+                contributions_out[j] = contribution.color
+                rays_out.origin[j] = point.position
+                rays_out.direction[j] = contribution.direction
+                rays_out.t_min[j] = point.offset
+                rays_out.t_max[j] = contribution.distance
+                rays_out.travelled[j] = 0.0
+                key = branch_stream(rays.stream[i], LIGHT_BRANCHES + number)
+                rays_out.stream[j] = branch_stream(key, slot)
+                skips_out[j] = point.shadow_only
+
+
+@wp.kernel
+def add_light(
+    start: int,
+    blocked: bool,
+    contributions: wp.array(dtype=wp.vec3),
+    visibility: wp.array(dtype=wp.vec3),
+    skips: wp.array(dtype=int),
+    arrivals_inout: Arrivals,
+    light_inout: wp.array(dtype=wp.vec3),
+    direct_inout: wp.array(dtype=wp.vec3),
+    arrived_inout: wp.array(dtype=wp.vec3),
+):
+    """Adds what arrives of a light; ``visibility`` counts where ``blocked``.
+
+    The last two take the light's own images, arrays without elements if there are none.
+    """
+    i = start + wp.tid()
+    stride = contributions.shape[0] // 2
+    for slot in range(2):
+        j = slot * stride + i
+        sent = contributions[j]
+        if not is_black(sent):
+            arrived = sent
+            if blocked:
+                arrived = wp.cw_mul(sent, visibility[j])
+            if slot == 0 and skips[j] != 0:
+                arrivals_inout.sent[i] += sent
+                arrivals_inout.arrived[i] += arrived
+            else:
+                light_inout[i] += arrived
+            if direct_inout.shape[0] > 0:
+                direct_inout[i] += sent
+                arrived_inout[i] += arrived
+
+
+@wp.kernel
+def darken_captured(
+    start: int,
+    from_camera: bool,
+    scene: ShadeScene,
+    rays: RayData,
+    hits: RayMeshHits,
+    radiance: RayRadiance,
+    arrivals: Arrivals,
+    light_inout: wp.array(dtype=wp.vec3),
+):
+    """Takes from captured colours what of the lights does not arrive (Debevec 1998, differential rendering)."""
+    i = start + wp.tid()
+    sent = arrivals.sent[i]
+    if is_black(sent) or not has_ray(rays, i):
+        return
+    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
+    besides = wp.PI * scene.materials[look.instance].ambient
+    missing = sent - arrivals.arrived[i]
+    share = wp.vec3(0.0)
+    for k in range(3):
+        if missing[k] > 0.0:
+            share[k] = missing[k] / (besides[k] + sent[k])
+    light_inout[i] -= wp.cw_mul(share, wp.cw_mul(look.scale, look.albedo))
+
+
+@wp.kernel
+def gather_lit(
+    start: int,
+    branches: wp.array(dtype=int),
+    branch_ends: wp.array(dtype=int),
+    weights: wp.array(dtype=wp.vec3),
+    colors: RayColors,
+    light_inout: wp.array(dtype=wp.vec3),
+    reflection_out: wp.array(dtype=wp.vec3),
+):
+    """Adds what a ray's branches see to what it shows itself; alone, it goes to an array that may be empty."""
+    i = start + wp.tid()
+    stride = branches.shape[0] // 2
+    total = wp.vec3(0.0)
+    for branch in range(2):
+        j = branch * stride + i
+        if branches[j] == 1:
+            child = branch_ends[j] - 1
+            seen = captured_color(colors.captured[child], colors.captured_weight[child]) + colors.light[child]
+            total += wp.cw_mul(weights[child], seen)
+    light_inout[i] += total
+    if reflection_out.shape[0] > 0:
+        reflection_out[i] = total

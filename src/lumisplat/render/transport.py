@@ -1,0 +1,83 @@
+"""What rays see of what they met, once light and mirrors are followed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import Pipeline, RenderConfig, Shadows
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.launcher import Launcher
+from lumisplat.render import bounce_kernels, film_kernels, shade_kernels
+from lumisplat.render.bounce import Bounces
+from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.shade import LightImages, Shader
+from lumisplat.render.shade_scene import LitScene
+from lumisplat.render.shadow import ShadowRays, shadow_modules
+from lumisplat.render.trace import RayTracer
+from lumisplat.render.tree_scene import TreeScene
+
+
+class Transport:
+    """Colours rays: with lights and shadows if the scene is lit, and with what mirrors and glass bring.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        tracer: Follows the rays that go on.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
+        self._config, self._buffers, self._tracer = config, buffers, tracer
+        self.lit = LitScene(launcher, buffers, config)
+        """Lights and materials; synchronised before lit frames."""
+        self._bounces = Bounces(launcher, buffers, tracer.mesh_hits)
+        shadows = None if config.shadows is Shadows.OFF else ShadowRays(launcher, buffers, config)
+        self._shader = Shader(launcher, buffers, config, self.lit, shadows)
+
+    def colors(
+        self,
+        scene: DeviceScene,
+        trees: TreeScene | None,
+        rays: RayData,
+        hits: RayMeshHits,
+        radiance: RayRadiance,
+        *,
+        lit: bool,
+        reflection: Any = None,
+    ) -> Any:
+        """RayColors if ``lit``, else display-referred colours, over all that is behind the Gaussians.
+
+        Args:
+            scene: After ``sync``, and ``sync_rays`` if there are trees.
+            trees: Of the same scene; None: no ray goes on, and nothing blocks lights.
+            rays: A multiple of a packet's.
+            hits: What they met.
+            radiance: What the Gaussians before that give them.
+            lit: With lights.
+            reflection: If lit, receives what reflected and refracted rays bring.
+        """
+        goes_on = trees is not None and self._config.pipeline is not Pipeline.RASTER
+        return self._bounces.resolve(
+            scene,
+            rays,
+            hits,
+            radiance,
+            trace=lambda rays: self._tracer.integrate(trees, rays, "trace.branch_radiance"),  # type: ignore[arg-type]
+            bounces=self._config.max_bounces if goes_on else 0,
+            light=(lambda wave, number, branch: self._shader.shade(scene, trees, wave, number, branch))
+            if lit
+            else None,
+            reflection=reflection,
+        )
+
+    def light_images(self, count: int) -> LightImages | None:
+        """What each light gave the rays of pixels last, if the settings ask for it."""
+        return self._shader.images(count)
+
+
+def light_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
+    """The kernel modules that lit frames need besides those of their pipeline."""
+    own = [shade_kernels, film_kernels, bounce_kernels]
+    return own if config.shadows is Shadows.OFF else own + shadow_modules(launcher)
