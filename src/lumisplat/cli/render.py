@@ -15,6 +15,7 @@ from lumisplat.cli.options import DeviceCommand, Flag, load_scene, parse_backgro
 from lumisplat.cli.outputs import Shot, check_writable, make_folder, plan_shots
 from lumisplat.cli.stats import print_stats
 from lumisplat.cli.tracing import PipelineName, TraceGroup, TraceOptions, warn_unused
+from lumisplat.cli.view import FrameWriter, ViewName
 
 _log = logging.getLogger("lumisplat")
 
@@ -45,8 +46,10 @@ class Render(DeviceCommand):
     format: Literal["auto", "png", "exr", "npz"] = "auto"
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
-    """Also write some of depth, normal, gaussian_index, instance_index (with commas): into the EXR, or beside the PNG
-    as NAME.depth.png. An NPZ has them all."""
+    """Also write some of depth, normal, gaussian_index, instance_index, position and, of lit frames, albedo, emission,
+    reflection, lights, hits (with commas): into the EXR, or beside the PNG as NAME.depth.png. An NPZ has them all."""
+    view: Annotated[ViewName | None, arg(help_behavior_hint="")] = None
+    """Write this instead of the picture, by colours: how the frame came about."""
     antialiasing: Literal["auto", "on", "off"] = "auto"
     """Mip-Splatting's opacity compensation; auto: as the capture was trained."""
     sh_degree: Annotated[int, arg(metavar="0..3")] = 3
@@ -63,8 +66,8 @@ class Render(DeviceCommand):
 
     def run(self) -> None:
         """Renders and writes the pictures."""
-        layers = parse_layers(self.aov)
-        config = self._config()
+        writer = FrameWriter(self.aov, self.view)
+        config = self._config(writer.aovs)
         # What fails fast comes first: cameras and device before a capture of a gigabyte.
         shots = None if self.cameras is None else self._shots(self._loaded_cameras(self.cameras))
         check_writable(self.output)
@@ -76,13 +79,15 @@ class Render(DeviceCommand):
             report("rendering", 0.0)
             for done, shot in enumerate(shots, start=1):
                 frame = renderer.render(scene, shot.camera, progress=report)
-                frame.save(shot.path, layers)
+                writer.write(frame, shot.path)
                 report("rendering", done / len(shots))
                 if self.stats and done == len(shots):
                     print_stats(frame, self.pipeline)
         print(_summary(shots))
+        if writer.legend:
+            print(writer.legend)
 
-    def _config(self) -> ls.RenderConfig:
+    def _config(self, aovs: tuple[str, ...]) -> ls.RenderConfig:
         shared = {"sh_degree": self.sh_degree, "transmittance_min": self.transmittance_min}
         config = ls.RenderConfig(
             pipeline=ls.Pipeline(self.pipeline),
@@ -92,6 +97,7 @@ class Render(DeviceCommand):
             samples=self.trace.samples,
             seed=self.trace.seed,
             max_bounces=self.trace.max_bounces,
+            aovs=aovs,
         )
         raster_options = ["--antialiasing"] if self.antialiasing != "auto" else []
         warn_unused(self.trace.given() if self.pipeline == "raster" else raster_options, self.pipeline)
@@ -110,22 +116,11 @@ class Render(DeviceCommand):
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
         shots = plan_shots(cameras, self.frame, self.output, self.format)
+        if self.view and shots[0].path.suffix.lower() != ".png":
+            raise ls.ConfigError(f"{shots[0].path}: --view is a picture to look at, expected .png")
         if self.background is not None and shots[0].path.suffix.lower() == ".exr":
             _log.warning("--background is not used: an EXR holds premultiplied colour and alpha, without a background")
         return shots
-
-
-def parse_layers(text: str) -> tuple[str, ...]:
-    """Reads layer names with commas between.
-
-    Raises:
-        ConfigError: There is no such layer.
-    """
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    for name in names:
-        if name not in ls.Frame.LAYERS:
-            raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(ls.Frame.LAYERS)}")
-    return names
 
 
 def _summary(shots: list[Shot]) -> str:

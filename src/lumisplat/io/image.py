@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.atomic import atomic_write
+from lumisplat.io.limits import check_expansion
 from lumisplat.io.source import PathLike, parsing, read_bytes
 
 _log = logging.getLogger("lumisplat")
@@ -36,16 +37,25 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
     """
     from PIL import Image
 
+    pixels = to_bytes(srgb, path)
+    with atomic_write(path) as temporary:
+        Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
+    """8 bits of display-referred values, 0..1, shape (H, W, 3 or 4), as `write_png` writes them; ``path`` is for it.
+
+    Raises:
+        SceneError: The shape is not that of an image.
+    """
     pixels = np.asarray(srgb, dtype=np.float32)
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
-        raise SceneError(f"a PNG takes (H, W, 3 or 4), got {pixels.shape}")
+        raise SceneError(f"a picture takes (H, W, 3 or 4), got {pixels.shape}")
     nan_count = np.count_nonzero(np.isnan(pixels))
     if nan_count:
         _log.warning("%s: %d NaN values written as 0", os.fspath(path), nan_count)
     # NaN to 0 before the clamp, which keeps it; +0.5 and truncation round half up, where np.round would go to even.
-    bytes_ = (np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-    with atomic_write(path) as temporary:
-        Image.fromarray(bytes_).save(temporary, format="PNG")
+    return (np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def write_exr(path: PathLike, channels: Mapping[str, npt.NDArray], metadata: Mapping[str, str] | None = None) -> None:
@@ -102,7 +112,7 @@ def read_image(path: PathLike) -> dict[str, npt.NDArray]:
     if suffix == ".png":
         return {"srgb": read_texture(path)}
     if suffix == ".exr":
-        return _read_exr(path)
+        return read_exr(path)
     if suffix == ".npz":
         with parsing(path, "an NPZ file"), np.load(io.BytesIO(read_bytes(path))) as arrays:
             return dict(arrays)
@@ -161,12 +171,26 @@ def _exr_plane(pixels: npt.NDArray) -> npt.NDArray:
     return np.ascontiguousarray(pixels, dtype=np.float32)
 
 
-def _read_exr(path: PathLike) -> dict[str, npt.NDArray]:
+def read_exr(path: PathLike) -> dict[str, npt.NDArray]:
+    """The channels of an EXR's first part by their full names, each (H, W) float16, float32 or uint32.
+
+    Raises:
+        FormatError: The file is missing, damaged, claims more pixels than its size can hold, or is no EXR.
+    """
     import OpenEXR
 
-    read_bytes(path)
+    stored_bytes = len(read_bytes(path))
     try:
+        with OpenEXR.File(os.fspath(path), header_only=True) as file:
+            low, high = file.header()["dataWindow"]
+            count = len(file.header()["channels"])
+        width, height = (int(size) for size in np.subtract(high, low) + 1)
+        check_expansion(
+            path, f"{width} x {height} pixels of {count} channels", 4 * width * height * count, stored_bytes
+        )
         with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
             return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except FormatError:
+        raise
     except Exception as error:  # the binding raises RuntimeError, TypeError or its own, by the place it stumbles
         raise FormatError(path, f"damaged, or not an EXR file: {' '.join(str(error).split())}") from error

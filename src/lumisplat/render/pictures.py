@@ -127,7 +127,9 @@ def view_picture(frame: Frame, view: str, limits: Limits | None = None) -> Float
         picture = np.where(frame.normal.any(axis=2, keepdims=True), 0.5 + 0.5 * frame.normal, 0.0)
     elif view == "index":
         # Spread over instances, too: Gaussian 0 of two captures, and two meshes, which have no Gaussian, differ.
-        picture = _index_picture(frame.gaussian_index + 1 + 8191 * frame.instance_index, frame.instance_index >= 0)
+        picture = _index_picture(
+            frame.gaussian_index + 1 + 8191 * frame.instance_index.astype(np.int64), frame.instance_index >= 0
+        )
     elif view == "shadow":
         picture = _shadow_picture(frame)
     elif view == "hits":

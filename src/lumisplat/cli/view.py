@@ -1,0 +1,63 @@
+"""``--aov`` and ``--view``: what is written beside a picture, or instead of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import lumisplat as ls
+
+ViewName = Literal["normal", "depth", "index", "shadow", "hits", "transmittance"]
+
+_LEGENDS = {
+    "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
+    "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
+}
+"""What the colours of a view mean, where that is not the same in all scenes."""
+
+
+@dataclass
+class FrameWriter:
+    """Writes frames with their layers, or a view of each; in all of one run the same colours mean the same.
+
+    Raises:
+        ConfigError: There is no such layer, or there is both a view and layers.
+    """
+
+    aov: str
+    """Names of layers, with commas between."""
+    view: ViewName | None
+    layers: tuple[str, ...] = field(init=False)
+    legend: str | None = field(default=None, init=False)
+    """What the colours of the view mean, once a frame has been written."""
+    _limits: tuple[float, float] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.layers = tuple(name.strip() for name in self.aov.split(",") if name.strip())
+        for name in self.layers:
+            if name not in ls.Frame.LAYERS:
+                raise ls.ConfigError(f"--aov has '{name}', expected some of {', '.join(ls.Frame.LAYERS)}")
+        if self.view and self.layers:
+            raise ls.ConfigError("--view and --aov do not go together: a view is written instead of the picture")
+
+    @property
+    def aovs(self) -> tuple[str, ...]:
+        """What ``RenderConfig.aovs`` has to hold."""
+        names = (*self.layers, self.view or "")
+        return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
+
+    def write(self, frame: ls.Frame, path: Path) -> None:
+        """Writes one frame.
+
+        Raises:
+            ConfigError: It was rendered without a layer, or without what the view needs.
+            FormatError: It cannot be written.
+        """
+        if self.view is None:
+            frame.save(path, self.layers)
+            return
+        self._limits = self._limits or frame.view_limits(self.view)
+        if self.view in _LEGENDS:
+            self.legend = _LEGENDS[self.view].format(*self._limits)
+        frame.save_view(path, self.view, self._limits)

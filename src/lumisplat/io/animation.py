@@ -1,0 +1,92 @@
+"""Animations: GIF, WebP and animated PNG out of pictures. The file appears whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.atomic import atomic_write
+from lumisplat.io.image import to_bytes
+from lumisplat.io.source import PathLike
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+_Bytes = npt.NDArray[np.uint8]
+
+_FPS_MAX = 50.0
+"""Frames a second: browsers show GIF frames of less than 20 ms ten times slower."""
+_PALETTE_PIXELS = 100_000
+"""Pixels over all frames from which the palette of a GIF is chosen: more changes nothing that is seen."""
+_DITHER = 10.0
+"""How far the pattern moves colours, of 255: about as far as entries of a palette of 256 are apart."""
+
+
+def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
+    """Writes pictures as an animation that repeats for ever; the extension chooses how.
+
+    ``.gif``: 256 colours for all frames together, dithered by a pattern that stands still, so that what does not move
+    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large.
+
+    Args:
+        path: Where to.
+        frames: Display-referred values, 0..1, each of the same shape (H, W, 3), as ``Frame.pixels_srgb`` gives them
+            over a background.
+        fps: Frames a second, above 0, at most 50.
+
+    Raises:
+        ConfigError: ``fps`` is out of range.
+        SceneError: There is no frame, one is no such image, or sizes differ.
+        FormatError: The extension is none of these, or the file cannot be written.
+    """
+    from PIL import Image
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".webp", ".png", ".apng"):
+        raise FormatError(path, f"unknown extension '{suffix}' of an animation, expected .gif, .webp, .png or .apng")
+    if not 0.0 < fps <= _FPS_MAX:
+        raise ConfigError(f"fps is {fps}, expected more than 0, at most {_FPS_MAX:g}")
+    pictures = [to_bytes(frame, path) for frame in frames]
+    if len({picture.shape for picture in pictures}) != 1 or pictures[0].shape[2] != 3:
+        shapes = sorted({picture.shape for picture in pictures})
+        raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
+    if suffix == ".gif":
+        images = _paletted(pictures)
+        options: dict[str, Any] = {"format": "GIF", "optimize": False}
+    else:
+        images = [Image.fromarray(picture) for picture in pictures]
+        options = {"format": "WEBP", "quality": 90} if suffix == ".webp" else {"format": "PNG"}
+    with atomic_write(path) as temporary:
+        durations = _durations_ms(len(images), fps, unit=10 if suffix == ".gif" else 1)
+        images[0].save(temporary, save_all=True, append_images=images[1:], duration=durations, loop=0, **options)
+
+
+def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
+    """Whole units for each frame, of which any number of frames takes as long as it should, to half a unit."""
+    ends = np.floor(np.arange(count + 1) * 1000.0 / (fps * unit) + 0.5).astype(int)
+    return [int(length) * unit for length in np.diff(ends)]
+
+
+def _paletted(pictures: list[_Bytes]) -> list[Image.Image]:
+    """The pictures in one palette of 256 colours."""
+    from PIL import Image
+
+    # An odd step, so that it does not pick a few columns only.
+    step = max(1, len(pictures) * pictures[0].size // (3 * _PALETTE_PIXELS)) | 1
+    chosen = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
+    # Spread over all colours first: median cut has none left for small things of their own colour.
+    palette = Image.fromarray(chosen[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
+    height, width, _ = pictures[0].shape
+    y, x = np.mgrid[:height, :width]
+    # Interleaved gradient noise (Jimenez 2014): each value about once in any 3 x 3 pixels, unlike white noise.
+    noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
+    images = []
+    for picture in pictures:
+        moved = np.clip(picture + _DITHER * noise[..., None] + 0.5, 0.0, 255.0).astype(np.uint8)
+        images.append(Image.fromarray(moved).quantize(palette=palette, dither=Image.Dither.NONE))
+    return images
