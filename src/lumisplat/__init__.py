@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         LumisplatError,
         SceneError,
     )
-    from lumisplat.io import load, load_cameras, save, save_cameras
+    from lumisplat.io import load, load_cameras, load_radiance, save, save_cameras
     from lumisplat.render.frame import Frame
     from lumisplat.render.rays import RayHits
     from lumisplat.render.renderer import Renderer, create_renderer, render, trace_rays, transmittance
@@ -94,6 +94,7 @@ _HOME = {
     "gaussians_from_mesh": "scene.sampling",
     "load": "io",
     "load_cameras": "io",
+    "load_radiance": "io",
     "render": "render.renderer",
     "save": "io",
     "save_cameras": "io",
@@ -144,6 +145,7 @@ __all__ = [
     "gaussians_from_mesh",
     "load",
     "load_cameras",
+    "load_radiance",
     "render",
     "save",
     "save_cameras",

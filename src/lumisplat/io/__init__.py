@@ -1,4 +1,7 @@
-"""Files to scenes and back: `load`, `save`, `load_cameras`, `save_cameras`. Modules are imported when needed."""
+"""Files to scenes and back: `load`, `save`, and their like for cameras and radiance.
+
+Modules are imported when needed.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,13 @@ from lumisplat.io.source import PathLike
 
 if TYPE_CHECKING:
     from lumisplat.io.columns import SplatColumns
+    from lumisplat.scene.arrays import FloatArray
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-__all__ = ["load", "load_cameras", "save", "save_cameras"]
+__all__ = ["load", "load_cameras", "load_radiance", "save", "save_cameras"]
 
 Progress = Callable[[float], None]
 
@@ -169,6 +173,25 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
 
         return cameras.unique_names(read_gltf_cameras(path, width, height))
     return cameras.load_cameras(path, width, height)
+
+
+def load_radiance(path: PathLike) -> FloatArray:
+    """Loads an image of radiance, such as a latitude-longitude environment for a `LightEnvironment`.
+
+    Args:
+        path: Radiance HDR (``.hdr``, ``.pic``: RGBE, any of its encodings) or OpenEXR (channels R, G and B, half or
+            float; of a file with several parts, the first). The content decides which.
+
+    Returns:
+        Linear Rec.709, finite and at least 0, shape (H, W, 3), row 0 on top, read-only. Values that were negative or
+        not finite are 0, and one log line counts them.
+
+    Raises:
+        FormatError: The file is missing, damaged, truncated, or holds display colours of 8 bit.
+    """
+    from lumisplat.io.environment import read_radiance
+
+    return read_radiance(path)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
