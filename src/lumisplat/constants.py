@@ -120,8 +120,8 @@ GGX_WIDTH_MIN = 1e-6
 LIGHT_DISTANCE_MIN = 1e-6
 """Distance, scene units, below which a point light gets no brighter, so that it stays finite."""
 
-LIGHT_POWER_MAX = 1e18
-"""Candela, lux or radiance of a light at most, so that float32 holds what arrives at that distance."""
+LIGHT_POWER_MAX = 1e30
+"""Candela, lux, radiance and irradiance at most: what float32 still multiplies with."""
 
 ENVIRONMENT_SHARE_STEPS = 2**24
 """Shares of an environment's texels are multiples of one over this: all float32 can tell apart below 1."""

@@ -8,13 +8,15 @@ import math
 
 import warp as wp
 
-from lumisplat.device.directions import TWO_PI
+from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
+from lumisplat.device.directions import PI, TWO_PI, angle_of
 from lumisplat.device.light_structs import EnvironmentData, LightSample
 
 wp.set_module_options({"enable_backward": False})
 
-PI = wp.constant(wp.float32(math.pi))
 INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 
@@ -22,9 +24,9 @@ INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
     """Where the image shows a direction of the world, 0..1 each, from the left and from the top."""
     local = wp.transpose(environment.world_from_environment) * direction
-    u = 0.5 + INV_TWO_PI * wp.atan2(local[0], -local[2])
+    u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
     # Not the arc cosine of y, which knows little of what is near the poles.
-    v = INV_PI * wp.atan2(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
+    v = INV_PI * angle_of(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
     return wp.vec2(u, v)
 
 
@@ -35,10 +37,15 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
     y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
     left = wp.floor(x)
     top = wp.floor(y)
-    column = (int(left) + environment.width) % environment.width
-    beside = (column + 1) % environment.width
-    row = int(top) * environment.width
-    below = wp.min(int(top) + 1, environment.height - 1) * environment.width
+    column = wp.clamp(int(left), -1, environment.width - 1)
+    beside = column + 1
+    if beside == environment.width:
+        beside = 0
+    if column < 0:
+        column = environment.width - 1
+    row = wp.clamp(int(top), 0, environment.height - 1)
+    below = wp.min(row + 1, environment.height - 1) * environment.width
+    row = row * environment.width
     upper = wp.lerp(environment.texels[row + column], environment.texels[row + beside], x - left)
     lower = wp.lerp(environment.texels[below + column], environment.texels[below + beside], x - left)
     return wp.cw_mul(environment.power, wp.lerp(upper, lower, y - top))
@@ -46,11 +53,11 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def first_above(ends: wp.array(dtype=float), first: int, count: int, value: float) -> int:
-    """How many of ``count`` ascending numbers from ``first`` on are not above ``value``."""
+    """The first of ``count`` ascending numbers from ``first`` on that is above ``value``; the last one is."""
     low = int(0)
-    high = int(count)
+    high = count - 1
     while low < high:
-        middle = (low + high) // 2
+        middle = (low + high) >> 1
         if ends[first + middle] > value:
             high = middle
         else:
@@ -84,14 +91,9 @@ def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
 
 
 @wp.func
-def cell_density(environment: EnvironmentData, column: int, row: int) -> float:
-    """Density of directions in a texel's cell, per steradian."""
-    first = row * environment.width
-    share_row = environment.row_ends[row] - start_of(environment.row_ends, 0, row)
-    share = environment.column_ends[first + column] - start_of(environment.column_ends, first, column)
-    height = cell_height(environment, row)
-    solid_angle = 2.0 * wp.abs(height[1] - height[0]) * TWO_PI / float(environment.width)
-    return share_row * share / solid_angle
+def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
+    """Solid angle of a texel's cell."""
+    return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
 
 
 @wp.func
@@ -110,7 +112,10 @@ def environment_density(environment: EnvironmentData, direction: wp.vec3) -> flo
     at = image_coordinates(environment, direction)
     column = wp.clamp(int(at[0] * float(environment.width)), 0, environment.width - 1)
     row = wp.clamp(int(at[1] * float(environment.height)), 0, environment.height - 1)
-    return cell_density(environment, column, row)
+    first = row * environment.width
+    share_row = environment.row_ends[row] - start_of(environment.row_ends, 0, row)
+    share = environment.column_ends[first + column] - start_of(environment.column_ends, first, column)
+    return share_row * share / cell_size(environment, cell_height(environment, row))
 
 
 @wp.func
@@ -119,35 +124,39 @@ def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
 
     Args:
         environment: The environment; a dark one, or none, gives no light from anywhere.
-        u: Random, 0..1 each, 1 excluded.
+        u: Random, 0..1 each.
     """
     sample = LightSample()
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
     sample.distance = wp.inf
     if environment.exists == 0 or environment.row_ends[environment.height - 1] <= 0.0:
         return sample
-    row = first_above(environment.row_ends, 0, environment.height, u[0])
+    down = wp.min(u[0], BELOW_ONE)
+    along = wp.min(u[1], BELOW_ONE)
+    row = first_above(environment.row_ends, 0, environment.height, down)
     first = row * environment.width
-    column = first_above(environment.column_ends, first, environment.width, u[1])
+    column = first_above(environment.column_ends, first, environment.width, along)
     # What is left of the random numbers says where in the cell.
-    row_start = start_of(environment.row_ends, 0, row)
-    column_start = start_of(environment.column_ends, first, column)
-    down = (u[0] - row_start) / (environment.row_ends[row] - row_start)
-    along = (u[1] - column_start) / (environment.column_ends[first + column] - column_start)
+    start_row = start_of(environment.row_ends, 0, row)
+    share_row = environment.row_ends[row] - start_row
+    down = (down - start_row) / share_row
+    start = start_of(environment.column_ends, first, column)
+    share = environment.column_ends[first + column] - start
+    across = (float(column) + (along - start) / share) / float(environment.width)
 
     height = cell_height(environment, row)
     half2 = wp.lerp(height[0], height[1], down)
     half = wp.sqrt(half2)
-    sine = 2.0 * half * wp.sqrt(1.0 - half2)
-    v = 2.0 * INV_PI * wp.asin(wp.min(half, 1.0))
+    other = wp.sqrt(wp.max(1.0 - half2, 0.0))
+    v = 2.0 * INV_PI * angle_of(half, other)
     y = 1.0 - 2.0 * half2
     if 2 * row >= environment.height:
         v = 1.0 - v
         y = -y
-    across = (float(column) + along) / float(environment.width)
+    sine = 2.0 * half * other
     angle = TWO_PI * (across - 0.5)
     local = wp.vec3(sine * wp.sin(angle), y, -sine * wp.cos(angle))
     sample.direction = wp.normalize(environment.world_from_environment * local)
-    sample.density = cell_density(environment, column, row)
-    sample.irradiance = interpolate(environment, wp.vec2(across, v)) / sample.density
+    sample.density = share_row * share / cell_size(environment, height)
+    sample.irradiance = wp.min((1.0 / sample.density) * interpolate(environment, wp.vec2(across, v)), BRIGHTEST)
     return sample

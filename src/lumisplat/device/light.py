@@ -4,12 +4,10 @@ A hard light is a point at its centre. A soft one has its extent, and ``u`` pick
 ``u`` of irradiance times cosine is what all of the light gives.
 """
 
-import math
-
 import warp as wp
 
-from lumisplat.constants import LIGHT_DISTANCE_MIN
-from lumisplat.device.directions import TWO_PI, around
+from lumisplat.constants import LIGHT_DISTANCE_MIN, LIGHT_POWER_MAX
+from lumisplat.device.directions import PI, TWO_PI, around
 from lumisplat.device.light_structs import (
     LIGHT_DIRECTIONAL,
     LIGHT_HEADLIGHT,
@@ -22,15 +20,16 @@ from lumisplat.device.light_structs import (
 
 wp.set_module_options({"enable_backward": False})
 
-DISTANCE_MIN = wp.constant(wp.float32(LIGHT_DISTANCE_MIN))
-PI = wp.constant(wp.float32(math.pi))
+NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+TINY = wp.constant(wp.float32(1e-30))
+"""Smallest divisor, and squared distance below which a light is in the point itself, and so in no direction."""
 
 
 @wp.func
-def window(light: LightData, distance: float) -> float:
+def window(light: LightData, distance2: float) -> float:
     """How much of a light is left towards the end of its range (glTF, KHR_lights_punctual)."""
-    share = distance / light.range
-    share2 = share * share
+    share2 = distance2 / (light.range * light.range)
     return wp.clamp(1.0 - share2 * share2, 0.0, 1.0)
 
 
@@ -41,7 +40,7 @@ def cone(light: LightData, direction: wp.vec3) -> float:
     ``1 - cosine`` is half the squared distance of the two directions, which keeps its digits in small cones.
     """
     off = direction + light.direction
-    share = (light.outer - 0.5 * wp.dot(off, off)) / (light.outer - light.inner)
+    share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)
     share = wp.clamp(share, 0.0, 1.0)
     return share * share
 
@@ -51,34 +50,33 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
     """A point or spot; soft, a sphere of the same candela, seen in the cone that it fills."""
     sample = LightSample()
     offset = light.position - point
-    distance = wp.length(offset)
+    distance2 = wp.dot(offset, offset)
+    distance = wp.sqrt(distance2)
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
     sample.distance = distance
-    if distance <= 0.0:
+    if distance2 < TINY:
         return sample
-    center = offset / distance
-    sample.direction = center
-    candela = window(light, distance) * light.power
+    sample.direction = (1.0 / distance) * offset
+    share = window(light, distance2)
     if light.kind == LIGHT_SPOT:
-        candela = cone(light, center) * candela
-    near = DISTANCE_MIN
+        share *= cone(light, sample.direction)
+    nearest2 = NEAREST2
     if soft != 0 and light.radius > 0.0:
-        near = wp.max(near, light.radius)
-        if distance > near:
-            ratio = light.radius / distance
+        ratio = light.radius / distance
+        if ratio < 1.0:
             cosine = wp.sqrt((1.0 - ratio) * (1.0 + ratio))
             # 1 - cosine of the cone's edge, and of the direction in it.
             edge = ratio * ratio / (1.0 + cosine)
             lift = u[0] * edge
             sine2 = lift * (2.0 - lift)
-            sample.direction = around(center, 1.0 - lift, wp.sqrt(sine2), u[1])
+            sample.direction = around(sample.direction, 1.0 - lift, wp.sqrt(sine2), u[1])
             inside = wp.max((ratio - sine2 / ratio) * ratio, 0.0)
             sample.distance = distance * wp.max(1.0 - lift - wp.sqrt(inside), 0.0)
-            sample.irradiance = (2.0 / (1.0 + cosine) / distance / distance) * candela
-            sample.density = 1.0 / wp.max(TWO_PI * edge, 1e-30)
-            return sample
-    distance = wp.max(distance, near)
-    sample.irradiance = candela / distance / distance
+            sample.density = 1.0 / wp.max(TWO_PI * edge, TINY)
+            share *= 2.0 / (1.0 + cosine)
+        else:
+            nearest2 = wp.max(nearest2, light.radius * light.radius)
+    sample.irradiance = wp.min((share / wp.max(distance2, nearest2)) * light.power, BRIGHTEST)
     return sample
 
 
@@ -96,7 +94,7 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
         sample.direction = around(-light.direction, 1.0 - lift, wp.sqrt(lift * (2.0 - lift)), u[1])
         # The cone's solid angle, 2 pi edge, over what of it faces a surface, pi edge (2 - edge).
         sample.irradiance = (2.0 / (2.0 - edge)) * light.power
-        sample.density = 1.0 / wp.max(TWO_PI * edge, 1e-30)
+        sample.density = 1.0 / wp.max(TWO_PI * edge, TINY)
     return sample
 
 
@@ -107,23 +105,23 @@ def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
     offset = light.position - point
     if soft != 0:
         offset += (u[0] - 0.5) * light.edge_u + (u[1] - 0.5) * light.edge_v
-    distance = wp.length(offset)
+    distance2 = wp.dot(offset, offset)
+    sample.distance = wp.sqrt(distance2)
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
-    sample.distance = distance
-    if distance <= 0.0:
+    if distance2 < TINY:
         return sample
-    sample.direction = offset / distance
+    sample.direction = (1.0 / sample.distance) * offset
     cosine = -wp.dot(sample.direction, light.direction)
     if cosine <= 0.0:
         return sample
-    distance = wp.max(distance, DISTANCE_MIN)
-    solid_angle = cosine * wp.length(wp.cross(light.edge_u, light.edge_v)) / distance / distance
+    area = wp.length(wp.cross(light.edge_u, light.edge_v))
+    solid_angle = wp.min(cosine * area / wp.max(distance2, NEAREST2), 1.0 / NEAREST2)
     if soft != 0:
-        sample.density = 1.0 / wp.max(solid_angle, 1e-30)
+        sample.density = 1.0 / wp.max(solid_angle, TINY)
     else:
         # A hard light shines no brighter than a sky full of it.
         solid_angle = wp.min(solid_angle, PI)
-    sample.irradiance = solid_angle * light.power
+    sample.irradiance = wp.min(solid_angle * light.power, BRIGHTEST)
     return sample
 
 
@@ -144,10 +142,11 @@ def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
     if light.kind == LIGHT_RECT:
         return sample_rect(light, point, soft, u)
     sample = LightSample()
-    offset = light.position - point
-    sample.distance = wp.length(offset)
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
-    if light.kind == LIGHT_HEADLIGHT and sample.distance > 0.0:
-        sample.direction = offset / sample.distance
-        sample.irradiance = light.power
+    if light.kind == LIGHT_HEADLIGHT:
+        offset = light.position - point
+        sample.distance = wp.length(offset)
+        if sample.distance > 0.0:
+            sample.direction = (1.0 / sample.distance) * offset
+            sample.irradiance = light.power
     return sample

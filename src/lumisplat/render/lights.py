@@ -60,6 +60,7 @@ class LightTable:
         self.version = 0
         """Changes whenever count, environment or arrays did, so that captured graphs can tell."""
         self._image: Any = None
+        self._brightest = 1.0
         self._key: object = None
 
     def sync(self, scene: Scene, camera: Camera, buffers: Buffers) -> None:
@@ -71,46 +72,50 @@ class LightTable:
             buffers: Where the arrays live; the same ones in every call.
         """
         lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled]
-        if scene.lights:
-            table = light_table([light for _, light in lights])
-        else:
-            table = headlight_table(camera)
-        self.count = len(table)
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
+        table = light_table([light for _, light in lights])
         if not scene.lights:
-            self.names = ("headlight",)
+            self.names, table = ("headlight",), headlight_table(camera)
+        self.count = len(table)
         self.lights = buffers.get("lights", LightData, max(self.count, 1))
-        if self.count:
-            self.lights.assign(table)
+        self.lights.assign(table if self.count else np.zeros(1, table.dtype))
         environment = next((light for _, light in lights if isinstance(light, LightEnvironment)), None)
         self._sync_environment(environment, buffers)
 
     def _sync_environment(self, light: LightEnvironment | None, buffers: Buffers) -> None:
-        image = WHITE if light is None or light.image is None else light.image
         data = self.environment
-        if image is not self._image:
+        image = WHITE if light is None or light.image is None else light.image
+        if image is not self._image and (light is not None or self._image is None):
             self._image = None  # until all of it is there
-            data.height, data.width = image.shape[:2]
-            rows, columns = environment_ends(image)
-            for name, dtype, values in (
-                ("texels", wp.vec3, image.reshape(-1, 3)),
-                ("row_ends", wp.float32, rows),
-                ("column_ends", wp.float32, columns.reshape(-1)),
-            ):
-                array = buffers.get(f"environment.{name}", dtype, len(values))
-                array.assign(np.ascontiguousarray(values))
-                setattr(data, name, array)
+            self._upload(image, buffers)
             self._image = image
         data.exists = int(light is not None)
+        seen: tuple[object, ...] = ()
         if light is not None:
+            wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
+            power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
             data.visible = int(light.visible)
-            data.world_from_environment = wp.mat33(*_rotation(np.asarray(light.rotation_wxyz)).ravel())
-            data.power = wp.vec3(*power_of(light))
-        rotation = None if light is None else tuple(np.asarray(light.rotation_wxyz))
-        key = self.count, id(image), light and (light.visible, rotation, light.color, light.intensity)
+            data.world_from_environment = wp.mat33(*_rotation(wxyz).ravel())
+            data.power = wp.vec3(*power)
+            seen = (*wxyz, *power, light.visible)
+        key = self.count, id(self._image), data.exists, seen
         if key != self._key:
             self._key = key
             self.version += 1
+
+    def _upload(self, image: npt.NDArray[np.floating], buffers: Buffers) -> None:
+        data = self.environment
+        data.height, data.width = image.shape[:2]
+        rows, columns = environment_ends(image)
+        for name, dtype, values in (
+            ("texels", wp.vec3, image.reshape(-1, 3)),
+            ("row_ends", wp.float32, rows),
+            ("column_ends", wp.float32, columns.reshape(-1)),
+        ):
+            array = buffers.get(f"environment.{name}", dtype, len(values))
+            array.assign(np.ascontiguousarray(values))
+            setattr(data, name, array)
+        self._brightest = max(1.0, float(image.max()))
 
 
 def power_of(light: Light) -> Doubles:
@@ -121,34 +126,35 @@ def power_of(light: Light) -> Doubles:
 def light_table(lights: list[Light]) -> np.ndarray:
     """The rows that kernels read lights from."""
     table = np.zeros(len(lights), dtype=table_dtype(LightData))
-    for i, light in enumerate(lights):
-        row = table[i : i + 1]
+    for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
         row["power"] = power_of(light)
         row["casts_shadow"] = light.casts_shadow
         row["range"] = math.inf
         if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
             row["position"] = np.clip(light.position, -TRANSFORM_MAX, TRANSFORM_MAX)
+        if isinstance(light, LightPoint | LightSpot | LightSphere):
+            row["kind"] = LIGHT_POINT
+            row["radius"] = min(light.radius, TRANSFORM_MAX)
+        if isinstance(light, LightPoint | LightSpot) and light.range < TRANSFORM_MAX:
+            row["range"] = light.range
         if isinstance(light, LightSpot | LightDirectional):
             row["direction"] = light.direction
-        if isinstance(light, LightPoint | LightSpot):
-            row["range"], row["radius"] = light.range, light.radius
+
         if isinstance(light, LightSpot):
             row["kind"] = LIGHT_SPOT
             row["inner"], row["outer"] = (2.0 * math.sin(0.5 * a) ** 2 for a in (light.inner_angle, light.outer_angle))
+        elif isinstance(light, LightSphere):
+            candela = math.pi * min(light.radius, TRANSFORM_MAX) ** 2 * power_of(light)
+            row["power"] = np.minimum(candela, LIGHT_POWER_MAX)
         elif isinstance(light, LightDirectional):
             row["kind"], row["radius"] = LIGHT_DIRECTIONAL, light.angle
         elif isinstance(light, LightRect):
             normal = np.cross(light.edge_u, light.edge_v)
             row["kind"] = LIGHT_RECT
             row["direction"] = normal / np.linalg.norm(normal)
-            row["edge_u"], row["edge_v"] = light.edge_u, light.edge_v
+            row["edge_u"], row["edge_v"] = np.clip((light.edge_u, light.edge_v), -TRANSFORM_MAX, TRANSFORM_MAX)
         elif isinstance(light, LightEnvironment):
             row["kind"] = LIGHT_ENVIRONMENT
-        else:
-            row["kind"] = LIGHT_POINT
-        if isinstance(light, LightSphere):
-            row["radius"] = light.radius
-            row["power"] = np.minimum(math.pi * light.radius**2 * power_of(light), LIGHT_POWER_MAX)
     return table
 
 
@@ -191,10 +197,9 @@ def _ends(weights: Doubles) -> npt.NDArray[np.float32]:
 
 
 def _rotation(wxyz: Doubles) -> Doubles:
-    """The matrix of a unit quaternion, shape (3, 3): ``v + 2 w (q x v) + 2 q x (q x v)``."""
-    w, q = wxyz[0], np.cross(np.eye(3), wxyz[1:])  # rows: unit vectors crossed with the axis
-    cross = -q.T
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    """The matrix of a unit quaternion q, shape (3, 3): x + 2 w q x x + 2 q x (q x x), column by column."""
+    cross = np.cross(wxyz[1:], np.eye(3)).T
+    return np.eye(3) + 2.0 * wxyz[0] * cross + 2.0 * cross @ cross
 
 
 def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
