@@ -23,8 +23,6 @@ _FPS_MAX = 50.0
 """Frames a second: browsers show GIF frames of less than 20 ms ten times slower."""
 _PALETTE_PIXELS = 100_000
 """Pixels over all frames from which the palette of a GIF is chosen: more changes nothing that is seen."""
-_DITHER = 10.0
-"""How far the pattern moves colours, of 255: about as far as entries of a palette of 256 are apart."""
 
 
 def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
@@ -57,7 +55,8 @@ def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float =
         raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
     if suffix == ".gif":
         images = _paletted(pictures)
-        options: dict[str, Any] = {"format": "GIF", "optimize": False}
+        # Given the palette, Pillow does not repeat it with each frame.
+        options: dict[str, Any] = {"format": "GIF", "optimize": False, "palette": _palette_bytes(images[0])}
     else:
         images = [Image.fromarray(picture) for picture in pictures]
         options = {"format": "WEBP", "quality": 90} if suffix == ".webp" else {"format": "PNG"}
@@ -81,12 +80,20 @@ def _paletted(pictures: list[_Bytes]) -> list[Image.Image]:
     chosen = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
     # Spread over all colours first: median cut has none left for small things of their own colour.
     palette = Image.fromarray(chosen[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
+    colors = np.unique(np.array(palette.getpalette()).reshape(-1, 3), axis=0).astype(np.float64)
+    apart = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
     height, width, _ = pictures[0].shape
     y, x = np.mgrid[:height, :width]
-    # Interleaved gradient noise (Jimenez 2014): each value about once in any 3 x 3 pixels, unlike white noise.
+    # Interleaved gradient noise (Jimenez 2014): each value about once in any 3 x 3 pixels, unlike white noise. It
+    # moves colours about as far as those of the palette are apart.
     noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
+    moves = np.median(apart.min(axis=1)) * noise[..., None] + 0.5
     images = []
     for picture in pictures:
-        moved = np.clip(picture + _DITHER * noise[..., None] + 0.5, 0.0, 255.0).astype(np.uint8)
+        moved = np.clip(picture + moves, 0.0, 255.0).astype(np.uint8)
         images.append(Image.fromarray(moved).quantize(palette=palette, dither=Image.Dither.NONE))
     return images
+
+
+def _palette_bytes(image: Image.Image) -> bytes:
+    return bytes(image.getpalette() or ()).ljust(768, b"\0")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -225,19 +225,15 @@ class Frame:
         ``config`` says; pixels that only show a capture are what they are in the unlit frame. What is not finite is
         black.
         """
-        seen = self._finite()
-        alpha = np.where(seen, self.alpha, 0.0)
-        lit, transparent = self._lit(), self.background is None
+        frame, transparent = self._without_nonfinite(), self.background is None
+        lit = frame._lit()
         if lit is None:
-            pixels = self.straight() if transparent else self.color
+            pixels = frame.straight() if transparent else frame.color
         else:
-            if transparent:
-                lit = tuple(_over(image, self.alpha) for image in lit)
-            captured, weight, light = (_where(seen, image) for image in lit)
+            captured, weight, light = (_over(image, frame.alpha) for image in lit) if transparent else lit
             tone_map = self.config.tone_map if self.config else ToneMap.NONE
             pixels = lit_picture(captured, weight, light, self.camera.exposure, tone_map)
-        pixels = _where(seen, pixels)
-        return np.concatenate([pixels, alpha[..., None]], axis=2) if transparent else pixels
+        return np.concatenate([pixels, frame.alpha[..., None]], axis=2) if transparent else pixels
 
     def layers(self, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
         """EXR channels: linear ``R G B A`` and those of the layers that ``names`` lists, None: all that there are.
@@ -245,11 +241,11 @@ class Frame:
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
         """
-        linear, seen = self.premultiplied(), self._finite()
-        if self.captured is None:
-            linear = decode_srgb(self.straight()) * self.alpha[..., None]
-        channels = {name: np.where(seen, linear[..., i], 0.0) for i, name in enumerate("RGB")}
-        channels["A"] = np.where(seen, self.alpha, 0.0)
+        frame = self._without_nonfinite()
+        linear = frame.premultiplied()
+        if frame._lit() is None:
+            linear = decode_srgb(frame.straight()) * frame.alpha[..., None]
+        channels = {name: linear[..., i] for i, name in enumerate("RGB")} | {"A": frame.alpha}
         return channels | exr_channels(self, present_layers(self) if names is None else names)
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -274,6 +270,18 @@ class Frame:
             finite &= np.isfinite(image).reshape(*finite.shape, -1).all(axis=2)
         return finite
 
+    def _without_nonfinite(self) -> Frame:
+        """The frame with nothing, alpha 0, where radiance is not finite."""
+        seen = self._finite()
+        if seen.all():
+            return self
+        names = ("color", "alpha", *(() if self._lit() is None else ("captured", "captured_weight", "light")))
+        blacked = {}
+        for name in names:
+            image = getattr(self, name)
+            blacked[name] = np.where(seen if image.ndim == 2 else seen[..., None], image, np.float32(0.0))
+        return replace(self, **blacked)
+
     def _tell_nonfinite(self, path: str | os.PathLike[str]) -> None:
         bad = ~self._finite()
         for name in RADIANCE:
@@ -292,7 +300,3 @@ def _over(image: FloatArray, alpha: FloatArray) -> FloatArray:
     """A premultiplied image, (H, W) or (H, W, 3), over its alpha; zero where that is."""
     divisor = alpha if image.ndim == 2 else alpha[..., None]
     return np.divide(image, divisor, out=np.zeros_like(image), where=divisor > 0.0)
-
-
-def _where(seen: npt.NDArray[np.bool_], image: FloatArray) -> FloatArray:
-    return np.where(seen if image.ndim == 2 else seen[..., None], image, np.float32(0.0))

@@ -1,0 +1,110 @@
+"""Animations: timing, palettes that do not flicker, whole files or none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lumisplat.errors import ConfigError, FormatError, SceneError
+from lumisplat.io.animation import save_animation
+
+
+def moving_light(count: int = 12, height: int = 48, width: int = 64) -> list[np.ndarray]:
+    """A bright spot that wanders over the right half of a coloured gradient; the left half stands still."""
+    y, x = np.mgrid[:height, :width] / (height - 1.0)
+    still = np.stack([0.2 + 0.6 * x / x.max(), 0.5 * y + 0.2, 0.7 - 0.4 * y], axis=2)
+    frames = []
+    for index in range(count):
+        spot = np.exp(-40.0 * ((x - 1.0) ** 2 + (y - index / count) ** 2))[..., None]
+        spot[:, : width // 2] = 0.0
+        frames.append(np.clip(still + spot * (1.0, 0.9, 0.6), 0.0, 1.0))
+    return frames
+
+
+def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
+    """Frames as bytes and their durations, milliseconds."""
+    frames, durations = [], []
+    with Image.open(path) as animation:
+        for index in range(getattr(animation, "n_frames", 1)):
+            animation.seek(index)
+            animation.load()
+            durations.append(animation.info["duration"])
+            frames.append(np.asarray(animation.convert("RGB")).astype(int))
+        assert animation.info["loop"] == 0
+    return frames, durations
+
+
+@pytest.mark.parametrize(("suffix", "error"), [("gif", 5.0), ("webp", 3.0), ("png", 0.51), ("apng", 0.51)])
+def test_frames_come_back(tmp_path: Path, suffix: str, error: float) -> None:
+    """All frames are there, in order, close to what they were: on average to so much of 255."""
+    given = moving_light()
+    save_animation(tmp_path / f"a.{suffix}", given, 10.0)
+    frames, durations = read(tmp_path / f"a.{suffix}")
+    assert len(frames) == len(given)
+    assert durations == [100] * 12
+    for found, expected in zip(frames, given, strict=True):
+        assert np.abs(found - 255.0 * expected).mean() < error
+
+
+def test_gif_does_not_flicker(tmp_path: Path) -> None:
+    """What stands still keeps its bytes through all frames, dithered or not."""
+    save_animation(tmp_path / "a.gif", moving_light())
+    frames, _ = read(tmp_path / "a.gif")
+    for frame in frames[1:]:
+        np.testing.assert_array_equal(frame[:, :32], frames[0][:, :32])
+    assert np.abs(frames[6] - frames[0])[:, 32:].max() > 50
+
+
+def test_gif_dithers(tmp_path: Path) -> None:
+    """Between the colours of the palette, neighbours average to the right one: no bands."""
+    rows = np.linspace(0.2, 0.4, 240)[:, None, None]
+    other = np.random.default_rng(1).uniform(0.0, 1.0, (240, 240, 3))
+    picture = np.concatenate([np.broadcast_to(rows * (1.0, 0.8, 0.9), (240, 120, 3)), other], axis=1)
+    save_animation(tmp_path / "a.gif", [picture, picture[:, ::-1]])
+    (found, _), _ = read(tmp_path / "a.gif")
+    error = (found - 255.0 * picture)[:, :120]
+    blocks = error.reshape(20, 12, 10, 12, 3).mean(axis=(1, 3))
+    assert np.abs(blocks).mean() < 0.5 * np.abs(error).mean()
+
+
+@pytest.mark.parametrize("suffix", ["gif", "webp", "png"])
+@pytest.mark.parametrize("fps", [7.0, 24.0, 30.0, 50.0])
+def test_timing_does_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
+    """Frames that do not fit the format's unit are rounded in turn: all together take as long as they should."""
+    save_animation(tmp_path / f"a.{suffix}", moving_light(24, 8, 12), fps)
+    _, durations = read(tmp_path / f"a.{suffix}")
+    unit = 10.0 if suffix == "gif" else 1.0
+    assert len(durations) == 24
+    assert sum(durations) == pytest.approx(24_000.0 / fps, abs=0.51 * unit)
+    assert max(durations) - min(durations) <= unit
+
+
+def test_one_palette(tmp_path: Path) -> None:
+    """All frames of a GIF share the first one's palette: none brings another."""
+    save_animation(tmp_path / "a.gif", moving_light())
+    data = (tmp_path / "a.gif").read_bytes()
+    palette = data[13:781]  # behind the header, 3 bytes for each of 256 colours
+    assert data.count(palette) == 1
+
+
+def test_bad_animations_are_refused(tmp_path: Path) -> None:
+    """What is no animation is refused in one line, and no file appears."""
+    good = moving_light(2, 8, 12)
+    with pytest.raises(SceneError, match="got none"):
+        save_animation(tmp_path / "a.gif", [])
+    with pytest.raises(SceneError, match=r"one shape \(H, W, 3\)"):
+        save_animation(tmp_path / "a.gif", [good[0], good[1][:4]])
+    with pytest.raises(SceneError, match=r"one shape \(H, W, 3\)"):
+        save_animation(tmp_path / "a.webp", [np.zeros((4, 4, 4))])
+    with pytest.raises(FormatError, match=r"unknown extension '.mp4'"):
+        save_animation(tmp_path / "a.mp4", good)
+    for fps in (0.0, -1.0, 60.0, float("nan")):
+        with pytest.raises(ConfigError, match="fps is"):
+            save_animation(tmp_path / "a.gif", good, fps)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FormatError, match="cannot be written"):
+        save_animation(tmp_path / "file" / "a.gif", good)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
