@@ -62,10 +62,12 @@ def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> 
     frame.save(tmp_path / "a.exr")
     channels = read_image(tmp_path / "a.exr")
     index = {"index.gaussian", "index.instance"}
-    assert channels.keys() == {"R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"} | index
+    points = {f"{layer}.{axis}" for layer in ("normal", "position") for axis in "XYZ"}
+    assert channels.keys() == {"R", "G", "B", "A", "depth.Z"} | points | index
     np.testing.assert_array_equal(channels["A"], frame.alpha)
     np.testing.assert_array_equal(channels["depth.Z"], frame.depth)
     np.testing.assert_array_equal(channels["normal.Y"], frame.normal[..., 1])
+    np.testing.assert_array_equal(channels["position.X"], frame.position[..., 0])
     expected = decode_srgb(frame.straight()) * frame.alpha[..., None]
     np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
 
