@@ -14,6 +14,7 @@ from lumisplat.launcher import Launcher
 from lumisplat.render.bounce import Bounces
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.met import Met
 from lumisplat.scene.scene import Scene
 from scenes import front_camera
 
@@ -82,7 +83,7 @@ class RayRig:
         hits = self.mesh_hits.find(self.scene, rays, "test.hits")
         radiance = self._radiance(rays, "test.radiance")
         colors = self.bounces.resolve(
-            self.scene, rays, hits, radiance, trace=lambda wave: self._radiance(wave, "test.wave"), bounces=bounces
+            self.scene, Met(rays, hits, radiance), trace=lambda wave: self._radiance(wave, "test.wave"), bounces=bounces
         )
         return colors.numpy().copy()
 

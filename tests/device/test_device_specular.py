@@ -53,7 +53,7 @@ def bounce(
 ) -> Bounce:
     """What a surface does; the shading normal is the triangle's unless given."""
     shading = face if shading is None else shading
-    return bounce_of(material, wp.vec3(*base), wp.vec3(*face), wp.vec3(*shading), wp.vec3(*direction))
+    return bounce_of(material, wp.vec3(*base), wp.vec3(*face), wp.vec3(*shading), wp.vec3(*direction), False)
 
 
 @given(vectors, vectors)

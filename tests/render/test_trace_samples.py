@@ -173,7 +173,7 @@ def test_resume_refuses_what_does_not_fit() -> None:
     for background in (None, (0.1, 0.2, 0.4)):
         with pytest.raises(ls.ConfigError, match=r"over \(0.1, 0.2, 0.3\): this one is .* over "):
             renderer("cpu", background=background).render(scene(), view(), resume=frame)
-    with pytest.raises(ls.ConfigError, match=r"only Pipeline\.TRACE resumes"):
+    with pytest.raises(ls.ConfigError, match=r"sorted rasteriser cannot be resumed"):
         ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
     rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background), device="cpu")
     assert rasterised.samples == 0

@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 @struct
 class LitPixels:
-    """What a lit frame keeps beside the surface buffers, whose colour is then what was captured; one element a pixel."""
+    """What a lit frame keeps beside the surface buffers, whose colour is what was captured; one element a pixel."""
 
     captured_weight: wp.array(dtype=float)
     """Share of the pixel that was captured."""

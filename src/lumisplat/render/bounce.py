@@ -14,13 +14,14 @@ from typing import Any
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.ray_structs import RayData, RayRadiance
 from lumisplat.device.shade_structs import RayColors
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels as kernels
 from lumisplat.render import shade_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.met import Met
 from lumisplat.render.order import grown
 
 Trace = Callable[[RayData], RayRadiance]
@@ -29,13 +30,9 @@ Trace = Callable[[RayData], RayRadiance]
 
 @dataclass(frozen=True, slots=True)
 class Wave:
-    """Rays that have been reflected or refracted equally often. Later waves overwrite the first four fields."""
+    """Rays that have been reflected or refracted equally often. Later waves overwrite the first two fields."""
 
-    rays: RayData
-    hits: RayMeshHits
-    """What they meet."""
-    radiance: RayRadiance
-    """What the Gaussians before that give them."""
+    met: Met
     path_weights: Any
     """Largest share of a ray's colour in its pixel."""
     weights: Any
@@ -50,7 +47,7 @@ class Wave:
     @property
     def count(self) -> int:
         """Rays, and places for rays."""
-        return self.rays.t_max.shape[0]
+        return self.met.count
 
 
 Light = Callable[[Wave, int, bool], None]
@@ -72,9 +69,7 @@ class Bounces:
     def resolve(
         self,
         scene: DeviceScene,
-        rays: RayData,
-        hits: RayMeshHits,
-        radiance: RayRadiance,
+        met: Met,
         *,
         trace: Trace,
         bounces: int,
@@ -87,9 +82,7 @@ class Bounces:
 
         Args:
             scene: After ``sync_rays``.
-            rays: Where ``t_max`` is not above ``t_min``, there is none, and the colour is black.
-            hits: What they meet.
-            radiance: What the Gaussians before that give them.
+            met: The rays, and what they met. Where there is no ray, the colour is black.
             trace: The same for the rays that go on.
             bounces: How often a ray may go on; beyond, it sees the background.
             light: Lights what rays meet; None: surfaces show their own colour.
@@ -98,10 +91,10 @@ class Bounces:
         Returns:
             Display-referred colours, or what ``light`` returned for these rays.
         """
-        waves = [self._wave(0, rays, hits, radiance, light)]
+        waves = [self._wave(0, met, light)]
         waves[0].path_weights.fill_(1.0)
         while count := self._scatter(scene, waves[-1], len(waves) - 1, light, may_branch=len(waves) <= bounces):
-            waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace, light))
+            waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace=trace, light=light))
         nothing = self._buffers.get("bounce.nothing", wp.vec3, 0)
         if reflection is not None:
             reflection.zero_()
@@ -124,7 +117,7 @@ class Bounces:
                 kernels.scatter_rays,
                 wave.count,
                 *(may_branch, scene.camera, scene.mesh_instances, scene.placements, scene.mesh_data),
-                *(wave.rays, wave.hits, wave.radiance, wave.path_weights, wave.colors, wave.branches),
+                *(wave.met.rays, wave.met.hits, wave.met.radiance, wave.path_weights, wave.colors, wave.branches),
             )
         if not may_branch:
             return 0
@@ -132,7 +125,7 @@ class Bounces:
         return int(wave.branch_ends[-1:].numpy()[0])
 
     def _next_wave(
-        self, scene: DeviceScene, wave: Wave, number: int, count: int, trace: Trace, light: Light | None
+        self, scene: DeviceScene, wave: Wave, number: int, count: int, *, trace: Trace, light: Light | None
     ) -> Wave:
         capacity = grown(count)  # a few sizes of arrays instead of one a frame; what is not used is no ray
         rays = self._buffers.struct(f"bounce.rays{number % 2}", RayData, capacity)
@@ -147,26 +140,24 @@ class Bounces:
                 scene.mesh_instances,
                 scene.placements,
                 scene.mesh_data,
-                wave.rays,
-                wave.hits,
-                wave.radiance,
+                wave.met.rays,
+                wave.met.hits,
+                wave.met.radiance,
             ),
             *(wave.path_weights, wave.branches, wave.branch_ends, rays, weights, path_weights),
         )
         hits = self._mesh_hits.find(scene, rays, "bounce.hits")
-        return self._wave(number, rays, hits, trace(rays), light)
+        return self._wave(number, Met(rays, hits, trace(rays)), light)
 
-    def _wave(self, number: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, light: Light | None) -> Wave:
-        count, get = rays.t_max.shape[0], self._buffers.get
+    def _wave(self, number: int, met: Met, light: Light | None) -> Wave:
+        count, get = met.count, self._buffers.get
         colors: Any = (
             get(f"bounce.{number}.colors", wp.vec3, count)
             if light is None
             else self._buffers.struct(f"bounce.{number}.lit", RayColors, count)
         )
         return Wave(
-            rays,
-            hits,
-            radiance,
+            met,
             path_weights=get(f"bounce.path_weights{number % 2}", wp.float32, count),
             weights=get(f"bounce.{number}.weights", wp.vec3, count if number else 0),
             colors=colors,

@@ -9,11 +9,12 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import RenderConfig
-from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance
+from lumisplat.device.ray_structs import LensData
 from lumisplat.launcher import Launcher
 from lumisplat.render import film_kernels, ray_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.lens import lens_table
+from lumisplat.render.met import Met
 from lumisplat.render.shade import LightImages
 from lumisplat.render.shade_scene import LitScene
 from lumisplat.render.surface import Surface
@@ -43,15 +44,20 @@ class Film:
         """Before a sample's rays start; number 0 starts the frame anew."""
         self.lens.assign(lens_table(camera, self._config, sample))
 
-    def add(
-        self, scene: DeviceScene, camera: Camera, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, colors: Any
-    ) -> None:
+    def add(self, scene: DeviceScene, camera: Camera, met: Met, colors: Any) -> None:
         """Adds one ray a pixel, with display-referred colours."""
         with self._launcher.stage("store"):
             self._launcher.run_banded(
                 ray_kernels.store_rays,
-                rays.t_max.shape[0],
-                *(self.lens, wp.vec3(*(self._config.background or (0.0, 0.0, 0.0))), rays, radiance, hits, colors),
+                met.count,
+                *(
+                    self.lens,
+                    wp.vec3(*(self._config.background or (0.0, 0.0, 0.0))),
+                    met.rays,
+                    met.radiance,
+                    met.hits,
+                    colors,
+                ),
                 *(scene.instances, scene.mesh_instances, scene.mesh_data),
                 *(Surface.of(self._buffers, camera).data, self._nonfinite(camera)),
             )
@@ -60,21 +66,27 @@ class Film:
         self,
         lit: LitScene,
         camera: Camera,
-        rays: RayData,
-        hits: RayMeshHits,
-        radiance: RayRadiance,
+        met: Met,
         colors: Any,
         *,
         lights: LightImages | None,
         reflection: Any,
     ) -> None:
         """Adds one lit ray a pixel, and the further images that the settings ask for."""
-        count = rays.t_max.shape[0]
+        count = met.count
         with self._launcher.stage("store"):
             self._launcher.run_banded(
                 film_kernels.store_lit_rays,
                 count,
-                *(self.lens, lit.data, rays, radiance, hits, colors, Surface.of(self._buffers, camera).data),
+                *(
+                    self.lens,
+                    lit.data,
+                    met.rays,
+                    met.radiance,
+                    met.hits,
+                    colors,
+                    Surface.of(self._buffers, camera).data,
+                ),
                 *(self._lit(camera).data, self._nonfinite(camera)),
             )
         images: dict[str, Any] = {}
@@ -83,7 +95,7 @@ class Film:
                 name: self._buffers.get(f"film.ray.{name}", wp.vec3, count) for name in ("albedo", "emission", "hits")
             }
             self._launcher.run_banded(
-                film_kernels.look_at_surfaces, count, lit.data, rays, hits, radiance, *images.values()
+                film_kernels.look_at_surfaces, count, lit.data, met.rays, met.hits, met.radiance, *images.values()
             )
         images = {name: image for name, image in images.items() if name in self._config.aovs}
         if reflection is not None:
@@ -103,7 +115,7 @@ class Film:
             self._launcher.run_banded(film_kernels.develop, camera.width * camera.height, surface.data, lit.data)
         return lit.download()
 
-    def images(self, camera: Camera, light_count: int) -> dict[str, FloatArray | None]:
+    def images(self, camera: Camera, light_count: int) -> dict[str, FloatArray]:
         """The further images that the settings ask for, by the names of the frame's fields."""
         asked = self._config.aovs
         images = {name: self._download(camera, name) for name in ("albedo", "emission", "reflection") if name in asked}

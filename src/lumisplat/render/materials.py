@@ -52,7 +52,8 @@ def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: An
         dtype: NumPy's view of MaterialData.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=dtype)
-    for row, splats in zip(table, scene.splats, strict=False):
+    rows: list[Any] = list(table)
+    for row, splats in zip(rows, scene.splats, strict=False):
         _fill(row, splats.material or MaterialSimple())
         row["untouched"] = is_untouched(splats)
         if splats.shadow_only:
@@ -61,7 +62,7 @@ def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: An
             row["ambient"] = SHADOW_ONLY_AMBIENT
             if isinstance(splats.material, MaterialSimple):
                 row["ambient"] = splats.material.ambient
-    for row, meshes in zip(table[len(scene.splats) :], scene.meshes, strict=True):
+    for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
         _fill(row, meshes.mesh.material)
         _fill_textures(row, meshes.mesh, texture_first)
     return table

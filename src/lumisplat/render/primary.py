@@ -11,6 +11,7 @@ from lumisplat.launcher import Launcher
 from lumisplat.render import ray_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.mesh import MeshRaster
+from lumisplat.render.met import Met
 from lumisplat.render.order import OrderChunked, OrderParallel
 from lumisplat.render.raster import SplatRaster
 from lumisplat.render.trace import ray_count
@@ -42,8 +43,8 @@ class RasterPrimary:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._order, self._meshes, self._splats = order, meshes, splats
 
-    def look(self, scene: DeviceScene, camera: Camera, lens: Any) -> tuple[RayData, RayMeshHits, RayRadiance]:
-        """Rays of all pixels for one sample, what they meet, and what the splats before that give them.
+    def look(self, scene: DeviceScene, camera: Camera, lens: Any) -> Met:
+        """Rays of all pixels for one sample, and what they meet.
 
         Args:
             scene: After ``sync`` with the same camera and the sample's offset.
@@ -56,7 +57,7 @@ class RasterPrimary:
         hits = self._draw(scene, camera, lens, rays, radiance)
         while not self._order.finish():
             hits = self._draw(scene, camera, lens, rays, radiance)
-        return rays, hits, radiance
+        return Met(rays, hits, radiance)
 
     def _draw(self, scene: DeviceScene, camera: Camera, lens: Any, rays: RayData, radiance: RayRadiance) -> RayMeshHits:
         stage = self._launcher.stage

@@ -87,24 +87,15 @@ class RayQueries:
             uploaded = self._uploaded(given)
             for sample in range(samples):
                 self._load(first, count, sample, uploaded, rays)
-                hits, radiance = self._tracer.look(scene, trees, rays)
-                colors = self._transport.colors(scene, trees, rays, hits, radiance, lit=lit)
+                met = self._tracer.look(scene, trees, rays)
+                colors = self._transport.colors(scene, trees, met, lit=lit)
                 if lit:
                     colors = self._linear(colors)
                 self._launcher.run_banded(
                     ray_kernels.store_hits,
                     rays.t_max.shape[0],
-                    *(
-                        sample,
-                        lit,
-                        rays,
-                        radiance,
-                        hits,
-                        colors,
-                        scene.instances,
-                        scene.mesh_instances,
-                        scene.mesh_data,
-                    ),
+                    *(sample, lit, met.rays, met.radiance, met.hits, colors),
+                    *(scene.instances, scene.mesh_instances, scene.mesh_data),
                     *(surface.data, flags),
                 )
             nonfinite += int(flags.numpy()[:count].sum())

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 import warp as wp
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows, check_kind
-from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
-from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
-from lumisplat.errors import ConfigError, SceneError
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.device.ray_structs import RayData
+from lumisplat.errors import ConfigError
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.render import bounce_kernels, build_kernels, mesh_kernels, order_kernels, raster_kernels, ray_kernels
+from lumisplat.render.checks import check_camera, check_resumable, check_scene, checked_config
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.film import Film
 from lumisplat.render.frame import Frame, FrameStats
 from lumisplat.render.lens import subpixel
 from lumisplat.render.mesh import MeshRaster
+from lumisplat.render.met import Met
 from lumisplat.render.order import OrderChunked, OrderCounts, OrderParallel
 from lumisplat.render.primary import RasterPrimary
 from lumisplat.render.raster import SplatRaster, refuse_lens
@@ -192,7 +192,7 @@ class Renderer:
         for sample in range(first, first + count):
             self._add_sample(camera, trees, sample, lit)
             if progress:
-                progress("rendering", (sample - first + 1) / count)
+                progress("tracing", (sample - first + 1) / count)
         with self._launcher.stage("download"):
             counts = OrderCounts(visible=0, nonfinite=0, pairs=0)
             if self.config.pipeline is not Pipeline.TRACE:
@@ -204,21 +204,19 @@ class Renderer:
         """One ray a pixel: what it meets, what it sees there, and onto the film."""
         film = self._film
         film.begin_sample(camera, sample)
-        rays, hits, radiance = self._met(camera, trees, sample)
+        met = self._met(camera, trees, sample)
         reflection = None
         if lit and "reflection" in self.config.aovs:
-            reflection = self._buffers.get("film.ray.reflection", wp.vec3, rays.t_max.shape[0])
+            reflection = self._buffers.get("film.ray.reflection", wp.vec3, met.count)
         with self._launcher.stage("light" if lit else "bounce"):
-            colors = self._transport.colors(self._scene, trees, rays, hits, radiance, lit=lit, reflection=reflection)
+            colors = self._transport.colors(self._scene, trees, met, lit=lit, reflection=reflection)
         if lit:
-            lights = self._transport.light_images(rays.t_max.shape[0])
-            film.add_lit(
-                self._transport.lit, camera, rays, hits, radiance, colors, lights=lights, reflection=reflection
-            )
+            lights = self._transport.light_images(met.count)
+            film.add_lit(self._transport.lit, camera, met, colors, lights=lights, reflection=reflection)
         else:
-            film.add(self._scene, camera, rays, hits, radiance, colors)
+            film.add(self._scene, camera, met, colors)
 
-    def _met(self, camera: Camera, trees: TreeScene | None, sample: int) -> tuple[RayData, RayMeshHits, RayRadiance]:
+    def _met(self, camera: Camera, trees: TreeScene | None, sample: int) -> Met:
         """The rays of a sample, the meshes that they meet, and what the Gaussians before those give them."""
         if self.config.pipeline is not Pipeline.TRACE:
             self._scene.place_sample(camera, self.config, subpixel(sample if self.config.trace.jitter else 0))
@@ -227,34 +225,11 @@ class Renderer:
         with self._launcher.stage("rays"):
             rays = self._buffers.struct("trace.rays", RayData, ray_count(camera))
             self._launcher.run_banded(ray_kernels.start_rays, rays.t_max.shape[0], self._film.lens, rays)
-        return rays, *self._tracer.look(self._scene, trees, rays)
+        return self._tracer.look(self._scene, trees, rays)
 
     def _resumed(self, frame: Frame, camera: Camera, lit: bool) -> int:
         """Puts a frame back into the surface buffers; the number of the next sample."""
-        check_kind("resume", frame, Frame)
-        if not self._samples(lit):
-            raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
-        if frame.samples == 0:
-            raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
-        if lit != (frame.light is not None):
-            raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
-        if frame.config is not None and frame.config.aovs:
-            raise ConfigError("a frame with aovs cannot be resumed: their images are not kept as means")
-        if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != self.config.background:
-            height, width = frame.color.shape[:2]
-            raise ConfigError(
-                f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
-                f"{camera.width} x {camera.height} over {self.config.background}"
-            )
-        other = differing(frame.camera, replace(camera, name=frame.camera.name))
-        if frame.config is not None:
-            other += differing(frame.config, replace(self.config, samples=frame.config.samples))
-        if other:
-            raise ConfigError(
-                f"cannot resume a frame of another camera or other settings: they differ in {', '.join(other)}"
-            )
-        if frame.samples + self.config.samples > SAMPLES_MAX:
-            raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
+        check_resumable(frame, camera, self.config, lit=lit, samples=self._samples(lit))
         images: dict[str, Any] = {
             "color": frame.color if frame.captured is None else frame.captured,
             "alpha": frame.alpha,
@@ -323,47 +298,6 @@ class Renderer:
 def is_lit(config: RenderConfig, scene: Scene) -> bool:
     """Whether lights light a scene: as the settings say, or if it has any."""
     return bool(scene.lights) if config.lighting is None else config.lighting
-
-
-def check_scene(scene: Scene) -> None:
-    """Raises SceneError unless this is a scene whose items 32-bit indices can count."""
-    if not isinstance(scene, Scene):
-        raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
-    if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
-        raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
-
-
-def check_camera(camera: Camera) -> None:
-    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
-    if not isinstance(camera, Camera):
-        raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
-    if camera.width * camera.height > IMAGE_PIXELS_MAX:
-        raise SceneError(
-            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
-        )
-
-
-def checked_config(config: RenderConfig | None) -> RenderConfig:
-    """The settings, or the defaults.
-
-    Raises:
-        ConfigError: They are something else.
-    """
-    config = RenderConfig() if config is None else config
-    check_kind("config", config, RenderConfig)
-    return config
-
-
-def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
-    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.jitter``."""
-    names = []
-    for field in fields(one):
-        here, there = getattr(one, field.name), getattr(other, field.name)
-        if is_dataclass(here):
-            names += differing(here, there, f"{prefix}{field.name}.")
-        elif not np.array_equal(here, there):
-            names.append(prefix + field.name)
-    return names
 
 
 def create_renderer(

@@ -68,7 +68,7 @@ class Shader:
             self._launcher.run_banded(
                 kernels.start_shading,
                 wave.count,
-                *(from_camera, may_branch, adds, self._lit.data, wave.rays, wave.hits, wave.radiance),
+                *(from_camera, may_branch, adds, self._lit.data, wave.met.rays, wave.met.hits, wave.met.radiance),
                 *(wave.path_weights, wave.colors, wave.branches),
             )
         if each:
@@ -120,7 +120,7 @@ class Shader:
                     run(
                         kernels.spawn_shadow_rays,
                         count,
-                        *(number, picks_bsdf, from_camera, data, wave.rays, wave.hits, wave.radiance),
+                        *(number, picks_bsdf, from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance),
                         *(shadow_rays, skips, contributions),
                     )
                 visibility = contributions
@@ -139,5 +139,5 @@ class Shader:
             run(
                 kernels.darken_captured,
                 count,
-                *(from_camera, data, wave.rays, wave.hits, wave.radiance, arrivals, wave.colors.light),
+                *(from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance, arrivals, wave.colors.light),
             )

@@ -21,7 +21,7 @@ from lumisplat.launcher import Launcher
 from lumisplat.render.device_scene import DeviceScene, table_dtype
 from lumisplat.render.lights import LightTable
 from lumisplat.render.materials import material_table
-from lumisplat.render.upload import upload_structs
+from lumisplat.render.upload import shared, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import Scene
@@ -64,7 +64,9 @@ class LitScene:
         self._lights.sync(scene, camera, self._buffers)
         self.lights = tuple(light for light in scene.lights if light.enabled)
         if self._version != device_scene.version:
-            self.data.attributes = upload_structs(attribute_rows(device_scene), SplatAttributes, self._launcher.device)
+            self.data.attributes = upload_structs(
+                attribute_rows(device_scene, self._launcher.device), SplatAttributes, self._launcher.device
+            )
             self._version = device_scene.version
         table = self._buffers.get
         materials = material_table(scene, device_scene.texture_first, table_dtype(MaterialData))
@@ -102,17 +104,16 @@ class LitScene:
         return table
 
 
-def attribute_rows(device_scene: DeviceScene) -> list[SplatAttributes]:
+def attribute_rows(device_scene: DeviceScene, device: str) -> list[SplatAttributes]:
     """What the Gaussians of each asset carry for light."""
     rows = []
     for asset in device_scene.assets:
         row = SplatAttributes()
         row.scales = asset.data.scales
-        device = str(asset.data.scales.device)
         for name in ("roughness", "metallic"):
             values = getattr(asset.gaussians, name)
             if values is not None:
-                setattr(row, name, wp.array(values, dtype=wp.float32, device=device))
+                setattr(row, name, shared(values, wp.float32, device))
         rows.append(row)
     return rows or [SplatAttributes()]  # an array without elements has no address
 

@@ -10,12 +10,13 @@ import numpy as np
 from lumisplat.buffers import Buffers
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
-from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.ray_structs import RayData, RayRadiance
 from lumisplat.device.trace_structs import TraceData
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels, build_kernels, mesh_hits_kernels, ray_kernels, trace_kernels
 from lumisplat.render.device_scene import DeviceScene, table_dtype
 from lumisplat.render.mesh_hits import MeshHitFinder
+from lumisplat.render.met import Met
 from lumisplat.render.shadow import shadow_modules
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.camera import Camera
@@ -47,8 +48,8 @@ class RayTracer:
         self._product_settings = buffers.get("trace.product_settings", TraceData, 1)
         self._product_settings.assign(product_table(config.trace))
 
-    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[RayMeshHits, RayRadiance]:
-        """What rays meet: nearest triangles, and radiance of the Gaussians before them.
+    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> Met:
+        """What rays meet.
 
         Args:
             scene: After ``sync`` and ``sync_rays``.
@@ -59,7 +60,7 @@ class RayTracer:
             hits = self.mesh_hits.find(scene, rays, "trace.hits")
         with self._launcher.stage("gaussians"):
             radiance = self.integrate(trees, rays, "trace.radiance")
-        return hits, radiance
+        return Met(rays, hits, radiance)
 
     def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, Any]:
         """Nearest triangles, and what the Gaussians before them let through.

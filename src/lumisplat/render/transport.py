@@ -6,11 +6,11 @@ from typing import Any
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig, Shadows
-from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels, film_kernels, shade_kernels
 from lumisplat.render.bounce import Bounces
 from lumisplat.render.device_scene import DeviceScene
+from lumisplat.render.met import Met
 from lumisplat.render.shade import LightImages, Shader
 from lumisplat.render.shade_scene import LitScene
 from lumisplat.render.shadow import ShadowRays, shadow_modules
@@ -40,9 +40,7 @@ class Transport:
         self,
         scene: DeviceScene,
         trees: TreeScene | None,
-        rays: RayData,
-        hits: RayMeshHits,
-        radiance: RayRadiance,
+        met: Met,
         *,
         lit: bool,
         reflection: Any = None,
@@ -52,18 +50,14 @@ class Transport:
         Args:
             scene: After ``sync``, and ``sync_rays`` if there are trees.
             trees: Of the same scene; None: no ray goes on, and nothing blocks lights.
-            rays: A multiple of a packet's.
-            hits: What they met.
-            radiance: What the Gaussians before that give them.
+            met: The rays, and what they met.
             lit: With lights.
             reflection: If lit, receives what reflected and refracted rays bring.
         """
         goes_on = trees is not None and self._config.pipeline is not Pipeline.RASTER
         return self._bounces.resolve(
             scene,
-            rays,
-            hits,
-            radiance,
+            met,
             trace=lambda rays: self._tracer.integrate(trees, rays, "trace.branch_radiance"),  # type: ignore[arg-type]
             bounces=self._config.max_bounces if goes_on else 0,
             light=(lambda wave, number, branch: self._shader.shade(scene, trees, wave, number, branch))
