@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         LumisplatError,
         SceneError,
     )
-    from lumisplat.io import load, load_cameras, load_radiance, save, save_cameras
+    from lumisplat.io import load, load_cameras, load_radiance, save, save_animation, save_cameras
     from lumisplat.render.frame import Frame
     from lumisplat.render.rays import RayHits
     from lumisplat.render.renderer import Renderer, create_renderer, render, trace_rays, transmittance
@@ -97,6 +97,7 @@ _HOME = {
     "load_radiance": "io",
     "render": "render.renderer",
     "save": "io",
+    "save_animation": "io",
     "save_cameras": "io",
     "trace_rays": "render.renderer",
     "transmittance": "render.renderer",
@@ -148,6 +149,7 @@ __all__ = [
     "load_radiance",
     "render",
     "save",
+    "save_animation",
     "save_cameras",
     "trace_rays",
     "transmittance",

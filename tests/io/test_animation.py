@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from lumisplat.errors import ConfigError, FormatError, SceneError
-from lumisplat.io.animation import save_animation
+from lumisplat.io import save_animation
 
 
 def moving_light(count: int = 12, height: int = 48, width: int = 64) -> list[np.ndarray]:

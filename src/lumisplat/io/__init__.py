@@ -5,7 +5,7 @@ Modules are imported when needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,8 @@ from lumisplat.errors import FormatError
 from lumisplat.io.source import PathLike
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from lumisplat.io.columns import SplatColumns
     from lumisplat.scene.arrays import FloatArray
     from lumisplat.scene.camera import Camera
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-__all__ = ["load", "load_cameras", "load_radiance", "save", "save_cameras"]
+__all__ = ["load", "load_cameras", "load_radiance", "save", "save_animation", "save_cameras"]
 
 Progress = Callable[[float], None]
 
@@ -209,3 +211,25 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
     from lumisplat.io import cameras as files
 
     files.save_cameras(path, cameras)
+
+
+def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
+    """Saves pictures as an animation that repeats for ever; the extension chooses how.
+
+    ``.gif``: 256 colours for all frames together, dithered by a pattern that stands still, so that what does not move
+    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large.
+
+    Args:
+        path: Where to. The file appears complete or not at all.
+        frames: Display-referred values, 0..1, each of the same shape (H, W, 3), as ``Frame.pixels_srgb`` gives them
+            over a background.
+        fps: Frames a second, above 0, at most 50.
+
+    Raises:
+        ConfigError: ``fps`` is out of range.
+        SceneError: There is no frame, one is no such image, or sizes differ.
+        FormatError: The extension is none of these, or the file cannot be written.
+    """
+    from lumisplat.io import animation
+
+    animation.write_animation(path, frames, fps)

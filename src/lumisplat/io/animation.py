@@ -25,23 +25,8 @@ _PALETTE_PIXELS = 100_000
 """Pixels over all frames from which the palette of a GIF is chosen: more changes nothing that is seen."""
 
 
-def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
-    """Writes pictures as an animation that repeats for ever; the extension chooses how.
-
-    ``.gif``: 256 colours for all frames together, dithered by a pattern that stands still, so that what does not move
-    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large.
-
-    Args:
-        path: Where to.
-        frames: Display-referred values, 0..1, each of the same shape (H, W, 3), as ``Frame.pixels_srgb`` gives them
-            over a background.
-        fps: Frames a second, above 0, at most 50.
-
-    Raises:
-        ConfigError: ``fps`` is out of range.
-        SceneError: There is no frame, one is no such image, or sizes differ.
-        FormatError: The extension is none of these, or the file cannot be written.
-    """
+def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> None:
+    """As `lumisplat.io.save_animation`."""
     from PIL import Image
 
     suffix = Path(path).suffix.lower()
