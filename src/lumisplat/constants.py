@@ -95,6 +95,9 @@ SPAWN_ERROR = 2.0**-20
 roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some get out of closed
 mirrors of thin triangles."""
 
+SPAWN_SLENDER = 1000.0
+"""Longest side over height beyond which a triangle's own rounding counts no further: the offset must not be seen."""
+
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 """Share of a pixel below which a reflection or refraction is not followed: half a step of an 8-bit image."""
 
