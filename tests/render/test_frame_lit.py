@@ -76,6 +76,23 @@ def test_premultiplied_is_linear_and_without_background() -> None:
     assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
 
 
+def test_thin_captures_lose_the_background_only() -> None:
+    """A capture of alpha 0.6 over a background has 0.6 of its own radiance, and its own colour."""
+    frame = ball_frame(1, 1)
+    captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)
+    thin = replace(
+        frame,
+        alpha=np.full((1, 1), 0.6, np.float32),
+        captured=0.6 * captured + 0.4 * np.array([0.25, 0.5, 0.75], np.float32),
+        captured_weight=np.ones((1, 1), np.float32),
+        light=np.zeros((1, 1, 3), np.float32),
+    )
+    np.testing.assert_allclose(thin.premultiplied(), 0.6 * decode_srgb(captured), atol=1e-6)
+    np.testing.assert_allclose(thin.straight(), decode_srgb(captured), atol=1e-6)
+    np.testing.assert_allclose(unlit(thin).straight(), captured, atol=1e-6)
+    np.testing.assert_allclose(thin.layers(())["R"], unlit(thin).layers(())["R"], atol=1e-6)
+
+
 def test_exr_is_the_light_of_the_scene(tmp_path: Path) -> None:
     """RGBA is premultiplied and linear, whatever the exposure and the tone map; every layer has its channels."""
     frame = ball_frame(tone_map=ls.ToneMap.AGX, exposure=2.0)
