@@ -40,6 +40,21 @@ WHOLE = "expected a whole number from"
         (ls.RenderConfig, {"background": 0.5}, "background is 0.5, expected three numbers"),
         (ls.RenderConfig, {"background": np.eye(3)}, "expected 0.0 to 1.0"),
         (ls.RenderConfig, {"background": ("r", "g", "b")}, "background is 'r', expected 0.0 to 1.0"),
+        (ls.RenderConfig, {"lighting": 1}, "lighting is 1, expected True or False"),
+        (ls.RenderConfig, {"shadows": True}, "shadows is True, expected a Shadows such as Shadows.OFF"),
+        (ls.RenderConfig, {"shadow": None}, "shadow is None, expected a ShadowConfig"),
+        (ls.RenderConfig, {"tone_map": "agx"}, "tone_map is 'agx', expected a ToneMap such as ToneMap.AGX"),
+        (ls.RenderConfig, {"aovs": "albedo"}, "aovs is 'albedo', expected some of albedo, emission"),
+        (ls.RenderConfig, {"aovs": ("depth",)}, "aovs is ('depth',), expected some of"),
+        (ls.RenderConfig, {"aovs": [["hits"]]}, "aovs is [['hits']], expected some of"),
+        (ls.RenderConfig, {"aovs": 3}, "aovs is 3, expected some of"),
+        (ls.ShadowConfig, {"method": "exact"}, "method is 'exact', expected a ShadowMethod such as ShadowMethod.EXACT"),
+        (ls.ShadowConfig, {"hits": 17}, "hits is 17, expected 4, 8, 16 or 32"),
+        (ls.ShadowConfig, {"offset": -1.0}, "offset is -1.0, expected 0.0 to 100.0"),
+        (ls.ShadowConfig, {"offset_absolute": np.inf}, "offset_absolute is inf, expected 0.0 to 1000000.0"),
+        (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
+        (ls.ShadowConfig, {"color_strength": 6.0}, "color_strength is 6.0, expected 0.0 to 5.0"),
+        (ls.RasterConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a RasterStrategy such as"),
         (ls.RasterConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),
         (ls.RasterConfig, {"dilation": "0.3"}, "dilation is '0.3', expected 0.0 to 10.0"),
         (ls.RasterConfig, {"dilation": True}, "dilation is True, expected 0.0 to 10.0"),
@@ -61,6 +76,13 @@ def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], mes
         kind(**settings)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
+    """Further images count once, in any order and from any iterable."""
+    asked = ls.RenderConfig(aovs=(name for name in ("hits", "albedo", "hits")))  # type: ignore[arg-type]
+    assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
+    assert asked.aovs == ("albedo", "hits")
 
 
 def test_numbers_of_numpy_are_settings() -> None:

@@ -28,7 +28,16 @@ if TYPE_CHECKING:
         LumisplatError,
         SceneError,
     )
-    from lumisplat.io import load, load_cameras, load_radiance, save, save_animation, save_cameras
+    from lumisplat.io import (
+        load,
+        load_cameras,
+        load_config,
+        load_radiance,
+        save,
+        save_animation,
+        save_cameras,
+        save_config,
+    )
     from lumisplat.render.frame import Frame
     from lumisplat.render.rays import RayHits
     from lumisplat.render.renderer import Renderer, create_renderer, render, trace_rays, transmittance
@@ -94,11 +103,13 @@ _HOME = {
     "gaussians_from_mesh": "scene.sampling",
     "load": "io",
     "load_cameras": "io",
+    "load_config": "io",
     "load_radiance": "io",
     "render": "render.renderer",
     "save": "io",
     "save_animation": "io",
     "save_cameras": "io",
+    "save_config": "io",
     "trace_rays": "render.renderer",
     "transmittance": "render.renderer",
 }
@@ -146,11 +157,13 @@ __all__ = [
     "gaussians_from_mesh",
     "load",
     "load_cameras",
+    "load_config",
     "load_radiance",
     "render",
     "save",
     "save_animation",
     "save_cameras",
+    "save_config",
     "trace_rays",
     "transmittance",
 ]

@@ -273,10 +273,11 @@ class RenderConfig:
         check_enum("shadows", self.shadows, Shadows)
         check_kind("shadow", self.shadow, ShadowConfig)
         check_enum("tone_map", self.tone_map, ToneMap)
-        if isinstance(self.aovs, str) or not isinstance(self.aovs, Iterable) or set(self.aovs) - set(AOVS):
+        names = None if isinstance(self.aovs, str) or not isinstance(self.aovs, Iterable) else list(self.aovs)
+        if names is None or not all(isinstance(name, str) and name in AOVS for name in names):
             raise ConfigError(f"aovs is {_told(self.aovs)}, expected some of {', '.join(AOVS)}")
         # In one order, each once: what asks for the same images is equal.
-        object.__setattr__(self, "aovs", tuple(name for name in AOVS if name in self.aovs))
+        object.__setattr__(self, "aovs", tuple(name for name in AOVS if name in names))
         if self.background is not None:
             try:
                 red, green, blue = self.background

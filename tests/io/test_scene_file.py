@@ -81,41 +81,87 @@ def test_material_reaches_every_mesh_of_a_file(folder):
     assert scene.meshes[0].mesh is scene.meshes[1].mesh is not scene.meshes[2].mesh
 
 
+def test_how_splats_take_light(folder):
+    """An entry says how many bands of its colour count, whether it only takes shadows, and of what it is made."""
+    scene = load_text(
+        folder,
+        '[[splats]]\npath = "capture.ply"\n'
+        '[[splats]]\npath = "capture.ply"\nsh_degree = 0\nshadow_only = true\n'
+        'material = { type = "simple", ambient = 0.3 }\n'
+        '[[splats]]\npath = "capture.ply"\nmaterial = { roughness = 0.25 }\n',
+    )
+    plain, shadowed, physical = scene.splats
+    assert (plain.sh_degree, plain.shadow_only, plain.material) == (3, False, None)
+    assert (shadowed.sh_degree, shadowed.shadow_only) == (0, True)
+    assert isinstance(shadowed.material, ls.MaterialSimple) and shadowed.material.ambient == (0.3, 0.3, 0.3)
+    assert isinstance(physical.material, ls.MaterialPbr) and physical.material.roughness == 0.25
+    assert plain.gaussians is shadowed.gaussians is physical.gaussians
+
+
+def test_comments_and_byte_order_marks_do_not_matter(folder):
+    """As editors of other systems write them."""
+    text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
+    (folder / "scene.toml").write_bytes(text.encode())
+    assert len(ls.load(folder / "scene.toml").meshes) == 1  # type: ignore[union-attr]
+
+
+SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.obj'\n"
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("# nothing", "lists nothing"),
-        ("[[splats]", "not valid TOML"),
-        ("[splats]\npath = 'capture.ply'", "double brackets"),
-        ("[[lamps]]\npath = 'capture.ply'", "unknown 'lamps'"),
-        ("[[splats]]\nname = 'x'", "path"),
-        ("[[splats]]\npath = 3", "path"),
-        ("[[splats]]\npath = 'lost.ply'", "lost.ply: no such file"),
-        ("[[splats]]\npath = 'mesh.obj'", "is a mesh"),
-        ("[[meshes]]\npath = 'capture.ply'", "is a capture"),
-        ("[[splats]]\npath = 'scene.toml'", "scene file itself"),
-        ("[[splats]]\npath = 'capture.ply'\nposition = [1, 2]", "three numbers"),
-        ("[[splats]]\npath = 'capture.ply'\nposition = 'here'", "position"),
-        ("[[splats]]\npath = 'capture.ply'\nposition = [nan, 0, 0]", "position"),
-        ("[[splats]]\npath = 'capture.ply'\nscale = 0", "scale is 0"),
-        ("[[splats]]\npath = 'capture.ply'\nscale = inf", "scale is inf"),
-        ("[[splats]]\npath = 'capture.ply'\nrotation_wxyz = [0, 0, 0, 0]", r"splats\[0\]: .* zero length"),
-        ("[[splats]]\npath = 'capture.ply'\nscale = 1e30", r"splats\[0\]: world_from_object scales"),
-        ("[[splats]]\npath = 'capture.ply'\nkernel_degree = 7", r"splats\[0\]: kernel_degree is 7, expected"),
-        ("[[splats]]\npath = 'capture.ply'\nkernel_degree = true", r"splats\[0\]: kernel_degree is True"),
-        ("[[splats]]\npath = 'capture.ply'\nmaterial = {}", r"splats\[0\]: unknown 'material'"),
-        ("[[meshes]]\npath = 'mesh.obj'\nkernel_degree = 4", r"meshes\[0\]: unknown 'kernel_degree'"),
-        ("[[meshes]]\npath = 'mesh.obj'\nmaterial = 'glass'", r"meshes\[0\]: material is glass, expected a table"),
+        ("# nothing", "lists nothing to see: expected [[splats]], [[meshes]], [[lights]], [environment]"),
+        ("splats = []", "lists nothing to see"),
+        ("[render]\nsamples = 4", "lists nothing to see"),
+        ("[[splats]", "is not valid TOML"),
+        (SPLAT + "path = 'capture.ply'\n", "is not valid TOML: Cannot overwrite a value (at line 3"),
+        ("[splats]\npath = 'capture.ply'", "line 1: splats must be written with double brackets: [[splats]]"),
+        (MESH + "[[lamps]]\nintensity = 4", "line 3: unknown 'lamps', expected splats, meshes, lights"),
+        (MESH + "[[ligths]]\n", "line 3: unknown 'ligths', did you mean 'lights'?"),
+        ("[[splats]]\nname = 'x'", "line 1, splats[0]: lacks path, a string"),
+        ("[[splats]]\npath = 3", "line 2, splats[0]: path is 3, expected a string"),
+        (SPLAT + "name = 3", "line 3, splats[0]: name is 3, expected a string"),
+        ("\n\n[[splats]]\npath = 'lost.ply'", "line 4, splats[0]: path is 'lost.ply', no such file"),
         (
-            "[[meshes]]\npath = 'mesh.obj'\nmaterial = { roughnes = 0 }",
-            r"'roughnes': 0}, expected .* some of base_color",
+            "[[splats]]\npath = 'mesh.obj'",
+            "line 2, splats[0]: path is 'mesh.obj', which is a mesh: list it under [[meshes]]",
         ),
-        ("[[meshes]]\npath = 'mesh.obj'\nmaterial = { ior = 0.5 }", r"meshes\[0\]: material: ior is 0.5"),
+        ("[[meshes]]\npath = 'capture.ply'", "which is a capture: list it under [[splats]]"),
+        ("[[splats]]\npath = 'scene.toml'", "line 2, splats[0]: path is 'scene.toml', a scene file itself"),
+        (SPLAT + "scael = 2", "line 3, splats[0]: unknown 'scael', did you mean 'scale'?"),
+        (SPLAT + "colour = 2", "line 3, splats[0]: unknown 'colour', expected path, position,"),
+        (SPLAT + "position = [1, 2]", "line 3, splats[0]: position is [1, 2], expected three numbers"),
+        (SPLAT + "position = 'here'", "line 3, splats[0]: position is 'here', expected three numbers"),
+        (SPLAT + "position = [nan, 0, 0]", "line 3, splats[0]: position is [nan, 0, 0], expected three finite numbers"),
+        (SPLAT + "scale = 0", "line 3, splats[0]: scale is 0, expected one positive number"),
+        (SPLAT + "scale = inf", "line 3, splats[0]: scale is inf, expected one positive number"),
+        (SPLAT + "scale = true", "line 3, splats[0]: scale is true, expected a number"),
+        (SPLAT + "rotation_wxyz = [0, 0, 0, 0]", "line 3, splats[0]: rotation_wxyz is a rotation of zero length"),
+        (SPLAT + "rotation_wxyz = [1, 0, 0]", "line 3, splats[0]: rotation_wxyz is [1, 0, 0], expected four numbers"),
+        (SPLAT + "\nscale = 1e30", "line 1, splats[0]: world_from_object scales"),
+        (SPLAT + "kernel_degree = 7", "line 3, splats[0]: kernel_degree is 7, expected a whole number from 0 to 5"),
+        (SPLAT + "kernel_degree = true", "line 3, splats[0]: kernel_degree is true, expected a whole number"),
+        (SPLAT + "sh_degree = 4", "line 3, splats[0]: sh_degree is 4, expected a whole number from 0 to 3"),
+        (SPLAT + "shadow_only = 1", "line 3, splats[0]: shadow_only is 1, expected true or false"),
+        (SPLAT + "lights = false", "line 3, splats[0]: unknown 'lights'"),
+        (MESH + "lights = 'no'", "line 3, meshes[0]: lights is 'no', expected true or false"),
+        (MESH + "kernel_degree = 4", "line 3, meshes[0]: unknown 'kernel_degree'"),
+        (SPLAT + MESH + MESH + "shadow_only = true", "line 7, meshes[1]: unknown 'shadow_only'"),
     ],
 )
 def test_bad_scene_files(folder, text, problem):
-    """What is wrong is said in one line that names a file."""
-    with pytest.raises(ls.FormatError, match=problem) as caught:
+    """What is wrong is said in one line that names the file, the line and the key."""
+    with pytest.raises(ls.FormatError) as caught:
         load_text(folder, text)
-    assert str(folder) in str(caught.value)
+    assert str(caught.value).startswith(f"{folder / 'scene.toml'}: ")
+    assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_bad_file_is_named_itself(folder):
+    """What is wrong inside a file that an entry names is said of that file."""
+    (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
+    with pytest.raises(ls.FormatError) as caught:
+        load_text(folder, '[[splats]]\npath = "broken.ply"\n')
+    assert str(caught.value).startswith(f"{folder / 'broken.ply'}: ")

@@ -15,6 +15,7 @@ from lumisplat.io.source import PathLike
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from lumisplat.config import RenderConfig
     from lumisplat.io.columns import SplatColumns
     from lumisplat.scene.arrays import FloatArray
     from lumisplat.scene.camera import Camera
@@ -22,7 +23,16 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-__all__ = ["load", "load_cameras", "load_radiance", "save", "save_animation", "save_cameras"]
+__all__ = [
+    "load",
+    "load_cameras",
+    "load_config",
+    "load_radiance",
+    "save",
+    "save_animation",
+    "save_cameras",
+    "save_config",
+]
 
 Progress = Callable[[float], None]
 
@@ -157,13 +167,13 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             ``camera_angle_x``; image sizes are looked up where the file gives none; pinhole, equidistant fisheye and
             orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
             ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras know their aspect ratio only: without
-            ``width`` and ``height`` they get the largest size within 1280 x 720.
+            ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
         width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``,
             except for glTF.
         height: Image height, pixels, of such frames.
 
     Returns:
-        At least one; of a glTF scene, perhaps none.
+        At least one; of a scene, perhaps none.
 
     Raises:
         FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
@@ -174,7 +184,46 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
         from lumisplat.io.gltf_cameras import read_gltf_cameras
 
         return cameras.unique_names(read_gltf_cameras(path, width, height))
+    if Path(path).suffix.lower() == ".toml":
+        from lumisplat.io.scene_cameras import read_scene_cameras
+        from lumisplat.io.scene_file import read_document
+
+        def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
+            return load_cameras(file, width=width, height=height)
+
+        return read_scene_cameras(read_document(path), load_sized, width, height)
     return cameras.load_cameras(path, width, height)
+
+
+def load_config(path: PathLike) -> RenderConfig:
+    """Loads the settings of a ``scene.toml``: its ``[render]`` table, the defaults where it says nothing.
+
+    Args:
+        path: A scene file, or what `save_config` has written.
+
+    Raises:
+        FormatError: The file cannot be read, or a setting is unknown or bad; names the line and the setting.
+    """
+    from lumisplat.io.config_file import read_config
+    from lumisplat.io.scene_file import read_document
+
+    return read_config(read_document(path))
+
+
+def save_config(path: PathLike, config: RenderConfig) -> None:
+    """Saves every setting as the ``[render]`` table of a TOML file, which appears complete or not at all.
+
+    Args:
+        path: Where to; `load_config` gives back equal settings.
+        config: What to save.
+
+    Raises:
+        ConfigError: These are no settings.
+        FormatError: The file cannot be written.
+    """
+    from lumisplat.io.config_file import write_config
+
+    write_config(path, config)
 
 
 def load_radiance(path: PathLike) -> FloatArray:

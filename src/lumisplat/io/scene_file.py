@@ -1,46 +1,73 @@
-"""``scene.toml``: several files placed in one scene.
+"""``scene.toml``: files placed in one scene, with lights, cameras, materials and settings.
 
 [[splats]]
 path = "garden.ply"                     # relative to the scene file
 kernel_degree = 4                       # if the file does not say that it was not trained with degree 2
+shadow_only = true                      # it keeps its look, and takes the shadows of what was added
 
 [[meshes]]
-path = "teapot.obj"
+path = "teapot.glb"
 position = [0.0, -1.2, 3.0]
 rotation_wxyz = [0.0, 1.0, 0.0, 0.0]    # y up to y down: half a turn about x
 scale = 0.5
 name = "teapot"
-material = { roughness = 0.0, metallic = 1.0, base_color = [0.9, 0.9, 0.9] }    # in place of the file's: a mirror
+material = "chrome"                     # in place of the file's
+lights = false                          # leaves out the lights that the file has
+
+[materials.chrome]
+roughness = 0.0
+metallic = 1.0
 """
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.quaternions import rotation_matrix
-from lumisplat.io.source import PathLike, read_bytes
-from lumisplat.scene.arrays import float_array
+from lumisplat.io.mesh_arrays import without_loose_textures
+from lumisplat.io.scene_lights import moved_light, read_environment, read_light
+from lumisplat.io.scene_materials import MaterialTable, material_of, read_materials
+from lumisplat.io.scene_placement import PLACEMENT, placement
+from lumisplat.io.source import PathLike
+from lumisplat.io.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import Light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-_PLACEMENT = ("path", "position", "rotation_wxyz", "scale", "name")
-_KEYS = {"splats": (*_PLACEMENT, "kernel_degree"), "meshes": (*_PLACEMENT, "material")}
-_MATERIAL_KEYS = ("base_color", "metallic", "roughness", "specular", "ior", "transmission")
+_ENTRY = {"path": TEXT, **PLACEMENT, "name": TEXT, "material": TEXT_OR_TABLE}
+_KEYS = {
+    "splats": {**_ENTRY, "kernel_degree": WHOLE, "sh_degree": WHOLE, "shadow_only": FLAG},
+    "meshes": {**_ENTRY, "lights": FLAG},
+}
+_TOP = ("splats", "meshes", "lights", "environment", "cameras", "materials", "render")
+_SHOWN = ("splats", "meshes", "lights", "environment")
+"""What of a scene file makes a scene."""
+
+Load = Callable[[Path], Gaussians | Mesh | Scene]
 
 
-def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Scene]) -> Scene:
+def read_document(path: PathLike) -> TomlTable:
+    """The top of a scene file, its headings known.
+
+    Raises:
+        FormatError: The file is not TOML, or has an unknown heading.
+    """
+    document = TomlTable.read(path, "a scene file")
+    document.check_keys(_TOP)
+    return document
+
+
+def read_scene_file(path: PathLike, load: Load) -> Scene:
     """Reads a scene file and the files it names. A file named twice is loaded once.
 
-    ``kernel_degree`` of a capture and the entries of a mesh's ``material`` replace what its file says; of a file with
-    several meshes, all of them change.
+    ``kernel_degree`` of a capture and the ``material`` of a mesh replace what its file says; of a file with several
+    meshes, all of them change. Lights of the scene file come first, then those of its meshes, the environment last.
 
     Args:
         path: The ``.toml`` file.
@@ -49,104 +76,106 @@ def read_scene_file(path: PathLike, load: Callable[[Path], Gaussians | Mesh | Sc
     Raises:
         FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
     """
-    document = _document(path)
-    files: dict[Path, Scene] = {}
-    assets: dict[tuple[Path, str], Scene] = {}
-    splats: list[SplatInstance] = []
-    meshes: list[MeshInstance] = []
-    for kind in ("splats", "meshes"):
-        for index, entry in enumerate(document.get(kind, ())):
-            try:
-                _check_keys(entry, kind)
-                world_from_entry = _transform(entry)
-                file = Path(path).parent / entry["path"]
-                if file not in files:
-                    files[file] = _as_scene(load(file))
-                changes = {key: entry[key] for key in ("kernel_degree", "material") if key in entry}
-                asset = file, repr(changes)  # entries that change a file alike share what it becomes
-                if asset not in assets:
-                    assets[asset] = _changed(files[file], changes) if changes else files[file]
-                placed = _placed(assets[asset], world_from_entry, entry, kind)
-            except FormatError:
-                raise
-            except SceneError as error:
-                raise FormatError(path, f"{kind}[{index}]: {error}") from None
-            splats += placed.splats
-            meshes += placed.meshes
-    return Scene(splats=tuple(splats), meshes=tuple(meshes))
-
-
-def _document(path: PathLike) -> dict:
-    try:
-        document = tomllib.loads(read_bytes(path).decode("utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise FormatError(path, f"is not valid TOML: {error}") from None
-    except (UnicodeDecodeError, RecursionError):
-        raise FormatError(path, "is not a scene file: expected TOML text with [[splats]] and [[meshes]]") from None
-    unknown = document.keys() - {"splats", "meshes"}
-    if unknown:
-        raise FormatError(path, f"has unknown '{min(unknown)}', expected [[splats]] and [[meshes]]")
-    for kind, entries in document.items():
-        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-            raise FormatError(path, f"{kind} must be written with double brackets: [[{kind}]]")
-    if not any(document.values()):
-        raise FormatError(path, "lists nothing: expected [[splats]] or [[meshes]] entries")
-    return document
-
-
-def _check_keys(entry: dict, kind: str) -> None:
-    for key in entry:
-        if key not in _KEYS[kind]:
-            raise SceneError(f"unknown '{key}', expected {', '.join(_KEYS[kind])}")
-    if not isinstance(entry.get("path"), str) or not isinstance(entry.get("name", ""), str):
-        raise SceneError("path (needed) and name are strings")
-    if entry["path"].lower().endswith(".toml"):
-        raise SceneError(f"{entry['path']} is a scene file itself: list its captures and meshes here instead")
-
-
-def _changed(scene: Scene, changes: dict) -> Scene:
-    """The assets of a file, with what an entry says in place of what the file says."""
-    degree = {"kernel_degree": changes["kernel_degree"]} if "kernel_degree" in changes else {}
-    material = changes.get("material", {})
-    if not isinstance(material, dict) or material.keys() - set(_MATERIAL_KEYS):
-        raise SceneError(f"material is {material}, expected a table of some of {', '.join(_MATERIAL_KEYS)}")
-    meshes = {id(i.mesh): i.mesh for i in scene.meshes}
-    try:
-        meshes = {key: replace(mesh, material=replace(mesh.material, **material)) for key, mesh in meshes.items()}
-    except SceneError as error:
-        raise SceneError(f"material: {error}") from None
+    document = read_document(path)
+    if all(document.values.get(key, []) == [] for key in _SHOWN):
+        raise FormatError(path, f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+    lights: list[Light] = [read_light(table) for table in document.tables("lights")]
+    environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
+    assets = _Assets(load, read_materials(document))
+    splats = [splat for table in document.tables("splats") for splat in assets.splats(table)]
+    placed = [assets.meshes(table) for table in document.tables("meshes")]
     return Scene(
-        splats=tuple(replace(i, gaussians=replace(i.gaussians, **degree)) for i in scene.splats),
-        meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes),
+        splats=tuple(splats),
+        meshes=tuple(mesh for scene in placed for mesh in scene.meshes),
+        lights=(*lights, *(light for scene in placed for light in scene.lights), *environment),
     )
 
 
-def _placed(scene: Scene, world_from_entry: npt.NDArray[np.float64], entry: dict, kind: str) -> Scene:
-    """The scene of an entry's file, moved to where the entry says."""
-    if (scene.splats and kind == "meshes") or (scene.meshes and kind == "splats"):
-        found = "a mesh" if kind == "splats" else "a capture"
-        raise SceneError(f"{entry['path']} is {found}, list it under the other heading")
-    name = entry.get("name", "")
-    return Scene(
-        splats=tuple(
-            SplatInstance(i.gaussians, world_from_entry @ i.transform, name=name or i.name) for i in scene.splats
-        ),
-        meshes=tuple(MeshInstance(i.mesh, world_from_entry @ i.transform, name=name or i.name) for i in scene.meshes),
-    )
+@dataclass(slots=True)
+class _Assets:
+    """What the entries name, each file loaded once, and entries that change a file alike sharing what it becomes."""
+
+    load: Load
+    materials: dict[str, MaterialTable]
+    _files: dict[Path, Scene] = field(default_factory=dict)
+    _changed: dict[tuple[Path, str], Scene] = field(default_factory=dict)
+
+    def splats(self, table: TomlTable) -> list[SplatInstance]:
+        """The captures of an entry, placed."""
+        given, world_from_file = _checked(table, "splats")
+        scene = self._scene(table, "splats", given)
+        material = material_of(table, self.materials)
+        settings = {key: given[key] for key in ("sh_degree", "shadow_only") if key in given}
+        if material is not None:
+            settings["material"] = material.applied(None)
+        try:
+            return [
+                SplatInstance(i.gaussians, world_from_file @ i.transform, name=given.get("name") or i.name, **settings)
+                for i in scene.splats
+            ]
+        except SceneError as error:
+            raise table.failed(error) from None
+
+    def meshes(self, table: TomlTable) -> Scene:
+        """The meshes and lights of an entry, placed."""
+        given, world_from_file = _checked(table, "meshes")
+        scene = self._scene(table, "meshes", given)
+        wanted = scene.lights if given.get("lights", True) else ()
+        try:
+            return Scene(
+                meshes=tuple(
+                    MeshInstance(i.mesh, world_from_file @ i.transform, name=given.get("name") or i.name)
+                    for i in scene.meshes
+                ),
+                lights=tuple(moved_light(light, world_from_file) for light in wanted),
+            )
+        except SceneError as error:
+            raise table.failed(error) from None
+
+    def _scene(self, table: TomlTable, heading: str, given: dict) -> Scene:
+        """What the file of an entry holds, changed as the entry says."""
+        file = table.file("path")
+        if file.suffix.lower() == ".toml":
+            raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+        if file not in self._files:
+            self._files[file] = _as_scene(self.load(file))
+        scene = self._files[file]
+        if (scene.splats and heading == "meshes") or (not scene.splats and heading == "splats"):
+            found, other = ("a capture", "splats") if scene.splats else ("a mesh", "meshes")
+            raise table.error(f"path is {given['path']!r}, which is {found}: list it under [[{other}]]", "path")
+        changes = {key: given[key] for key in ("kernel_degree", "material") if key in given}
+        asset = file, repr(changes)
+        if asset not in self._changed:
+            self._changed[asset] = self._with_changes(scene, table, changes)
+        return self._changed[asset]
+
+    def _with_changes(self, scene: Scene, table: TomlTable, changes: dict) -> Scene:
+        try:
+            if "kernel_degree" in changes:
+                degree = changes["kernel_degree"]
+                splats = (replace(i, gaussians=replace(i.gaussians, kernel_degree=degree)) for i in scene.splats)
+                scene = replace(scene, splats=tuple(splats))
+            material = material_of(table, self.materials) if scene.meshes else None
+            if material is None:
+                return scene
+            meshes = {id(i.mesh): i.mesh for i in scene.meshes}
+            for key, mesh in meshes.items():
+                changed = replace(mesh, material=material.applied(mesh.material))
+                meshes[key] = without_loose_textures(table.path, changed)
+        except FormatError:
+            raise
+        except SceneError as error:
+            raise table.failed(error) from None
+        return replace(scene, meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes))
 
 
-def _transform(entry: dict) -> npt.NDArray[np.float64]:
-    position = float_array("position", entry.get("position", (0.0, 0.0, 0.0)))
-    wxyz = float_array("rotation_wxyz", entry.get("rotation_wxyz", (1.0, 0.0, 0.0, 0.0)))
-    scale = entry.get("scale", 1.0)
-    if position.shape != (3,) or wxyz.shape != (4,):
-        raise SceneError("position takes three numbers, rotation_wxyz four")
-    if not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
-        raise SceneError(f"scale is {scale}, expected one positive number")
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * rotation_matrix(wxyz)
-    matrix[:3, 3] = position
-    return matrix
+def _checked(table: TomlTable, heading: str) -> tuple[dict, npt.NDArray[np.float64]]:
+    """The values of an entry, and where it stands."""
+    return table.take(_KEYS[heading], required=("path",)), placement(table)
+
+
+def _heading(key: str) -> str:
+    return f"[{key}]" if key == "environment" else f"[[{key}]]"
 
 
 def _as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
