@@ -9,16 +9,22 @@ import math
 import warp as wp
 
 from lumisplat.device.directions import around
-from lumisplat.device.ggx import HALF_MIN2, WIDTH_MIN, facet_density, masking, visible_facet
+from lumisplat.device.ggx import (
+    HALF_MIN2,
+    WIDTH_MIN,
+    facet_density,
+    grazing_albedo,
+    masking,
+    mean_grazing_albedo,
+    total_albedo,
+    visible_facet,
+)
 from lumisplat.device.light_structs import BSDF_SIMPLE, Bsdf, BsdfSample
 
 wp.set_module_options({"enable_backward": False})
 
 INV_PI = wp.constant(wp.float32(1.0 / math.pi))
 INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
-SCHLICK_MEAN = wp.constant(wp.float32(1.0 / 23.0))
-"""Mean of (1 - cosine)^5 over the hemisphere, weighted by the cosine, is 1/21. Rough surfaces mirror up to 0.25 % more
-than smooth ones, so the diffuse part gets 0.4 % less."""
 EXPONENT_MIN = wp.constant(wp.float32(-30.0))
 """Natural logarithm below which a highlight is dark."""
 
@@ -27,19 +33,6 @@ EXPONENT_MIN = wp.constant(wp.float32(-30.0))
 def mean_of(color: wp.vec3) -> float:
     """Of the three channels."""
     return (color[0] + color[1] + color[2]) / 3.0
-
-
-@wp.func
-def fifth_power(x: float) -> float:
-    """``x^5``."""
-    x2 = x * x
-    return x2 * x2 * x
-
-
-@wp.func
-def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Of a microfacet, or of the smooth surface (Schlick 1994)."""
-    return bsdf.specular + fifth_power(wp.max(1.0 - cosine, 0.0)) * (wp.vec3(bsdf.grazing) - bsdf.specular)
 
 
 # --- Simple: a diffuse part and a Phong highlight ---
@@ -84,17 +77,28 @@ def simple_share(bsdf: Bsdf) -> float:
 
 
 @wp.func
-def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
-    """The diffuse part: what the surface lets in of the light, and out again towards the view.
+def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """Of a microfacet that light meets at that cosine (Schlick 1994)."""
+    x = wp.max(1.0 - cosine, 0.0)
+    x2 = x * x
+    return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
 
-    Divided by the mean of what it lets out, as light that it turns back tries again (docs/adr/0009).
-    """
+
+@wp.func
+def highlight_albedo(bsdf: Bsdf, rising: float) -> wp.vec3:
+    """Share of a white sky that the highlight reflects, ``rising`` of it by Schlick's term."""
+    return (total_albedo(bsdf.width) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
+
+
+@wp.func
+def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
+    """The diffuse part: what the highlight leaves of the light, and of the view (Kelemen and Szirmay-Kalos 2001)."""
     if bsdf.grazing <= 0.0:
         return INV_PI * bsdf.diffuse
     white = wp.vec3(1.0)
-    enters = white - reflectance(bsdf, cos_light)
-    leaves = white - reflectance(bsdf, cos_view)
-    mean = white - bsdf.specular - SCHLICK_MEAN * (wp.vec3(bsdf.grazing) - bsdf.specular)
+    enters = white - highlight_albedo(bsdf, grazing_albedo(cos_light, bsdf.width))
+    leaves = white - highlight_albedo(bsdf, grazing_albedo(cos_view, bsdf.width))
+    mean = white - highlight_albedo(bsdf, mean_grazing_albedo(bsdf.width))
     mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
     return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
 
@@ -119,10 +123,10 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Probability of the highlight: its share of the light that a smooth surface would send to the view."""
+    """Probability of the highlight: its share of what all of the material would reflect of a white sky."""
     if bsdf.width <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
-    mirrored = reflectance(bsdf, cos_view)
+    mirrored = highlight_albedo(bsdf, grazing_albedo(cos_view, bsdf.width))
     specular = mean_of(mirrored)
     diffuse = mean_of(wp.cw_mul(bsdf.diffuse, wp.vec3(1.0) - mirrored))
     if diffuse <= 0.0:

@@ -40,6 +40,29 @@ def masking(cosine: float, width: float) -> float:
 
 
 @wp.func
+def grazing_albedo(cosine: float, width: float) -> float:
+    """Share of a white sky that a highlight with Schlick's ``(1 - cosine)^5`` alone for reflectance sends to a view.
+
+    A fit, from below 0.0001 to 0.066 too much, to what quadrature gives; exact for smooth surfaces (docs/adr/0009).
+    """
+    x = wp.max(1.0 - cosine, 0.0)
+    top = cosine * x * x + 2.3 * width
+    return x * x * x * top / (cosine + width * (2.48 + width * (38.2 + width * 24.7)))
+
+
+@wp.func
+def mean_grazing_albedo(width: float) -> float:
+    """No more than its mean over all views, weighted by the cosine: 1/21 for smooth surfaces."""
+    return (1.0 / 21.0) / (1.0 + width * (2.4 + width * 17.0))
+
+
+@wp.func
+def total_albedo(width: float) -> float:
+    """The same for a reflectance of 1, at least: what microfacets do not lose to each other's shadow."""
+    return 1.0 - 0.38 * width * width
+
+
+@wp.func
 def visible_facet(view: wp.vec3, width: float, u: wp.vec2) -> wp.vec3:
     """A microfacet's normal, as often as ``view`` sees it (Heitz 2018, by the caps of Dupuy and Benyoub 2023).
 

@@ -1,0 +1,409 @@
+"""Materials: the books' equations, reciprocity, energy, and directions picked as densely as they say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import probe_light_kernels
+import pytest
+import warp as wp
+
+from bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
+from lumisplat.device.light_structs import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
+from lumisplat.launcher import Launcher
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+LIMIT = 5.0
+"""Standard deviations; draws come from fixed seeds, so what passes once does so always."""
+
+# A frame that is no axis of anything: normal, and two directions along the surface.
+NORMAL = np.array([2.0, -3.0, 6.0]) / 7.0
+ALONG = np.array([6.0, -2.0, -3.0]) / 7.0
+ACROSS = np.cross(NORMAL, ALONG)
+
+
+def pbr(
+    width: float, diffuse: float = 0.8, specular: float = 0.04, grazing: float = 1.0, tint: bool = False
+) -> Material:
+    """Metallic-roughness, by the width of its highlight."""
+    channels = np.array([1.0, 0.6, 0.3]) if tint else np.ones(3)
+    return {
+        "model": "pbr",
+        "diffuse": diffuse * channels,
+        "specular": specular * channels,
+        "grazing": grazing,
+        "width": width,
+        "shininess": 0.0,
+    }
+
+
+def simple(shininess: float, diffuse: float = 0.5, specular: float = 0.3, tint: bool = False) -> Material:
+    """The simple model."""
+    return pbr(0.0, diffuse, specular, 0.0, tint) | {"model": "simple", "shininess": shininess}
+
+
+def rows(material: Material, count: int) -> npt.NDArray[Any]:
+    """The material as kernels read it, ``count`` times."""
+    table = np.zeros(count, dtype=np.dtype(Bsdf.numpy_dtype()))  # type: ignore[attr-defined]
+    table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
+    for name in ("diffuse", "specular", "grazing", "width", "shininess"):
+        table[name] = material[name]
+    return table
+
+
+def on_device(
+    material: Material, normals: Array, views: Array, lights: Array, device: str = "cpu"
+) -> tuple[Array, Array]:
+    """Values, shape (N, 3), and densities, shape (N,)."""
+    count = len(lights)
+    inputs = [wp.array(rows(material, count), dtype=Bsdf, device=device)]
+    for vectors in (normals, views, lights):
+        given = np.broadcast_to(vectors, (count, 3)).astype(np.float32)
+        inputs.append(wp.array(given, dtype=wp.vec3, device=device))
+    values, densities = wp.zeros(count, dtype=wp.vec3, device=device), wp.zeros(count, dtype=float, device=device)
+    Launcher(device, threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
+    return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
+
+
+def picks(material: Material, view: Array, randoms: Array, device: str = "cpu") -> npt.NDArray[Any]:
+    """Directions picked for the frame's normal, with weights and densities."""
+    count = len(randoms)
+    normals, views = (np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (NORMAL, view))
+    inputs = [wp.array(rows(material, count), dtype=Bsdf, device=device)]
+    inputs += [wp.array(v, dtype=wp.vec3, device=device) for v in (normals, views, randoms.astype(np.float32))]
+    samples = wp.zeros(count, dtype=BsdfSample, device=device)
+    Launcher(device, threads=1).run(probe_light_kernels.probe_bsdf_samples, count, *inputs, samples)
+    return samples.numpy()
+
+
+def unit(vectors: Array) -> Array:
+    """The same directions."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def direction(cos: npt.ArrayLike, turn: npt.ArrayLike) -> Array:
+    """Off the frame's normal by the angle of that cosine, turned by that many radians."""
+    cos, turn = np.asarray(cos)[..., None], np.asarray(turn)[..., None]
+    return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(turn) * ALONG + np.sin(turn) * ACROSS)
+
+
+def pairs(count: int, width: float, seed: int) -> tuple[Array, Array, Array]:
+    """Normals, views and lights of every kind: anywhere, grazing, in and near the highlight, straight on, equal."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(count, 3)))
+    views, lights = (unit(rng.normal(size=(count, 3))) for _ in range(2))
+    kind = np.arange(count) % 6
+    for vectors, chosen in ((views, kind == 1), (lights, (kind == 1) | (kind == 2))):
+        flat = unit(np.cross(normals, vectors))
+        cos = 10.0 ** rng.uniform(-6.0, -1.0, count)[:, None]
+        vectors[chosen] = unit(flat + cos * normals)[chosen]
+    near = unit(mirrored(normals, views) + width * rng.normal(size=(count, 3)))
+    lights[kind == 3] = near[kind == 3]
+    lights[kind == 4] = mirrored(normals, views)[kind == 4]
+    lights[kind == 5] = views[kind == 5]
+    views[::30], lights[::60] = normals[::30], normals[::60]
+    single = [np.asarray(vectors, dtype=np.float32).astype(np.float64) for vectors in (normals, views, lights)]
+    return single[0], single[1], single[2]
+
+
+MATERIALS = [
+    *(pbr(width) for width in (0.0, 1e-6, 1e-4, 0.01, 0.09, 0.25, 0.6, 1.0)),
+    *(pbr(width, diffuse=0.0, specular=0.9, tint=True) for width in (1e-6, 0.01, 0.25, 1.0)),
+    pbr(0.25, specular=0.0, grazing=0.0, tint=True),
+    pbr(0.25, specular=0.3, grazing=0.5, tint=True),
+    pbr(0.04, diffuse=0.0, specular=0.0),
+    *(simple(shininess, tint=True) for shininess in (0.0, 1.0, 32.0, 10_000.0)),
+    simple(20.0, diffuse=1.0, specular=1.0),
+    simple(20.0, specular=0.0),
+    simple(20.0, diffuse=0.0),
+]
+
+
+# --- The books ---
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("number", range(len(MATERIALS)))
+def test_twin(number: int, device: str) -> None:
+    """Values and densities are the books', as far as directions in float32 tell them."""
+    material = MATERIALS[number]
+    normals, views, lights = pairs(3000, material["width"], number)
+    values, densities = on_device(material, normals, views, lights, device)
+    expected = evaluate(material, normals, views, lights), density(material, normals, views, lights)
+    spread = [np.zeros_like(part) for part in expected]
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        moved = [unit(vectors + 1.2e-7 * rng.normal(size=vectors.shape)) for vectors in (normals, views, lights)]
+        for i, part in enumerate((evaluate(material, *moved), density(material, *moved))):
+            spread[i] = np.maximum(spread[i], np.abs(part - expected[i]))
+    for found, wanted, rounding in zip((values, densities), expected, spread, strict=True):
+        assert np.isfinite(found).all()
+        bound = (2e-5 + 4e-7 * material["shininess"]) * wanted + 5.0 * rounding + 1e-9
+        np.testing.assert_array_less(np.abs(found - wanted) / bound, 1.0)
+    if material["width"] > 1e-3:  # so that the comparison means something
+        assert np.median((spread[0] / np.maximum(values, 1e-30))[values > 0.0]) < 1e-4
+
+
+def test_by_hand() -> None:
+    """Straight on: diffuse over pi; the GGX highlight F0 / (4 pi width^2); Phong's (n + 2) / (2 pi)."""
+    straight = NORMAL[None]
+    matte, _ = on_device(pbr(0.5, diffuse=0.6, specular=0.0, grazing=0.0), NORMAL, straight, straight)
+    np.testing.assert_allclose(matte[0], 0.6 / math.pi, rtol=1e-6)
+    metal, picked = on_device(pbr(0.5, diffuse=0.0, specular=0.7), NORMAL, straight, straight)
+    np.testing.assert_allclose(metal[0], 0.7 / math.pi, rtol=1e-5)
+    assert picked[0] == pytest.approx(1.0 / math.pi, rel=1e-5)
+    phong, picked = on_device(simple(4.0, diffuse=0.0, specular=0.5), NORMAL, straight, straight)
+    np.testing.assert_allclose(phong[0], 1.5 / math.pi, rtol=1e-5)
+    assert picked[0] == pytest.approx(2.5 / math.pi, rel=1e-5)
+    # Too much of it is scaled down: 1 + 1 becomes 1/2 + 1/2.
+    both, _ = on_device(simple(4.0, diffuse=1.0, specular=1.0), NORMAL, straight, straight)
+    np.testing.assert_allclose(both[0], 0.5 * (1.0 + 3.0) / math.pi, rtol=1e-5)
+
+
+@pytest.mark.parametrize("number", range(len(MATERIALS)))
+def test_reciprocity(number: int) -> None:
+    """The same with view and light swapped."""
+    normals, views, lights = pairs(6000, MATERIALS[number]["width"], 7)
+    there, _ = on_device(MATERIALS[number], normals, views, lights)
+    back, _ = on_device(MATERIALS[number], normals, lights, views)
+    np.testing.assert_allclose(there, back, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("number", range(len(MATERIALS)))
+def test_nothing_below_the_horizon(number: int) -> None:
+    """Neither light nor view shines through, and no direction is picked there."""
+    material = MATERIALS[number]
+    normals, views, lights = pairs(6000, material["width"], 8)
+    values, densities = on_device(material, normals, views, lights)
+    below = (np.sum(normals * views, axis=1) < -1e-6) | (np.sum(normals * lights, axis=1) < -1e-6)
+    assert below.sum() > 1000
+    assert not values[below].any()
+    assert not densities[below].any()
+    assert not picks(material, -NORMAL, np.random.default_rng(0).random((50, 3)))["density"].any()
+
+
+@pytest.mark.parametrize("number", range(len(MATERIALS)))
+def test_finite(number: int) -> None:
+    """Whatever the directions: opposite, along the surface, zero, and random numbers at their ends."""
+    material = MATERIALS[number]
+    special = [NORMAL, ALONG, -ALONG, unit(ALONG + 1e-8 * NORMAL), unit(-ALONG + 1e-8 * NORMAL), ALONG + 1e-25 * NORMAL]
+    special += [unit(ALONG + 1e-3 * NORMAL), unit(-ALONG + 1e-3 * NORMAL), np.zeros(3), -NORMAL]
+    views, lights = (np.array(side) for side in zip(*((v, w) for v in special for w in special), strict=True))
+    for found in on_device(material, NORMAL, views, lights):
+        assert np.isfinite(found).all()
+        assert (found >= 0.0).all()
+    # In the plane of z = 0, the tiniest cosines are exact.
+    up, low = np.array([0.0, 0.0, 1.0]), np.array([[1.0, 0.0, 1e-25], [1.0, 0.0, 1e-12], [1.0, 0.0, 1e-4]])
+    for view in low:
+        for found in on_device(material, up, view, np.concatenate([low, low * [-1.0, 1.0, 1.0]])):
+            assert np.isfinite(found).all()
+    ends = np.array([0.0, 0.5, 1.0 - 2.0**-24, 1.0])
+    randoms = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
+    for view in special:
+        samples = picks(material, view, randoms)
+        for name in ("direction", "weight", "density"):
+            assert np.isfinite(samples[name]).all()
+        np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0, atol=1e-5)
+        assert (samples["weight"] >= 0.0).all()
+
+
+# --- Energy: what a white sky all around gives ---
+
+
+def reflected(material: Material, view: Array, steps: int = 96) -> float:
+    """Share of the light of a white sky that goes to ``view``, by quadrature over the hemisphere (middle channel).
+
+    Of rough highlights, only the diffuse part: they may be narrower than the steps.
+    """
+    centers = (np.arange(steps) + 0.5) / steps
+    cos, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
+    lights = direction(cos, turn).reshape(-1, 3)
+    values, _ = on_device(material, NORMAL, view[None], lights)
+    if material["width"] > 0.0:
+        values -= on_device(material | {"diffuse": np.zeros(3)}, NORMAL, view[None], lights)[0]
+    return float((values[:, 1] * cos.ravel()).mean() * 2.0 * np.pi)
+
+
+def highlighted(material: Material, view: Array, steps: int = 96) -> float:
+    """The same of a GGX highlight alone, by quadrature over the microfacets, however narrow."""
+    width = material["width"]
+    centers = (np.arange(steps) + 0.5) / steps
+    share, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
+    theta = np.arctan(width * np.sqrt(share / (1.0 - share)))
+    half = direction(np.cos(theta), turn).reshape(-1, 3)
+    to_half = half @ view
+    lights = 2.0 * to_half[:, None] * half - view
+    values, _ = on_device(material, NORMAL, view[None], lights)
+    # As many square radians of light as the facets have times 4 cos; facets are spread with density D cos.
+    spread = ggx(theta.ravel(), width) * np.cos(theta.ravel())
+    shone = values[:, 1] * np.maximum(lights @ NORMAL, 0.0) * 4.0 * np.maximum(to_half, 0.0) / spread
+    return float(shone.mean())
+
+
+COSINES = (1.0, 0.9, 0.62, 0.4, 0.2, 0.1, 0.05)
+
+
+@pytest.mark.parametrize("width", [0.004, 0.01, 0.03, 0.09, 0.14, 0.25, 0.5, 1.0])
+def test_white_furnace(width: float) -> None:
+    """No view gets more than there is, whatever the reflectances, and of common ones no view much less."""
+    for specular, grazing in ((0.0, 1.0), (0.04, 1.0), (0.2, 1.0), (0.7, 1.0), (0.25, 0.25), (0.04, 0.5)):
+        for cos in COSINES:
+            view = direction(cos, 0.3)
+            total = highlighted(pbr(width, 0.0, specular, grazing), view)
+            total += reflected(pbr(width, 1.0, specular, grazing), view)
+            assert total <= 1.0003, (specular, grazing, cos)
+            assert total >= (0.97 if specular <= 0.04 and cos >= 0.1 else 0.72), (specular, grazing, cos)
+
+
+@pytest.mark.parametrize("cos", COSINES)
+def test_perfect_mirrors_reflect_all(cos: float) -> None:
+    """A reflectance of 1, nearly smooth."""
+    if cos > 0.1:
+        assert highlighted(pbr(0.01, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)
+    assert highlighted(pbr(1e-4, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("cos", COSINES)
+def test_smooth_white_loses_nothing(cos: float) -> None:
+    """What a smooth surface does not mirror, which is left to mirrors, its white inside reflects."""
+    mirror = 0.04 + 0.96 * (1.0 - cos) ** 5
+    total = mirror + reflected(pbr(0.0, 1.0, 0.04), direction(cos, 1.0), 200)
+    assert total == pytest.approx(1.0, abs=1e-4)
+
+
+def test_diffuse_reflects_its_albedo() -> None:
+    """Exactly: without a highlight the value is the same for all directions."""
+    for material in (pbr(0.3, 0.7, 0.0, 0.0), simple(8.0, 0.7, 0.0)):
+        for cos in COSINES:
+            assert reflected(material, direction(cos, 0.1), 8) == pytest.approx(0.7, abs=1e-6)
+
+
+@pytest.mark.parametrize("shininess", [0.0, 1.0, 10.0, 60.0])
+def test_simple_furnace(shininess: float) -> None:
+    """All of the highlight at normal incidence, less elsewhere, and never more than all together."""
+    for cos in COSINES:
+        view = direction(cos, 0.3)
+        assert reflected(simple(shininess, 0.4, 0.6), view, 200) <= 1.001
+        assert reflected(simple(shininess, 1.0, 1.0), view, 200) <= 1.001
+    assert reflected(simple(shininess, 0.0, 0.6), NORMAL, 200) == pytest.approx(0.6, rel=5e-3)
+
+
+# --- Picked directions ---
+
+
+def bins(axis: Array, width: float, rings: int, sectors: int, fine: int) -> tuple[Array, Array]:
+    """Directions all around ``axis``, and the solid angle of each: closer together where a lobe of ``width`` is.
+
+    Shape (rings * sectors, fine^2, 3) and (rings * sectors, fine^2).
+    """
+    count = rings * fine
+    s = ((np.arange(count) + 0.5) / count).reshape(rings, 1, fine, 1)
+    turn = 2.0 * np.pi * ((np.arange(sectors * fine) + 0.5) / (sectors * fine)).reshape(1, sectors, 1, fine)
+    theta = 2.0 * np.arctan(width * s / (1.0 - s))
+    slope = 2.0 * width / ((1.0 - s) ** 2 + (width * s) ** 2)
+    size = np.sin(theta) * slope / count * 2.0 * np.pi / (sectors * fine) + 0.0 * turn
+    first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
+    second = np.cross(axis, first)
+    vectors = np.cos(theta)[..., None] * axis + np.sin(theta)[..., None] * (
+        np.cos(turn)[..., None] * first + np.sin(turn)[..., None] * second
+    )
+    return vectors.reshape(rings * sectors, fine * fine, 3), size.reshape(rings * sectors, fine * fine)
+
+
+def bin_of(directions: Array, axis: Array, width: float, rings: int, sectors: int) -> npt.NDArray[np.int64]:
+    """Which of the bins each direction falls into."""
+    first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
+    second = np.cross(axis, first)
+    x, y, z = directions @ first, directions @ second, directions @ axis
+    tangent = np.tan(0.5 * np.arctan2(np.hypot(x, y), z)) / width
+    ring = np.minimum((tangent / (1.0 + tangent) * rings).astype(np.int64), rings - 1)
+    sector = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) / (2.0 * np.pi) * sectors).astype(np.int64), sectors - 1)
+    return ring * sectors + sector
+
+
+def chi_square_z(counts: Array, expected: Array) -> float:
+    """Chi-square as a standard normal number (Wilson and Hilferty 1931); bins that expect little are put together."""
+    few = expected < 20.0
+    counts = np.append(counts[~few], counts[few].sum())
+    expected = np.append(expected[~few], max(expected[few].sum(), 1e-9))
+    if expected[-1] < 20.0:  # too few for chi-square even together
+        assert counts[-1] < 60.0
+        counts, expected = counts[:-1], expected[:-1]
+    freedom = len(counts) - 1
+    variance = 2.0 / (9.0 * freedom)
+    ratio = ((counts - expected) ** 2 / expected).sum() / freedom
+    return float((np.cbrt(ratio) - (1.0 - variance)) / math.sqrt(variance))
+
+
+def compared(material: Material, said: Material, cos: float, width: float) -> float:
+    """How far directions picked for one material are from the density of another, standard deviations."""
+    view = direction(cos, 2.0)
+    axis = unit(mirrored(NORMAL, view))
+    count, rings, sectors, fine = 200_000, 20, 12, 20
+    samples = picks(material, view, np.random.default_rng(5).random((count, 3), dtype=np.float32))
+    kept = samples["density"] > 0.0
+    assert (samples["direction"][kept] @ NORMAL > -1e-6).all()
+    vectors, size = bins(axis, width, rings, sectors, fine)
+    _, densities = on_device(said, NORMAL, view[None], vectors.reshape(-1, 3))
+    expected = count * (densities.reshape(size.shape) * size).sum(axis=1)
+    found = bin_of(samples["direction"][kept].astype(np.float64), axis, width, rings, sectors)
+    counts = np.bincount(found, minlength=rings * sectors).astype(np.float64)
+    # What would have gone below the horizon is missing from the density.
+    assert expected.sum() < 1.002 * count
+    counts, expected = np.append(counts, count - kept.sum()), np.append(expected, max(count - expected.sum(), 0.0))
+    return chi_square_z(counts, expected)
+
+
+@pytest.mark.parametrize("cos", [1.0, 0.7, 0.3, 0.05])
+@pytest.mark.parametrize(
+    "material",
+    [
+        *(pbr(roughness**2) for roughness in (0.1, 0.3, 0.6, 1.0)),
+        *(pbr(roughness**2, diffuse=0.0, specular=0.8, tint=True) for roughness in (0.1, 0.3, 0.6, 1.0)),
+        pbr(0.0),
+        simple(0.0),
+        simple(5.0),
+        simple(300.0, diffuse=0.2),
+        simple(40.0, diffuse=0.0),
+    ],
+    ids=lambda m: f"{m['model']}-{m['width']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
+)
+def test_directions_are_as_dense_as_said(material: Material, cos: float) -> None:
+    """Chi-square over the whole sphere, what falls below the horizon included."""
+    narrow = material["width"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
+    width = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
+    assert abs(compared(material, material, cos, width)) < LIMIT
+
+
+def test_the_comparison_can_fail() -> None:
+    """A density of a highlight a little wider is told apart, and one of a little more diffuse light."""
+    metal = pbr(0.09, diffuse=0.0)
+    assert compared(metal, pbr(0.1, diffuse=0.0), 0.7, 0.2) > LIMIT
+    assert compared(pbr(0.09), pbr(0.09, diffuse=0.6), 0.3, 0.2) > LIMIT
+
+
+@pytest.mark.parametrize("number", [3, 5, 7, 9, 11, 13, 16, 18])
+def test_weights(number: int) -> None:
+    """Value times cosine over density; their mean is what a white sky gives."""
+    material = MATERIALS[number]
+    view = direction(0.6, 0.4)
+    samples = picks(material, view, np.random.default_rng(6).random((100_000, 3), dtype=np.float32))
+    kept = samples[samples["density"] > 0.0]
+    values, densities = on_device(material, NORMAL, view[None], kept["direction"])
+    cosines = kept["direction"].astype(np.float64) @ NORMAL.astype(np.float32).astype(np.float64)
+    clear = cosines > 1e-3
+    np.testing.assert_allclose(kept["density"], densities, rtol=1e-6)
+    expected = (values * (cosines / densities)[:, None])[clear]
+    np.testing.assert_allclose(kept["weight"][clear], expected, rtol=1e-3, atol=1e-6)
+    assert not samples["weight"][samples["density"] <= 0.0].any()
+    mean = samples["weight"][:, 1].mean(dtype=np.float64)
+    error = float(samples["weight"][:, 1].std()) / math.sqrt(len(samples))
+    if material["model"] == "simple":
+        sky = reflected(material, view, 300)
+    else:
+        sky = reflected(material, view, 200)
+        sky += highlighted(material | {"diffuse": np.zeros(3)}, view, 200)
+    assert mean == pytest.approx(sky, abs=LIMIT * error + 2e-3)
