@@ -85,12 +85,14 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> 
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     splats: list[ls.SplatInstance] = []
     meshes: list[ls.MeshInstance] = []
+    lights = []
     for path in paths:
         asset = ls.load(path, drop_invalid=drop_invalid, progress=partial(report, f"loading {path.name}"))
         scene = asset if isinstance(asset, ls.Scene) else as_scene(asset)
         splats.extend(scene.splats)
         meshes.extend(scene.meshes)
-    return ls.Scene(splats=tuple(splats), meshes=tuple(meshes))
+        lights.extend(scene.lights)
+    return ls.Scene(splats=tuple(splats), meshes=tuple(meshes), lights=tuple(lights))
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh) -> ls.Scene:
