@@ -1,7 +1,7 @@
 """The materials' equations as the books have them, in float64: by angles and tangents, a direction a row.
 
-Colours have shape (..., 3), directions (..., 3), unit and away from the surface; materials are dictionaries of the names
-of `lumisplat.device.light_structs.Bsdf`.
+Colours have shape (..., 3), directions (..., 3), unit and away from the surface; materials are dictionaries of the
+names of `lumisplat.device.light_structs.Bsdf`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def highlight_albedo(material: Material, cos: Array | None) -> Array:
 
 
 def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Kelemen and Szirmay-Kalos 2001: what the highlight leaves at both ends, normalised by what it leaves on average."""
+    """Kelemen and Szirmay-Kalos 2001: what the highlight leaves at both ends, over what it leaves on average."""
     if material["grazing"] == 0.0:
         return np.broadcast_to(np.asarray(material["diffuse"]) / np.pi, np.broadcast_shapes(view.shape, light.shape))
     let_in = 1.0 - highlight_albedo(material, cosine(normal, light))
