@@ -12,12 +12,11 @@ import pytest
 import warp as wp
 
 from bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
+from chi_square import LIMIT, chi_square_z
 from lumisplat.device.light_structs import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
 from lumisplat.launcher import Launcher
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
-LIMIT = 5.0
-"""Standard deviations; draws come from fixed seeds, so what passes once does so always."""
 
 # A frame that is no axis of anything: normal, and two directions along the surface.
 NORMAL = np.array([2.0, -3.0, 6.0]) / 7.0
@@ -322,20 +321,6 @@ def bin_of(directions: Array, axis: Array, width: float, rings: int, sectors: in
     ring = np.minimum((tangent / (1.0 + tangent) * rings).astype(np.int64), rings - 1)
     sector = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) / (2.0 * np.pi) * sectors).astype(np.int64), sectors - 1)
     return ring * sectors + sector
-
-
-def chi_square_z(counts: Array, expected: Array) -> float:
-    """Chi-square as a standard normal number (Wilson and Hilferty 1931); bins that expect little are put together."""
-    few = expected < 20.0
-    counts = np.append(counts[~few], counts[few].sum())
-    expected = np.append(expected[~few], max(expected[few].sum(), 1e-9))
-    if expected[-1] < 20.0:  # too few for chi-square even together
-        assert counts[-1] < 60.0
-        counts, expected = counts[:-1], expected[:-1]
-    freedom = len(counts) - 1
-    variance = 2.0 / (9.0 * freedom)
-    ratio = ((counts - expected) ** 2 / expected).sum() / freedom
-    return float((np.cbrt(ratio) - (1.0 - variance)) / math.sqrt(variance))
 
 
 def compared(material: Material, said: Material, cos: float, width: float) -> float:
