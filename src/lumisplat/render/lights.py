@@ -206,7 +206,9 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
     seen: set[str] = set()
     result = []
     for name, number in names:
-        unique = f"{name}_{number}" if name in seen else name
+        unique = name
+        while unique in seen:
+            unique = f"{unique}_{number}"
         seen.add(unique)
         result.append(unique)
     return tuple(result)
