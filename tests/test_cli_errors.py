@@ -35,6 +35,9 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     place.write_cameras("singular.json", transform_matrix=SINGULAR)
     place.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
     place.path("quintic.toml").write_text('[[splats]]\npath = "capture.ply"\nkernel_degree = 9\n')
+    place.path("settings.toml").write_text('[[meshes]]\npath = "mesh.obj"\n[render]\nsampels = 4\n')
+    place.path("views.toml").write_text('[[meshes]]\npath = "mesh.obj"\n\n[[cameras]]\ntarget = [0, 0, 0]\n')
+    place.path("sky.hdr").write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n\2\2")
     place.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
     return place
 
@@ -71,10 +74,23 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("render", "@capture.ply", "--kernel-degree", "6"), "kernel_degree is 6"),
         (("render", "@capture.ply", "--min-response", "nan"), "min_response is nan"),
         (("render", "@capture.ply", "--transmittance-min", "2"), "transmittance_min is 2"),
-        (("render", "@quintic.toml"), "splats[0]: kernel_degree is 9"),
+        (("render", "@quintic.toml"), "line 3, splats[0]: kernel_degree is 9"),
+        (("render", "@settings.toml"), "line 4, render: unknown 'sampels', did you mean 'samples'?"),
+        (("render", "@settings.toml", "@quintic.toml"), "are both scene files"),
+        (("render", "@views.toml"), "line 4, cameras[0]: lacks eye"),
+        (("render", "@capture.ply", "--cameras", "@lost.toml"), "lost.toml: has no cameras"),
+        (("render", "@capture.ply", "--environment", "@lost.hdr"), "lost.hdr: no such file"),
+        (("render", "@capture.ply", "--environment", "@capture.ply"), "is neither Radiance HDR nor OpenEXR"),
+        (("render", "@capture.ply", "--environment-rotation", "90"), "--environment-rotation turns --environment"),
+        (("render", "@capture.ply", "--exposure", "nan", *CAMERAS), "camera exposure is nan"),
+        (("render", "@capture.ply", "--shadow-offset", "-1"), "offset is -1"),
+        (("render", "@capture.ply", "--shadow-threshold", "1"), "transmittance_threshold is 1"),
+        (("render", "@capture.ply", "--shadow-color", "6"), "color_strength is 6"),
         (("info",), "no file"),
         (("info", "@missing.ply"), "missing.ply"),
         (("info", "@no_frames.json"), "no_frames.json"),
+        (("info", "@sky.hdr"), "sky.hdr: truncated"),
+        (("info", "@views.toml"), "views.toml: line 4, cameras[0]: lacks eye"),
         (("convert", "@missing.ply", "@out.spz"), "missing.ply"),
         (("convert", "@capture.ply", "@out.xyz"), "out.xyz"),
         (("convert", "@mesh.obj", "@out.ply"), "mesh.obj"),
@@ -126,9 +142,15 @@ def test_output_that_cannot_be_written(work, output, named):
         (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
         (("render", "x.ply", "--width", "wide"), "'wide'"),
         (("render", "x.ply", "--strategy", "random"), "'random' for argument '--strategy'"),
-        (("render", "x.ply", "--hits-per-pass", "17"), "'17' for argument '--hits-per-pass'"),
-        (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree"),
-        (("bench", "x.ply", "--pipeline", "rays"), "'rays' for argument '--pipeline'"),
+        (
+            ("render", "x.ply", "--hits-per-pass", "17"),
+            "'17' for argument '--hits-per-pass'. Expected one of 4, 8, 16, 32.",
+        ),
+        (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree: no type matching INT could"),
+        (("bench", "x.ply", "--pipeline", "rays"), "argument '--pipeline'. Expected one of hybrid, raster, trace."),
+        (("render", "x.ply", "--shadows", "dark"), "argument '--shadows'. Expected one of hard, off, soft."),
+        (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
+        (("render", "x.ply", "--exposure", "bright"), "--exposure: no type matching FLOAT could"),
         (("render", "x.ply", "--aov"), "'--aov'"),
         (("convert", "x.ply"), "OUT .ply, .compressed.ply or .spz. (required) (see lumisplat convert --help)"),
     ],

@@ -30,7 +30,9 @@ A first look at a capture: lumisplat render garden.ply -o garden.png
 
 A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out
 
-Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
+Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png
+
+Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png"""
 
 _Command = (
     Annotated[Render, subcommand("render")]

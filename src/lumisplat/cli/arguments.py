@@ -39,12 +39,19 @@ def one_line(panel: str) -> str:
     """
     rows = [row.strip(" │") for row in _STYLES.sub("", panel).splitlines()[1:]]
     message = " ".join(takewhile(lambda row: row and not _is_rule(row), dropwhile(_is_rule, rows)))
+    message = re.sub(r"one of \((.*)\)", _choices, message).replace("{None}|", "")
     text = " ".join(rows)
     suggested = re.search(r"Perhaps you meant: +(--[\w-]+)", text)
     if suggested:
         message += f"; perhaps you meant {suggested[1]}"
     helping = re.search(r"lumisplat[\w ]* --help$", text.rstrip("╰─╯ "))
     return f"{message} (see {helping[0]})" if message and helping else message or " ".join(panel.split())
+
+
+def _choices(listed: re.Match[str]) -> str:
+    """The choices of an option in one order, which tyro does not keep, without the None of one that is not given."""
+    choices = [choice for choice in re.findall(r"'([^']*)'", listed[1]) if choice != "None"]
+    return f"one of {', '.join(sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice)))}"
 
 
 def _is_rule(row: str) -> bool:

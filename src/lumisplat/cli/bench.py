@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import statistics
 import time
@@ -13,9 +14,11 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.console import byte_size, print_table, progress_bars
-from lumisplat.cli.options import DeviceCommand, load_scene
+from lumisplat.cli.options import DeviceCommand, load_scene, scene_file, setting, settled, without_none
 from lumisplat.cli.stats import count_rows, stage_rows, stage_times
-from lumisplat.cli.tracing import PipelineName, StrategyName, warn_unused
+from lumisplat.cli.tracing import PipelineName, StrategyName
+
+_log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,15 +30,15 @@ class Bench(DeviceCommand):
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Files as for render; none: the demo scene."""
+    """Files as for render, with the settings and the first camera of a scene.toml; none: the demo scene."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """transforms.json (nerfstudio) or cameras.json (INRIA)."""
+    """A file of cameras as for render."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image width; the aspect ratio is kept."""
-    pipeline: PipelineName = "raster"
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
     """As for render."""
-    strategy: StrategyName = "sorted"
-    """As for render, with --pipeline trace."""
+    strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
+    """As for render, with --pipeline trace and hybrid."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Steady frames to time."""
 
@@ -43,11 +46,10 @@ class Bench(DeviceCommand):
         """Measures and prints a table."""
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
-        config = ls.RenderConfig(
-            pipeline=ls.Pipeline(self.pipeline), trace=ls.TraceConfig(strategy=ls.TraceStrategy(self.strategy))
-        )
-        warn_unused(["--strategy"] if self.pipeline == "raster" and self.strategy != "sorted" else [], self.pipeline)
-        cameras = None if self.cameras is None else ls.load_cameras(self.cameras)
+        file = scene_file(self.scene)
+        config = self._config(ls.RenderConfig() if file is None else ls.load_config(file))
+        cameras_of = self.cameras or file
+        cameras = ls.load_cameras(cameras_of) if cameras_of else []
         with progress_bars() as report:
             started = time.perf_counter()
             renderer = self.start_renderer(report, config)
@@ -71,17 +73,25 @@ class Bench(DeviceCommand):
             ("first frame", f"{first_ms:8.1f} ms"),
             (f"frame, median of {self.repeats}", f"{statistics.median(frame_ms):8.1f} ms"),
             *stage_rows(medians),
-            *count_rows(frame, self.pipeline),
+            *count_rows(frame, config.pipeline),
         ]
         peak = _peak_bytes()
         if peak is not None:
             rows.append(("peak of the process", byte_size(peak)))
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
 
-    def _camera(self, cameras: list[ls.Camera] | None, scene: ls.Scene) -> ls.Camera:
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})
+        strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
+        config = settled(base, {**pipeline, "trace": strategy})
+        if strategy and config.pipeline is ls.Pipeline.RASTER:
+            _log.warning("not used by --pipeline raster: --strategy (it is of --pipeline trace and hybrid)")
+        return config
+
+    def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:
         from lumisplat.cli.framing import framing_camera
 
-        if cameras is None:
+        if not cameras:
             cameras = [framing_camera(scene)] if self.scene else ls.demo_cameras()
         return cameras[0].scaled(self.width)
 

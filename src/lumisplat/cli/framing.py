@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
+from lumisplat.cli.options import resolved_up
 
 FOV_Y = 0.8
 """Vertical field of view, radians: a normal lens."""
@@ -37,8 +38,7 @@ def framing_camera(scene: ls.Scene, up: str = "auto", width: int = 1280, height:
         SceneError: The scene is empty.
     """
     low, high = bulk_bounds(scene)
-    axes = ("y-down" if scene.splats else "y-up") if up == "auto" else up
-    upward, front = (np.array(axis) for axis in _UP_AND_FRONT[axes])
+    upward, front = (np.array(axis) for axis in _UP_AND_FRONT[resolved_up(scene, up)])
     backward = np.cos(ELEVATION) * front + np.sin(ELEVATION) * upward
     center = 0.5 * (low + high)
     size = max(float(np.linalg.norm(high - low)), 1e-6)

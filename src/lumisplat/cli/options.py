@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
@@ -18,6 +18,16 @@ _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "transparent": No
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 """An option without a value, off unless given."""
+
+
+def setting(metavar: str, default: str) -> Any:
+    """Marks an option that is None unless given, when the scene file's value holds, else the library's.
+
+    Args:
+        metavar: What may be given.
+        default: The library's value, for the help.
+    """
+    return arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +103,55 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> 
         meshes.extend(scene.meshes)
         lights.extend(scene.lights)
     return ls.Scene(splats=tuple(splats), meshes=tuple(meshes), lights=tuple(lights))
+
+
+def settled(base: ls.RenderConfig, changes: Mapping[str, Any]) -> ls.RenderConfig:
+    """Settings with those that were given, nested as the settings are.
+
+    Raises:
+        ConfigError: A value is out of its range.
+    """
+    nested = {
+        name: replace(getattr(base, name), **value) if isinstance(value, Mapping) else value
+        for name, value in changes.items()
+    }
+    return replace(base, **nested)
+
+
+def without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the settings that were given."""
+    return {name: value for name, value in settings.items() if value is not None}
+
+
+def given_options(options: Any, names: Sequence[str] | None = None) -> list[str]:
+    """The options of a group that were given, as they are typed.
+
+    Args:
+        options: The group.
+        names: Of its fields; None: of all.
+    """
+    return [
+        f"--{field.name.replace('_', '-')}"
+        for field in fields(options)
+        if getattr(options, field.name) != field.default and (names is None or field.name in names)
+    ]
+
+
+def resolved_up(scene: ls.Scene, up: str) -> str:
+    """``y-down``, ``y-up`` or ``z-up``; ``auto`` is y-down for a scene with a capture, y-up for one of meshes alone."""
+    return ("y-down" if scene.splats else "y-up") if up == "auto" else up
+
+
+def scene_file(paths: Sequence[Path]) -> Path | None:
+    """The ``scene.toml`` among the files of a scene, whose cameras and settings count; None where there is none.
+
+    Raises:
+        ConfigError: There are two.
+    """
+    found = [path for path in paths if path.suffix.lower() == ".toml"]
+    if len(found) > 1:
+        raise ls.ConfigError(f"{found[0]} and {found[1]} are both scene files: list in one what both list")
+    return found[0] if found else None
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh) -> ls.Scene:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import lumisplat as ls
 from lumisplat.cli.console import byte_size, print_table
-from lumisplat.cli.tracing import PipelineName
 
 
-def print_stats(frame: ls.Frame, pipeline: PipelineName) -> None:
+def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
     """Prints times, counts and memory of one frame that ``pipeline`` has made."""
     print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
 
@@ -25,11 +24,11 @@ def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
     return [*rows, ("all stages", f"{sum(stage_ms.values()):8.2f} ms")]
 
 
-def count_rows(frame: ls.Frame, pipeline: PipelineName) -> list[tuple[str, str]]:
+def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
     """What the frame held and, for the rasteriser, how much of it counted; device memory."""
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
-    if pipeline == "raster":
+    if pipeline is not ls.Pipeline.TRACE:
         rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
     return [*rows, ("not finite", f"{stats.nonfinite_count:,}"), ("memory", byte_size(stats.memory_bytes))]

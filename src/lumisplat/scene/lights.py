@@ -223,7 +223,8 @@ class LightEnvironment(_Light):
             if negative:
                 raise SceneError(f"environment image has {negative:,} negative values")
             object.__setattr__(self, "image", image)
-        wxyz = float_array("rotation_wxyz", self.rotation_wxyz)
+        float_array("rotation_wxyz", self.rotation_wxyz)
+        wxyz = np.asarray(self.rotation_wxyz, dtype=np.float64)
         length = float(np.linalg.norm(wxyz))
         if wxyz.shape != (4,) or length == 0.0:
             raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
