@@ -61,6 +61,23 @@ def test_views_of_one_run_compare(work):
     np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
 
 
+def test_shadows_of_a_lit_scene(work):
+    """The renderer is asked for lights: the lit side of the triangle is white, what no light can reach is blue."""
+    work.path("scene.toml").write_text(
+        '[[meshes]]\npath = "mesh.obj"\n'
+        '[[lights]]\nname = "lamp"\ntype = "point"\nposition = [0, 0, 1]\nintensity = 9\n'
+    )
+    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frame", "left", "--device", "cpu")
+    assert work.run(*args, "--view", "shadow", "-o", "@a.png").status == 0
+    picture = read_image(work.path("a.png"))["srgb"]
+    assert tuple(picture[24, 32]) == (255, 255, 255)
+    assert tuple(picture[0, 0]) == (23, 33, 82)
+    assert work.run(*args, "--aov", "albedo,lights", "-o", "@b.exr").status == 0
+    channels = read_image(work.path("b.exr"))
+    assert {"albedo.R", "light.lamp.direct.G", "light.lamp.shadow.B"} < set(channels)
+    assert channels["light.lamp.direct.G"][24, 32] == pytest.approx(channels["G"][24, 32], rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [
