@@ -118,8 +118,6 @@ class SplatLook:
     """Share of the ray's colour that was captured."""
     albedo: wp.vec3
     """Linear, straight: the surface's own colour."""
-    scale: wp.vec3
-    """What light reflected by the surface is multiplied with."""
 
 
 @struct
@@ -129,7 +127,7 @@ class ShadingPoint:
     exists: int
     """0: there is none that reflects."""
     position: wp.vec3
-    """World space, off the surface: where rays to lights start."""
+    """World space."""
     normal: wp.vec3
     """World space, unit, on the side of the view."""
     side: wp.vec3
@@ -137,12 +135,10 @@ class ShadingPoint:
     view: wp.vec3
     """Unit, back along the ray."""
     bsdf: Bsdf
-    scale: wp.vec3
+    scale: float
     """Share in the ray's colour of what the surface reflects."""
     occlusion: float
     """Share of the environment's light that arrives."""
-    offset: float
-    """Gaussians nearer than this cast no shadow here, scene units."""
     shadow_only: int
     """1: what arrives is only compared, not reflected."""
 
@@ -167,6 +163,8 @@ class RayColors:
     captured_weight: wp.array(dtype=float)
     light: wp.array(dtype=wp.vec3)
     """Linear: what light adds or shadows take, and all that meshes and the environment give; may be negative."""
+    alpha: wp.array(dtype=float)
+    """What is not background."""
 
 
 @struct

@@ -10,7 +10,7 @@ from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.color import decode_srgb_color, sample_texture
 from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light import sample_light
-from lumisplat.device.light_structs import BSDF_PBR, LIGHT_ENVIRONMENT, Bsdf, LightSample
+from lumisplat.device.light_structs import BSDF_PBR, Bsdf, EnvironmentData, LightSample
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.random import branch_stream, draw
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
@@ -57,7 +57,9 @@ def texel(meshes: MeshData, values: wp.array(dtype=float), texture: TextureData,
 
 
 @wp.func
-def splat_look(i: int, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeScene, over_light: bool) -> SplatLook:
+def splat_look(
+    i: int, hits: RayMeshHits, radiance: RayRadiance, scene: wp.array(dtype=ShadeScene), over_light: bool
+) -> SplatLook:
     """What the Gaussians before the nearest mesh show ray ``i``.
 
     Where their material needs a surface and they reach none, they are left out (seeds/000 section 1.1).
@@ -66,7 +68,7 @@ def splat_look(i: int, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeSce
         i: The ray.
         hits: What it met.
         radiance: What the Gaussians give it.
-        scene: The lit scene.
+        scene: The lit scene[0].
         over_light: What is behind is light, not the background that colours were captured over.
     """
     look = SplatLook()
@@ -78,10 +80,10 @@ def splat_look(i: int, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeSce
     untouched = int(1)
     if index != -1:
         first_touched = wp.where(index >= 0, index, -2 - index)
-        look.instance = instance_of(scene.splats, first_touched)
-        untouched = scene.materials[look.instance].untouched
+        look.instance = instance_of(scene[0].splats, first_touched)
+        untouched = scene[0].materials[look.instance].untouched
         if index >= 0:
-            look.gaussian = index - scene.splats[look.instance].first
+            look.gaussian = index - scene[0].splats[look.instance].first
         elif untouched == 0:
             color = wp.vec3(0.0)
             look.transmittance = 1.0
@@ -93,17 +95,17 @@ def splat_look(i: int, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeSce
         look.captured = color
         look.weight = alpha
     else:
-        behind = look.transmittance * scene.settings[0].background
+        behind = look.transmittance * scene[0].settings[0].background
         look.captured = color + behind
     if untouched == 0 and look.gaussian >= 0 and alpha > 0.0:
-        look.albedo = decode_srgb_color(color / alpha)
-        look.scale = wp.vec3(alpha)
-        if not over_light and look.transmittance > 0.0:
-            # Captures blend with what is behind as display colours: light may only act on their share of the result.
-            shown = decode_srgb_color(look.captured) - decode_srgb_color(behind)
-            for k in range(3):
-                if look.albedo[k] > 0.0:
-                    look.scale[k] = shown[k] / look.albedo[k]
+        if over_light:
+            look.albedo = decode_srgb_color(color / alpha)
+        else:
+            # Captures blend with the background as display colours: light may only act on their share of the result.
+            shown = decode_srgb_color(look.captured)
+            if not is_black(behind):
+                shown -= decode_srgb_color(behind)
+            look.albedo = shown / alpha
     return look
 
 
@@ -116,56 +118,70 @@ def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def splat_point(i: int, look: SplatLook, rays: RayData, radiance: RayRadiance, scene: ShadeScene) -> ShadingPoint:
+def splat_point(
+    i: int, look: SplatLook, rays: RayData, radiance: RayRadiance, scene: wp.array(dtype=ShadeScene)
+) -> ShadingPoint:
     """The surface of the Gaussians on ray ``i``."""
     point = ShadingPoint()
-    if look.gaussian < 0:
+    if look.gaussian < 0 or scene[0].materials[look.instance].untouched != 0:
         return point
-    material = scene.materials[look.instance]
-    if material.untouched != 0:
-        return point
-    settings = scene.settings[0]
-    placement = scene.splats[look.instance]
-    attributes = scene.attributes[placement.asset]
+    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    asset = scene[0].splats[look.instance].asset
     point.exists = 1
     point.view = -rays.direction[i]
-    point.position = rays.origin[i] + radiance.depth[i] * rays.direction[i]
+    point.position = rays.origin[i] - radiance.depth[i] * point.view
     point.normal = unit_or(radiance.normal[i], NORMAL_MIN * (1.0 - look.transmittance), point.view)
     if wp.dot(point.normal, point.view) < 0.0:
         point.normal = point.view
     point.side = point.normal
-    roughness = material.roughness
-    metallic = material.metallic
-    if attributes.roughness.shape[0] > 0:
-        roughness = attributes.roughness[look.gaussian]
-    if attributes.metallic.shape[0] > 0:
-        metallic = attributes.metallic[look.gaussian]
-    point.bsdf = bsdf_of(material, look.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0)
-    point.scale = look.scale
+    roughness = scene[0].materials[look.instance].roughness
+    metallic = scene[0].materials[look.instance].metallic
+    if scene[0].materials[look.instance].model == BSDF_PBR:
+        if scene[0].attributes[asset].roughness.shape[0] > 0:
+            roughness = scene[0].attributes[asset].roughness[look.gaussian]
+        if scene[0].attributes[asset].metallic.shape[0] > 0:
+            metallic = scene[0].attributes[asset].metallic[look.gaussian]
+    point.bsdf = bsdf_of(
+        scene[0].materials, look.instance, look.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0
+    )
+    point.scale = 1.0 - look.transmittance
     point.occlusion = 1.0
-    largest = placement.scale * wp.max(attributes.scales[look.gaussian])
-    point.offset = settings.shadow_offset * largest + settings.shadow_offset_absolute
-    point.shadow_only = material.shadow_only
+    point.shadow_only = scene[0].materials[look.instance].shadow_only
     return point
 
 
 @wp.func
-def bsdf_of(material: MaterialData, color: wp.vec3, roughness: float, metallic: float, transmission: float) -> Bsdf:
-    """What a material of that surface colour does with light (docs/adr/0009)."""
+def shadow_offset(look: SplatLook, scene: wp.array(dtype=ShadeScene)) -> float:
+    """Distance from the Gaussians' surface within which others do not shadow it, scene units."""
+    asset = scene[0].splats[look.instance].asset
+    largest = scene[0].splats[look.instance].scale * wp.max(scene[0].attributes[asset].scales[look.gaussian])
+    return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute
+
+
+@wp.func
+def bsdf_of(
+    materials: wp.array(dtype=MaterialData),
+    number: int,
+    color: wp.vec3,
+    roughness: float,
+    metallic: float,
+    transmission: float,
+) -> Bsdf:
+    """What material ``number`` does with light where its surface has that colour (docs/adr/0009)."""
     bsdf = Bsdf()
-    bsdf.model = material.model
-    if material.model == BSDF_PBR:
-        ratio = (material.ior - 1.0) / (material.ior + 1.0)
-        head_on = material.reflection * ratio * ratio
+    bsdf.model = materials[number].model
+    if bsdf.model == BSDF_PBR:
+        ior = materials[number].ior
+        reflection = materials[number].reflection
+        ratio = (ior - 1.0) / (ior + 1.0)
         bsdf.diffuse = (1.0 - metallic) * (1.0 - transmission) * color
-        bsdf.specular = (1.0 - metallic) * wp.vec3(head_on) + metallic * color
-        dielectric = wp.where(material.ior > 1.0, material.reflection, 0.0)
-        bsdf.grazing = (1.0 - metallic) * dielectric + metallic
+        bsdf.specular = (1.0 - metallic) * wp.vec3(reflection * ratio * ratio) + metallic * color
+        bsdf.grazing = (1.0 - metallic) * wp.where(ior > 1.0, reflection, 0.0) + metallic
         bsdf.width = roughness * roughness
     else:
-        bsdf.diffuse = wp.cw_mul(material.diffuse, color)
-        bsdf.specular = material.specular
-        bsdf.shininess = material.shininess
+        bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
+        bsdf.specular = materials[number].specular
+        bsdf.shininess = materials[number].shininess
     return bsdf
 
 
@@ -214,7 +230,7 @@ def mapped_normal(
 
 @wp.func
 def mesh_point(
-    i: int, transmittance: float, rays: RayData, hits: RayMeshHits, scene: ShadeScene, splat_count: int
+    i: int, transmittance: float, rays: RayData, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene), splat_count: int
 ) -> ShadingPoint:
     """The mesh that ray ``i`` ends on, as far as the Gaussians before it let through."""
     point = ShadingPoint()
@@ -222,9 +238,9 @@ def mesh_point(
     if face < 0 or transmittance < WEIGHT_MIN:
         return point
     number = hits.instance[i]
-    material = scene.materials[splat_count + number]
-    instance = scene.mesh_instances[number]
-    meshes = scene.meshes
+    material = scene[0].materials[splat_count + number]
+    instance = scene[0].mesh_instances[number]
+    meshes = scene[0].meshes
     corners = meshes.indices[face]
     weights = hit_weights(hits.weights[i])
     color = surface_color(instance, meshes, corners, weights)
@@ -239,12 +255,12 @@ def mesh_point(
             roughness *= factors[1]
             metallic *= factors[2]
         if material.normal_texture.width > 0:
-            linear = scene.placements[number].world_from_object
+            linear = scene[0].placements[number].world_from_object
             normal = mapped_normal(material, meshes, linear, corners, uv, normal)
         if material.occlusion_texture.width > 0:
             arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
             point.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
-    point.bsdf = bsdf_of(material, color, roughness, metallic, material.transmission)
+    point.bsdf = bsdf_of(scene[0].materials, splat_count + number, color, roughness, metallic, material.transmission)
     if is_black(point.bsdf.diffuse) and (is_black(point.bsdf.specular) or material.roughness == 0.0):
         return point
     point.exists = 1
@@ -255,17 +271,25 @@ def mesh_point(
         normal = -normal
     # A shading normal may turn away from the view at a silhouette: there, the triangle's own is better.
     point.normal = wp.where(wp.dot(normal, point.view) > 0.0, normal, point.side)
-    point.position = spawn_point(scene.placements[number], meshes, corners, weights, point.side)
-    point.scale = wp.vec3(transmittance)
+    point.position = rays.origin[i] - rays.t_max[i] * point.view
+    point.scale = transmittance
     return point
 
 
 @wp.func
-def mesh_shine(hits: RayMeshHits, i: int, scene: ShadeScene, splat_count: int) -> wp.vec3:
+def mesh_start(i: int, side: wp.vec3, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> wp.vec3:
+    """Where rays start that leave the mesh on which ray ``i`` ends, on the side to which ``side`` points."""
+    corners = scene[0].meshes.indices[hits.face[i]]
+    placement = scene[0].placements[hits.instance[i]]
+    return spawn_point(placement, scene[0].meshes, corners, hit_weights(hits.weights[i]), side)
+
+
+@wp.func
+def mesh_shine(hits: RayMeshHits, i: int, scene: wp.array(dtype=ShadeScene), splat_count: int) -> wp.vec3:
     """What the mesh that ray ``i`` ends on shows without lights: emission and ambient light, linear."""
     number = hits.instance[i]
-    material = scene.materials[splat_count + number]
-    meshes = scene.meshes
+    material = scene[0].materials[splat_count + number]
+    meshes = scene[0].meshes
     corners = meshes.indices[hits.face[i]]
     weights = hit_weights(hits.weights[i])
     shine = material.emissive
@@ -277,23 +301,61 @@ def mesh_shine(hits: RayMeshHits, i: int, scene: ShadeScene, splat_count: int) -
     shine = shine + material.ambient
     if is_black(shine):
         return shine
-    return wp.cw_mul(shine, surface_color(scene.mesh_instances[number], meshes, corners, weights))
+    return wp.cw_mul(shine, surface_color(scene[0].mesh_instances[number], meshes, corners, weights))
 
 
 @wp.func
-def light_sample(
-    number: int, picks_bsdf: bool, point: ShadingPoint, stream: wp.uint32, scene: ShadeScene
-) -> LightSample:
-    """A direction from a surface to light ``number``; of the environment, picked by its brightness or by the BSDF.
+def arriving(point: ShadingPoint, sample: LightSample) -> wp.vec3:
+    """Irradiance of a surface by a sample of a light, if nothing is in the way."""
+    cosine = wp.dot(point.normal, sample.direction)
+    if cosine <= 0.0 or wp.dot(point.side, sample.direction) <= 0.0:
+        return wp.vec3(0.0)
+    return cosine * sample.irradiance
 
-    With the balance heuristic (Veach and Guibas 1995) in the irradiance, both ways together see all of it once.
+
+@wp.func
+def reflected(point: ShadingPoint, sample: LightSample, irradiance: wp.vec3) -> Contribution:
+    """What of that the surface adds to the ray's colour; of one that is only darkened, what arrives."""
+    result = Contribution()
+    result.direction = sample.direction
+    result.distance = sample.distance
+    result.color = irradiance
+    if point.shadow_only == 0:
+        reflectance = bsdf_eval(point.bsdf, point.normal, point.view, sample.direction)
+        result.color = point.scale * wp.cw_mul(reflectance, irradiance)
+    return result
+
+
+@wp.func
+def light_key(stream: wp.uint32, number: int) -> wp.uint32:
+    """Of the random numbers that pick a point of light ``number``."""
+    return branch_stream(stream, LIGHT_BRANCHES + number)
+
+
+@wp.func
+def from_light(number: int, point: ShadingPoint, stream: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
+    """What light ``number``, which is not the environment, adds by way of a surface."""
+    light = scene[0].lights[number]
+    soft = scene[0].settings[0].soft
+    u = wp.vec2(0.5)
+    if soft != 0:
+        key = light_key(stream, number)
+        u = wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1)))
+    sample = sample_light(light, point.position, soft, u)
+    irradiance = arriving(point, sample)
+    if is_black(irradiance):
+        return Contribution()
+    return reflected(point, sample, irradiance)
+
+
+@wp.func
+def from_environment(
+    environment: EnvironmentData, picks_bsdf: bool, point: ShadingPoint, key: wp.uint32
+) -> Contribution:
+    """What the environment adds by way of a surface, in a direction picked by its brightness or by the BSDF.
+
+    With the balance heuristic (Veach and Guibas 1995), both ways together see all of it once.
     """
-    key = branch_stream(stream, LIGHT_BRANCHES + number)
-    light = scene.lights[number]
-    if light.kind != LIGHT_ENVIRONMENT:
-        return sample_light(
-            light, point.position, scene.settings[0].soft, wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1)))
-        )
     sample = LightSample()
     if picks_bsdf:
         u = wp.vec2(draw(key, wp.uint32(2)), draw(key, wp.uint32(3)))
@@ -301,45 +363,14 @@ def light_sample(
         sample.direction = picked.direction
         sample.distance = wp.inf
         if picked.density > 0.0:
-            both = picked.density + environment_density(scene.environment, picked.direction)
-            sample.irradiance = environment_radiance(scene.environment, picked.direction) / both
-            sample.density = picked.density
-        return sample
-    sample = sample_environment(scene.environment, wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1))))
-    if sample.density > 0.0:
-        other = bsdf_pdf(point.bsdf, point.normal, point.view, sample.direction)
-        sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
-    return sample
-
-
-@wp.func
-def arriving(number: int, point: ShadingPoint, sample: LightSample, scene: ShadeScene) -> wp.vec3:
-    """Irradiance of the surface by a sample of light ``number``, if nothing is in the way."""
-    cosine = wp.dot(point.normal, sample.direction)
-    if cosine <= 0.0 or wp.dot(point.side, sample.direction) <= 0.0:
-        return wp.vec3(0.0)
-    share = wp.where(scene.lights[number].kind == LIGHT_ENVIRONMENT, point.occlusion, 1.0)
-    return share * cosine * sample.irradiance
-
-
-@wp.func
-def contribution_of(
-    number: int, picks_bsdf: bool, point: ShadingPoint, stream: wp.uint32, scene: ShadeScene
-) -> Contribution:
-    """What light ``number`` adds to a ray's colour by way of a surface, if nothing is in the way.
-
-    Of a surface that is only darkened, what arrives, for comparison.
-    """
-    sample = light_sample(number, picks_bsdf, point, stream, scene)
-    result = Contribution()
-    result.direction = sample.direction
-    result.distance = sample.distance
-    irradiance = arriving(number, point, sample, scene)
-    if is_black(irradiance):
-        return result
-    if point.shadow_only != 0:
-        result.color = irradiance
+            both = picked.density + environment_density(environment, picked.direction)
+            sample.irradiance = environment_radiance(environment, picked.direction) / both
     else:
-        reflectance = bsdf_eval(point.bsdf, point.normal, point.view, sample.direction)
-        result.color = wp.cw_mul(point.scale, wp.cw_mul(reflectance, irradiance))
-    return result
+        sample = sample_environment(environment, wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1))))
+        if sample.density > 0.0:
+            other = bsdf_pdf(point.bsdf, point.normal, point.view, sample.direction)
+            sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
+    irradiance = point.occlusion * arriving(point, sample)
+    if is_black(irradiance):
+        return Contribution()
+    return reflected(point, sample, irradiance)

@@ -7,7 +7,7 @@ from lumisplat.device.mesh_surface import hit_weights, surface_color
 from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import surface_of_ray
-from lumisplat.device.shade_structs import SEES_ENVIRONMENT, RayColors, ShadeScene
+from lumisplat.device.shade_structs import RayColors, ShadeScene
 from lumisplat.device.shading import captured_color, mesh_shine, splat_look
 from lumisplat.device.structs import SurfaceData
 
@@ -23,21 +23,11 @@ def pixel_index(lens: LensData, ray: int) -> int:
     return position[1] * lens.width + position[0]
 
 
-@wp.func
-def coverage(i: int, rays: RayData, hits: RayMeshHits, radiance: RayRadiance, scene: ShadeScene) -> float:
-    """Alpha of a ray: what is not background."""
-    if not rays.t_max[i] > rays.t_min[i]:
-        return 0.0
-    if hits.face[i] >= 0 or scene.settings[0].camera_sees == SEES_ENVIRONMENT:
-        return 1.0
-    return 1.0 - splat_look(i, hits, radiance, scene, False).transmittance
-
-
 @wp.kernel
 def store_lit_rays(
     start: int,
     lenses: wp.array(dtype=LensData),
-    scene: ShadeScene,
+    scene: wp.array(dtype=ShadeScene),
     rays: RayData,
     radiance: RayRadiance,
     hits: RayMeshHits,
@@ -57,15 +47,14 @@ def store_lit_rays(
     surface.gaussian = -1
     surface.instance = -1
     if lens.sample == 0 and rays.t_max[i] > rays.t_min[i]:
-        surface = surface_of_ray(i, rays, radiance, hits, scene.splats, scene.mesh_instances, scene.meshes)
-    alpha = coverage(i, rays, hits, radiance, scene)
+        surface = surface_of_ray(i, rays, radiance, hits, scene[0].splats, scene[0].mesh_instances, scene[0].meshes)
     store_lit_sample(
         pixel,
         lens.sample,
         colors.captured[i],
         colors.captured_weight[i],
         colors.light[i],
-        alpha,
+        colors.alpha[i],
         surface,
         surface_inout,
         lit_inout,
@@ -110,7 +99,7 @@ def store_image(
 @wp.kernel
 def look_at_surfaces(
     start: int,
-    scene: ShadeScene,
+    scene: wp.array(dtype=ShadeScene),
     rays: RayData,
     hits: RayMeshHits,
     radiance: RayRadiance,
@@ -129,15 +118,15 @@ def look_at_surfaces(
     own = captured_color(look.captured, look.weight)
     albedo = own
     emission = own
-    if look.instance >= 0 and scene.materials[look.instance].shadow_only == 0:
-        material = scene.materials[look.instance]
+    if look.instance >= 0 and scene[0].materials[look.instance].shadow_only == 0:
+        material = scene[0].materials[look.instance]
         emission = wp.cw_mul(material.emissive + material.ambient, own)
     if hits.face[i] >= 0:
         number = hits.instance[i]
-        corners = scene.meshes.indices[hits.face[i]]
-        color = surface_color(scene.mesh_instances[number], scene.meshes, corners, hit_weights(hits.weights[i]))
+        corners = scene[0].meshes.indices[hits.face[i]]
+        color = surface_color(scene[0].mesh_instances[number], scene[0].meshes, corners, hit_weights(hits.weights[i]))
         albedo += look.transmittance * color
-        emission += look.transmittance * mesh_shine(hits, i, scene, scene.splats.shape[0])
+        emission += look.transmittance * mesh_shine(hits, i, scene, scene[0].splats.shape[0])
     albedo_out[i] = albedo
     emission_out[i] = emission
     hits_out[i] = wp.vec3(float(radiance.hits[i]))

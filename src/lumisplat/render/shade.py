@@ -20,9 +20,6 @@ from lumisplat.render.shadow import ShadowRays
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.lights import LightEnvironment
 
-ALL_LIGHTS, FREE_LIGHTS, NO_LIGHTS = 2, 1, 0
-"""Which lights ``start_shading`` adds itself."""
-
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
@@ -63,7 +60,7 @@ class Shader:
         from_camera = number == 0
         images = self.images(wave.count) if from_camera else None
         each = images is not None or (trees is not None and self._config.shadows is not Shadows.OFF)
-        adds = NO_LIGHTS if images is not None else FREE_LIGHTS if each else ALL_LIGHTS
+        adds = kernels.NO_LIGHTS if images is not None else kernels.FREE_LIGHTS if each else kernels.ALL_LIGHTS
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
                 kernels.start_shading,

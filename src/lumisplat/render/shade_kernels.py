@@ -16,22 +16,45 @@ from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_colo
 from lumisplat.device.random import branch_stream
 from lumisplat.device.ray_structs import Bounce, RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import bounce_of
-from lumisplat.device.shade_structs import SEES_BACKGROUND, SEES_NOTHING, Arrivals, RayColors, ShadeScene, ShadingPoint
+from lumisplat.device.shade_structs import (
+    SEES_BACKGROUND,
+    SEES_ENVIRONMENT,
+    SEES_NOTHING,
+    Arrivals,
+    Contribution,
+    RayColors,
+    ShadeScene,
+    ShadingPoint,
+)
 from lumisplat.device.shading import (
-    LIGHT_BRANCHES,
     captured_color,
-    contribution_of,
+    from_environment,
+    from_light,
     is_black,
+    light_key,
     mesh_point,
     mesh_shine,
+    mesh_start,
+    shadow_offset,
     splat_look,
     splat_point,
 )
 from lumisplat.device.specular import reflect, refract
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "fuse_fp": False,
+        "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000",
+    }
+)
 
 WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
+
+NO_LIGHTS = wp.constant(0)
+FREE_LIGHTS = wp.constant(1)
+"""Those that cast no shadow."""
+ALL_LIGHTS = wp.constant(2)
 
 
 @wp.func
@@ -41,49 +64,55 @@ def has_ray(rays: RayData, i: int) -> bool:
 
 
 @wp.func
-def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: ShadeScene) -> bool:
+def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> bool:
     """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
     if hits.face[i] >= 0:
         return True
     if from_camera:
-        return scene.settings[0].camera_sees != SEES_BACKGROUND
-    return scene.environment.exists != 0
+        return scene[0].settings[0].camera_sees != SEES_BACKGROUND
+    return scene[0].environment.exists != 0
 
 
 @wp.func
-def far_radiance(direction: wp.vec3, scene: ShadeScene) -> wp.vec3:
+def far_radiance(direction: wp.vec3, scene: wp.array(dtype=ShadeScene)) -> wp.vec3:
     """What a ray that is not followed sees, linear."""
-    if scene.environment.exists != 0:
-        return environment_radiance(scene.environment, direction)
-    return decode_srgb_color(scene.settings[0].background)
+    if scene[0].environment.exists != 0:
+        return environment_radiance(scene[0].environment, direction)
+    return decode_srgb_color(scene[0].settings[0].background)
 
 
 @wp.func
-def lit_bounce(i: int, rays: RayData, hits: RayMeshHits, scene: ShadeScene) -> Bounce:
+def lit_bounce(i: int, rays: RayData, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> Bounce:
     """What the mesh that a ray met does with it, in linear light."""
     number = hits.instance[i]
-    instance = scene.mesh_instances[number]
-    corners = scene.meshes.indices[hits.face[i]]
+    instance = scene[0].mesh_instances[number]
+    corners = scene[0].meshes.indices[hits.face[i]]
     weights = hit_weights(hits.weights[i])
     return bounce_of(
-        scene.placements[number].material,
-        surface_color(instance, scene.meshes, corners, weights),
-        face_normal(instance, scene.meshes, corners),
-        surface_normal(instance, scene.meshes, corners, weights),
+        scene[0].placements[number].material,
+        surface_color(instance, scene[0].meshes, corners, weights),
+        face_normal(instance, scene[0].meshes, corners),
+        surface_normal(instance, scene[0].meshes, corners, weights),
         rays.direction[i],
         True,
     )
 
 
 @wp.func
-def light_from(number: int, point: ShadingPoint, stream: wp.uint32, scene: ShadeScene) -> wp.vec3:
-    """What light ``number`` adds by way of a surface, with nothing in the way."""
-    if point.exists == 0:
-        return wp.vec3(0.0)
-    color = contribution_of(number, False, point, stream, scene).color
-    if scene.lights[number].kind == LIGHT_ENVIRONMENT:
-        color += contribution_of(number, True, point, stream, scene).color
-    return color
+def unblocked(
+    point: ShadingPoint, rays: RayData, i: int, adds_lights: int, scene: wp.array(dtype=ShadeScene)
+) -> wp.vec3:
+    """What the lights that nothing blocks add by way of a surface."""
+    total = wp.vec3(0.0)
+    for number in range(scene[0].settings[0].light_count):
+        if adds_lights == ALL_LIGHTS or scene[0].lights[number].casts_shadow == 0:
+            if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
+                key = light_key(rays.stream[i], number)
+                total += from_environment(scene[0].environment, False, point, key).color
+                total += from_environment(scene[0].environment, True, point, key).color
+            else:
+                total += from_light(number, point, rays.stream[i], scene).color
+    return total
 
 
 @wp.kernel
@@ -92,7 +121,7 @@ def start_shading(
     from_camera: bool,
     may_branch: bool,
     adds_lights: int,
-    scene: ShadeScene,
+    scene: wp.array(dtype=ShadeScene),
     rays: RayData,
     hits: RayMeshHits,
     radiance: RayRadiance,
@@ -100,26 +129,24 @@ def start_shading(
     colors_out: RayColors,
     branches_out: wp.array(dtype=int),
 ):
-    """What a ray shows without lights and without its branches.
-
-    ``adds_lights``: 0 leaves all lights to shadow rays, 1 adds those that cast no shadow, 2 all.
-    """
+    """What a ray shows without its branches, and without the lights that shadow rays go to."""
     i = start + wp.tid()
     if may_branch:
         branches_out[i] = 0
         branches_out[branches_out.shape[0] // 2 + i] = 0
     if not has_ray(rays, i):
-        colors_out.captured[i] = wp.where(from_camera, scene.settings[0].background, wp.vec3(0.0))
+        colors_out.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
         colors_out.captured_weight[i] = wp.where(from_camera, 1.0, 0.0)
         colors_out.light[i] = wp.vec3(0.0)
+        colors_out.alpha[i] = 0.0
         return
     over_light = is_over_light(i, from_camera, hits, scene)
     look = splat_look(i, hits, radiance, scene, over_light)
-    splat_count = scene.splats.shape[0]
+    splat_count = scene[0].splats.shape[0]
     light = wp.vec3(0.0)
     if hits.face[i] >= 0:
         light = look.transmittance * mesh_shine(hits, i, scene, splat_count)
-        if scene.placements[hits.instance[i]].material.smooth != 0:
+        if scene[0].placements[hits.instance[i]].material.smooth != 0:
             bounce = lit_bounce(i, rays, hits, scene)
             reflects = int(0)
             refracts = int(0)
@@ -135,24 +162,25 @@ def start_shading(
             if refracts == 0 and not is_black(bounce.refracted):
                 seen = far_radiance(refract(rays.direction[i], bounce.normal, bounce.eta), scene)
                 light += look.transmittance * wp.cw_mul(bounce.refracted, seen)
-    elif over_light and not (from_camera and scene.settings[0].camera_sees == SEES_NOTHING):
-        light = look.transmittance * environment_radiance(scene.environment, rays.direction[i])
+    elif over_light and not (from_camera and scene[0].settings[0].camera_sees == SEES_NOTHING):
+        light = look.transmittance * environment_radiance(scene[0].environment, rays.direction[i])
 
     splats = splat_point(i, look, rays, radiance, scene)
     if splats.exists != 0 and splats.shadow_only == 0:
-        material = scene.materials[look.instance]
+        material = scene[0].materials[look.instance]
         change = material.emissive + material.ambient - wp.vec3(1.0)
-        light += wp.cw_mul(change, wp.cw_mul(look.scale, look.albedo))
-    if adds_lights > 0:
+        light += splats.scale * wp.cw_mul(change, look.albedo)
+    if adds_lights != NO_LIGHTS:
+        if splats.exists != 0 and splats.shadow_only == 0:
+            light += unblocked(splats, rays, i, adds_lights, scene)
         mesh = mesh_point(i, look.transmittance, rays, hits, scene, splat_count)
-        for number in range(scene.settings[0].light_count):
-            if adds_lights == 2 or scene.lights[number].casts_shadow == 0:
-                if splats.shadow_only == 0:
-                    light += light_from(number, splats, rays.stream[i], scene)
-                light += light_from(number, mesh, rays.stream[i], scene)
+        if mesh.exists != 0:
+            light += unblocked(mesh, rays, i, adds_lights, scene)
     colors_out.captured[i] = look.captured
     colors_out.captured_weight[i] = look.weight
     colors_out.light[i] = light
+    sees_environment = from_camera and scene[0].settings[0].camera_sees == SEES_ENVIRONMENT
+    colors_out.alpha[i] = wp.where(hits.face[i] >= 0 or sees_environment, 1.0, 1.0 - look.transmittance)
 
 
 @wp.kernel
@@ -161,7 +189,7 @@ def spawn_shadow_rays(
     number: int,
     picks_bsdf: bool,
     from_camera: bool,
-    scene: ShadeScene,
+    scene: wp.array(dtype=ShadeScene),
     rays: RayData,
     hits: RayMeshHits,
     radiance: RayRadiance,
@@ -184,18 +212,26 @@ def spawn_shadow_rays(
         if slot == 0:
             point = splat_point(i, look, rays, radiance, scene)
         else:
-            point = mesh_point(i, look.transmittance, rays, hits, scene, scene.splats.shape[0])
+            point = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
         if point.exists != 0:
             j = slot * stride + i
-            contribution = contribution_of(number, picks_bsdf, point, rays.stream[i], scene)
+            key = light_key(rays.stream[i], number)
+            contribution = Contribution()
+            if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
+                contribution = from_environment(scene[0].environment, picks_bsdf, point, key)
+            else:
+                contribution = from_light(number, point, rays.stream[i], scene)
             if not is_black(contribution.color):
                 contributions_out[j] = contribution.color
                 rays_out.origin[j] = point.position
                 rays_out.direction[j] = contribution.direction
-                rays_out.t_min[j] = point.offset
+                rays_out.t_min[j] = 0.0
+                if slot == 0:
+                    rays_out.t_min[j] = shadow_offset(look, scene)
+                else:
+                    rays_out.origin[j] = mesh_start(i, point.side, hits, scene)
                 rays_out.t_max[j] = contribution.distance
                 rays_out.travelled[j] = 0.0
-                key = branch_stream(rays.stream[i], LIGHT_BRANCHES + number)
                 rays_out.stream[j] = branch_stream(key, slot)
                 skips_out[j] = point.shadow_only
 
@@ -239,7 +275,7 @@ def add_light(
 def darken_captured(
     start: int,
     from_camera: bool,
-    scene: ShadeScene,
+    scene: wp.array(dtype=ShadeScene),
     rays: RayData,
     hits: RayMeshHits,
     radiance: RayRadiance,
@@ -252,13 +288,13 @@ def darken_captured(
     if is_black(sent) or not has_ray(rays, i):
         return
     look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
-    besides = wp.PI * scene.materials[look.instance].ambient
+    besides = wp.PI * scene[0].materials[look.instance].ambient
     missing = sent - arrivals.arrived[i]
     share = wp.vec3(0.0)
     for k in range(3):
         if missing[k] > 0.0:
             share[k] = missing[k] / (besides[k] + sent[k])
-    light_inout[i] -= wp.cw_mul(share, wp.cw_mul(look.scale, look.albedo))
+    light_inout[i] -= (1.0 - look.transmittance) * wp.cw_mul(share, look.albedo)
 
 
 @wp.kernel

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -40,8 +42,9 @@ class LitScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lights = LightTable()
         self._version = -1
-        self.data = ShadeScene()
-        """What kernels take."""
+        self._row = ShadeScene()
+        self.data: Any = None
+        """What kernels take: a 1-element ShadeScene array."""
         self.lights: tuple[Light, ...] = ()
         """Those that are on; none where a headlight stands in for them."""
         self.has_shadow_only = False
@@ -64,28 +67,29 @@ class LitScene:
         self._lights.sync(scene, camera, self._buffers)
         self.lights = tuple(light for light in scene.lights if light.enabled)
         if self._version != device_scene.version:
-            self.data.attributes = upload_structs(
+            self._row.attributes = upload_structs(
                 attribute_rows(device_scene, self._launcher.device), SplatAttributes, self._launcher.device
             )
             self._version = device_scene.version
         table = self._buffers.get
         materials = material_table(scene, device_scene.texture_first, table_dtype(MaterialData))
-        self.data.materials = table("shade.materials", MaterialData, len(materials))
+        self._row.materials = table("shade.materials", MaterialData, len(materials))
         placements = placement_table(scene, device_scene)
-        self.data.splats = table("shade.splats", SplatPlacement, len(placements))
-        self.data.settings = table("shade.settings", ShadeData, 1)
+        self._row.splats = table("shade.splats", SplatPlacement, len(placements))
+        self._row.settings = table("shade.settings", ShadeData, 1)
         for array, rows in (
-            (self.data.materials, materials),
-            (self.data.splats, placements),
-            (self.data.settings, self._settings(for_camera)),
+            (self._row.materials, materials),
+            (self._row.splats, placements),
+            (self._row.settings, self._settings(for_camera)),
         ):
             if len(rows):
                 array.assign(rows)
-        self.data.mesh_instances = device_scene.mesh_instances
-        self.data.placements = device_scene.placements
-        self.data.meshes = device_scene.mesh_data
-        self.data.lights = self._lights.lights
-        self.data.environment = self._lights.environment
+        self._row.mesh_instances = device_scene.mesh_instances
+        self._row.placements = device_scene.placements
+        self._row.meshes = device_scene.mesh_data
+        self._row.lights = self._lights.lights
+        self._row.environment = self._lights.environment
+        self.data = upload_structs([self._row], ShadeScene, self._launcher.device)
         self.has_shadow_only = any(instance.shadow_only for instance in scene.splats)
 
     def _settings(self, for_camera: bool) -> np.ndarray:
