@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import lumisplat as ls
@@ -18,6 +19,11 @@ PROGRAMS = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
+SCENE_FILES = [
+    pytest.param(block, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
+]
 COMMANDS = sorted(
     {
         line
@@ -27,23 +33,65 @@ COMMANDS = sorted(
 )
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_python_of_the_docs_runs(program, tmp_path, monkeypatch):
-    """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
+@pytest.fixture
+def beside(tmp_path, monkeypatch):
+    """A folder to be in, with a capture, meshes, an environment and a camera file."""
     import trimesh
+
+    from lumisplat.io.image import write_exr
 
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))
     ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
     trimesh.creation.box().export("statue.glb")
+    write_exr("sky.exr", dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
+    return tmp_path
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.usefixtures("beside")
+def test_python_of_the_docs_runs(program):
+    """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
     exec(compile(program, "docs", "exec"), {})
+
+
+@pytest.mark.parametrize("text", SCENE_FILES)
+def test_scene_files_of_the_docs_load(text, beside):
+    """Every TOML block marked runnable is a scene file, of which all loads."""
+    (beside / "scene.toml").write_text(text)
+    ls.load_config("scene.toml")
+    ls.load_cameras("scene.toml")
+    if "[[" in text:
+        assert isinstance(ls.load("scene.toml"), ls.Scene)
+
+
+def test_the_guide_shows_every_setting(tmp_path):
+    """The settings in the guide are those that are saved of the defaults: none is missing, or has changed since."""
+    ls.save_config(tmp_path / "settings.toml", ls.RenderConfig())
+    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
+    assert f"```toml\n{(tmp_path / 'settings.toml').read_text()}```" in shown
+
+
+def test_the_guide_shows_every_key_of_a_scene_file():
+    """Each key of entries, lights, materials, the environment and cameras is on the page about scene files."""
+    from lumisplat.io import scene_cameras, scene_file, scene_lights, scene_materials
+    from lumisplat.io.scene_fields import schema
+
+    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
+    keys = {key for keys in scene_file._KEYS.values() for key in keys}
+    keys |= {*scene_cameras._FILE_KEYS, *scene_cameras._VIEW_KEYS, *scene_lights._KINDS, *scene_materials._KINDS}
+    for kind in (*scene_lights._KINDS.values(), *scene_materials._KINDS.values(), ls.LightEnvironment):
+        keys |= set(schema(kind)) - {"image"}
+    missing = [key for key in sorted(keys) if f"`{key}`" not in shown and f'`"{key}"`' not in shown]
+    assert not missing
 
 
 def test_all_python_of_the_docs_is_marked():
     """A Python block that is not run is a claim that nothing checks."""
     blocks = sum(page.read_text().count("```python") for page in PAGES)
     assert len(PROGRAMS) == blocks > 0
+    assert len(SCENE_FILES) > 0
 
 
 def test_every_public_name_is_in_the_reference():
