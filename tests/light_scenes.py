@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.scene.shapes import sphere, transformed
@@ -73,7 +74,7 @@ def clear_glass(ior: float = 1.5) -> ls.MaterialPbr:
     return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=ior)
 
 
-def parallelogram(corner: tuple[float, ...], edge_u: tuple[float, ...], edge_v: tuple[float, ...], material) -> ls.Mesh:
+def parallelogram(corner: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, material: object) -> ls.Mesh:
     """Two triangles that face ``cross(edge_u, edge_v)``."""
     p, u, v = np.array(corner), np.array(edge_u), np.array(edge_v)
     return ls.Mesh(np.stack([p, p + u, p + u + v, p + v]), [[0, 1, 2], [0, 2, 3]], material=material)

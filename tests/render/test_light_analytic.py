@@ -61,9 +61,9 @@ def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipe
         ls.LightDirectional((0.3, -1.0, 0.2), intensity=2.0, angle=0.15),
     ]
     camera = above()
-    frame = lit(
-        ls.Scene((), [floor(matte(0.8))], lights), camera, pipeline, shadows=shadows, samples=64, aovs=("lights",)
-    )
+    samples = 64 if shadows is ls.Shadows.SOFT else 1
+    settings = {"shadows": shadows, "samples": samples, "trace": ls.TraceConfig(jitter=False)}
+    frame = lit(ls.Scene((), [floor(matte(0.8))], lights), camera, pipeline, aovs=("lights",), **settings)
     points = floor_points(camera)
     expected = []
     for light, candela in zip(lights[:2], (7.0, 6.0 * math.pi * 0.4**2), strict=True):
@@ -153,41 +153,89 @@ def test_rectangle_over_a_plane() -> None:
 # --- Materials under a point light and in even light ---
 
 
+def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
+    """Reflectance of a facet, shape (..., 3)."""
+    metallic, cosine = material.metallic, cosine[..., None]
+    straight = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic)
+    straight = straight + metallic * np.array(material.base_color)
+    grazing = material.specular * (1.0 - metallic) + metallic
+    return straight + (grazing - straight) * (1.0 - cosine) ** 5
+
+
+def masking(alpha: float, cosine: np.ndarray) -> np.ndarray:
+    """Smith's, of GGX: how many of the facets that face a direction are seen from there."""
+    return 2.0 * cosine / (cosine + np.sqrt(alpha**2 + (1.0 - alpha**2) * cosine**2))
+
+
+def highlight_share(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 256) -> np.ndarray:
+    """What the highlight reflects of light from everywhere to viewers at those cosines, shape (..., 3): an integral.
+
+    Over the facets that each viewer sees (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
+    """
+    alpha = material.roughness**2
+    out, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2.0 * np.pi)
+    shares = []
+    for cosine in np.ravel(cosines):
+        sine = math.sqrt(1.0 - cosine**2)
+        stretched = np.array([alpha * sine, 0.0, cosine]) / math.hypot(alpha * sine, cosine)
+        x, y = np.sqrt(out) * np.cos(turn), np.sqrt(out) * np.sin(turn)
+        s = 0.5 * (1.0 + stretched[2])
+        y = (1.0 - s) * np.sqrt(1.0 - x * x) + s * y
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        # Across the stretched view: the y axis, and what is square to both.
+        facet = x[..., None] * [0.0, 1.0, 0.0] + y[..., None] * [-stretched[2], 0.0, stretched[0]]
+        facet = (facet + z[..., None] * stretched) * [alpha, alpha, 1.0]
+        facet /= np.linalg.norm(facet, axis=-1, keepdims=True)
+        tilt = facet @ [sine, 0.0, cosine]
+        light = 2.0 * tilt * facet[..., 2] - cosine
+        seen = np.where(light > 0.0, masking(alpha, np.maximum(light, 1e-9)), 0.0)
+        shares.append((schlick(material, tilt) * seen[..., None]).mean(axis=(0, 1)))
+    return np.reshape(shares, (*np.shape(cosines), 3))
+
+
 def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """The BSDF of a rough material, without the cosine, shape (..., 3); unit vectors that point away, (..., 3)."""
+    """The BSDF of a rough material, without the cosine, shape (..., 3); unit vectors that point away, (..., 3).
+
+    The diffuse part gets what the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
+    """
+    alpha = material.roughness**2
     half = view + light
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
-    facing, lit_, tilt, turn = (
-        (a * b).sum(-1) for a, b in ((normal, view), (normal, light), (normal, half), (view, half))
+    facing, shone, tilt = ((normal * b).sum(-1) for b in (view, light, half))
+    spread = alpha**2 / (np.pi * (tilt**2 * (alpha**2 - 1.0) + 1.0) ** 2)
+    value = spread * masking(alpha, facing) * masking(alpha, shone) / (4.0 * facing * shone)
+    value = schlick(material, (view * half).sum(-1)) * value[..., None]
+    nodes = (np.arange(64) + 0.5) / 64
+    left = 1.0 - highlight_share(material, nodes, 96)
+    mean = (2.0 * nodes[:, None] * left).mean(axis=0)
+    enters, leaves = (
+        np.stack([np.interp(cosine, nodes, left[:, c]) for c in range(3)], axis=-1) for cosine in (shone, facing)
     )
-    alpha2 = material.roughness**4
-    spread = alpha2 / (np.pi * (tilt**2 * (alpha2 - 1.0) + 1.0) ** 2)
-    seen, shone = (2.0 * c / (c + np.sqrt(alpha2 + (1.0 - alpha2) * c * c)) for c in (facing, lit_))
-    base, metallic = np.array(material.base_color), material.metallic
-    straight = (
-        material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic) + metallic * base
-    )
-    grazing = material.specular * (1.0 - metallic) + metallic
-    fresnel = straight + (grazing - straight) * (1.0 - turn[..., None]) ** 5
-    diffuse = (1.0 - metallic) * (1.0 - material.transmission) * base / np.pi * (1.0 - fresnel)
-    return diffuse + fresnel * (spread * seen * shone / (4.0 * facing * lit_))[..., None]
+    return value + diffuse_color(material) / np.pi * enters * leaves / mean
+
+
+def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
+    """Albedo below the highlight, shape (3,)."""
+    return (1.0 - material.metallic) * (1.0 - material.transmission) * np.array(material.base_color)
 
 
 MATERIALS = {
-    "default": ls.MaterialPbr(),
-    "plastic": ls.MaterialPbr(base_color=(0.9, 0.1, 0.3), roughness=0.25),
-    "dull": ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.9, specular=0.4, ior=1.8),
-    "gold": ls.MaterialPbr(base_color=(1.0, 0.75, 0.3), roughness=0.4, metallic=1.0),
-    "half a metal": ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5),
-    "frosted": ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6),
+    "default": (ls.MaterialPbr(), 0.02),
+    "plastic": (ls.MaterialPbr(base_color=(0.9, 0.1, 0.3), roughness=0.25), 0.03),
+    "dull": (ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.9, specular=0.4, ior=1.8), 0.02),
+    "gold": (ls.MaterialPbr(base_color=(1.0, 0.75, 0.3), roughness=0.4, metallic=1.0), 0.0),
+    "half a metal": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5), 0.12),
+    "frosted": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6), 0.02),
 }
+"""And how much darker they may be than the integrals say: what highlights leave of the light is taken from fits that
+rather take too much."""
 
 
 @PIPELINES
 @pytest.mark.parametrize("name", MATERIALS)
 def test_materials_under_a_point_light(name: str, pipeline: ls.Pipeline) -> None:
     """The image of a plane is that of the formulas, highlight and all."""
-    material, camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
+    (material, loss), camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
     light = ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0)
     frame = lit(ls.Scene((), [floor(material)], [light]), camera, pipeline)
     points = floor_points(camera)
@@ -195,7 +243,9 @@ def test_materials_under_a_point_light(name: str, pipeline: ls.Pipeline) -> None
     directions, distances = towards(light.position, points)
     irradiance = 7.0 / distances**2 * directions[..., 1]
     expected = pbr(material, np.array([0.0, 1.0, 0.0]), view, directions) * irradiance[..., None]
-    assert_relatively_close(frame.color, expected, 1e-3)
+    rounding = 1e-3 * expected.max()
+    assert (frame.color < expected + rounding).all()
+    assert (frame.color > (1.0 - loss) * expected - rounding).all()
 
 
 @PIPELINES
@@ -225,34 +275,22 @@ def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
     assert_relatively_close(frame.color, expected, 1e-3)
 
 
-def reflected_share(material: ls.MaterialPbr, cosines: np.ndarray) -> np.ndarray:
-    """What a plane reflects of light from everywhere to viewers at those angles, (N, 3): an integral in float64."""
-    height = (np.arange(400) + 0.5) / 400  # Cosines: as many steps, as much solid angle.
-    turn = (np.arange(800) + 0.5) / 400 * np.pi
-    across = np.sqrt(1.0 - height**2)[:, None]
-    light = np.stack([across * np.cos(turn), height[:, None] + 0.0 * turn, across * np.sin(turn)], axis=-1)
-    cell = 2.0 * np.pi / (400 * 800)
-    shares = []
-    for cosine in cosines:
-        view = np.array([math.sqrt(1.0 - cosine**2), cosine, 0.0])
-        bsdf = pbr(material, np.array([0.0, 1.0, 0.0]), view, light)
-        shares.append((bsdf * light[..., 1:2]).sum(axis=(0, 1)) * cell)
-    return np.array(shares)
-
-
 @pytest.mark.parametrize("name", MATERIALS)
 def test_materials_in_even_light(name: str) -> None:
-    """What a plane shows of an even environment is the integral of its BSDF, by columns of pixels; never more."""
-    material = MATERIALS[name]
+    """A plane shows what its highlight reflects, at each angle of view, and of the rest its diffuse colour."""
+    material, loss = MATERIALS[name]
     camera = ls.Camera.look_at((3.0, 2.0, 0.0), (0.0, 0.0, 0.0), width=32, height=48, fov_y=0.7)
     frame = lit(ls.Scene((), [floor(material)], [EVEN]), camera, shadows=ls.Shadows.SOFT, samples=96)
     cosines = towards(tuple(camera.eye), floor_points(camera))[0][..., 1]
     rows = np.arange(0, 48, 6)
     means = np.array([cosines[row : row + 6].mean() for row in rows])
-    expected = reflected_share(material, means) * EVEN.color
+    mirrored = highlight_share(material, means)
+    expected = (mirrored + diffuse_color(material) * (1.0 - mirrored)) * EVEN.color
     ours = np.array([frame.color[row : row + 6].mean(axis=(0, 1)) for row in rows])
-    assert (expected < 1.0 * np.array(EVEN.color)).all()
-    np.testing.assert_allclose(ours, expected, rtol=0.015)
+    assert (expected < EVEN.color).all()
+    noise = 0.015
+    assert (ours < (1.0 + noise) * expected).all()
+    assert (ours > (1.0 - loss - noise) * expected).all()
 
 
 @PIPELINES
@@ -281,7 +319,8 @@ def test_what_keeps_all_light_disappears_in_even_light(name: str) -> None:
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)
     scene = ls.Scene((), [ball_at((0.0, 0.0, 0.0), 0.7, material)], [EVEN])
-    frame = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=96, max_bounces=16)
+    samples = 2 if material.is_smooth else 96
+    frame = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=samples, max_bounces=16)
     inside = frame.instance_index == 0
     assert 0.3 < inside.mean() < 0.9
     np.testing.assert_allclose(frame.color[~inside].mean(axis=0), EVEN.color, rtol=1e-3)

@@ -21,9 +21,10 @@ SHARP = [name for name, one in SCENES.items() if one.shadows is ls.Shadows.HARD]
 SOFT = [name for name in SCENES if name not in SHARP]
 DARK = 0.01
 """Share of an image's mean below which a pixel is not lit."""
-BLOCK = 8
+BLOCK = 12
 """Pixels along the side of blocks whose means are compared where samples are random."""
-SAMPLES = 128
+SAMPLES = 160
+"""Leave noise of 0.5 % in the mean of a block."""
 
 
 class Reference(NamedTuple):
@@ -39,16 +40,16 @@ def reference_of(name: str) -> Reference:
         return Reference(stored["image"].astype(np.float64), stored["compared"])
 
 
-def image_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> np.ndarray:
-    """Our image of a scene, linear."""
+def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
+    """Our frame of a scene, lit."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
     frame = ls.render(one.scene, one.camera, replace(config, **changes), device="cpu")  # type: ignore[arg-type]
     assert frame.color_space == "linear"
-    return frame.color.astype(np.float64)
+    return frame
 
 
-def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01) -> None:
-    """Lit values: within ``mean`` on the mean, and 99 of 100 within 1 %; dark ones: 99 of 100 by 1 % of the mean."""
+def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01, most: float = 0.01) -> None:
+    """Lit values: within ``mean`` on the mean, and 99 of 100 within ``most``; dark ones: by so much of the mean."""
     level = theirs.mean()
     lit = theirs > DARK * level
     assert lit.mean() > 0.3
@@ -56,7 +57,7 @@ def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01) -
     assert error[lit].mean() < mean, f"lit pixels differ by {error[lit].mean():.2%} on the mean"
     for kind, where in (("lit", lit), ("dark", ~lit)):
         worst = np.percentile(error[where], 99) if where.any() else 0.0
-        assert worst < 0.01, f"1 % of the {kind} values differ by {worst:.2%} or more"
+        assert worst < most, f"1 % of the {kind} values differ by {worst:.2%} or more"
 
 
 def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
@@ -75,22 +76,31 @@ def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipel
     if SCENES[name].smooth and pipeline is ls.Pipeline.RASTER:
         pytest.skip("a raster frame has no reflections")
     theirs = reference_of(name)
-    ours = image_of(SCENES[name], pipeline)
+    ours = frame_of(SCENES[name], pipeline).color
     assert_as_bright(ours[theirs.compared], theirs.image[theirs.compared], mean=0.001)
 
 
 @pytest.mark.parametrize("name", SOFT)
 def test_lights_with_an_extent_light_as_in_mitsuba(name: str) -> None:
-    """Means of blocks: rectangle, sphere, and environments, one even and one with a sun, turned about all axes."""
+    """Rectangle, sphere, and environments, one even and one with a sun, turned about all axes.
+
+    The means of whole surfaces and of blocks of pixels; of these, one in a hundred may be off by what is left of noise.
+    """
     theirs = reference_of(name)
-    ours = image_of(SCENES[name], ls.Pipeline.TRACE, samples=SAMPLES)
-    assert_as_bright(block_means(ours, theirs.compared), block_means(theirs.image, theirs.compared))
+    frame = frame_of(SCENES[name], ls.Pipeline.TRACE, samples=SAMPLES)
+    for number in range(len(SCENES[name].scene.meshes)):
+        surface = theirs.compared & (frame.instance_index == number)
+        assert surface.sum() > 300
+        error = frame.color[surface].mean(axis=0) / theirs.image[surface].mean(axis=0) - 1.0
+        assert np.abs(error).max() < 0.01, f"mesh {number} is {error} brighter"
+    ours = block_means(frame.color, theirs.compared)
+    assert_as_bright(ours, block_means(theirs.image, theirs.compared), most=0.03)
 
 
 def test_a_light_elsewhere_would_be_noticed() -> None:
     """The comparison fails for a light that is 3 cm off."""
     one, theirs = SCENES["point"], reference_of("point")
     moved = ls.LightPoint((1.63, 2.6, 1.4), color=(1.0, 0.9, 0.7), intensity=30.0)
-    ours = image_of(replace(one, scene=replace(one.scene, lights=(moved,))), ls.Pipeline.TRACE)
+    ours = frame_of(replace(one, scene=replace(one.scene, lights=(moved,))), ls.Pipeline.TRACE).color
     with pytest.raises(AssertionError, match="differ by"):
         assert_as_bright(ours[theirs.compared], theirs.image[theirs.compared])

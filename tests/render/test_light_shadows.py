@@ -15,9 +15,29 @@ from light_rig import PIPELINES, RAYS, above, floor, floor_points, lit, towards
 from light_scenes import ball_at, box, clear_glass, matte, parallelogram
 from lumisplat.scene.color import decode_srgb
 from oracles import rotation_from_quaternion
-from scenes import flat_sh, joined, one_gaussian
+from scenes import flat_sh, joined, one_gaussian, rotation
 
 # --- Shadows of meshes ---
+
+
+@RAYS
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("shape", ["square", "sliver", "tilted"])
+def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
+    """Whichever way it faces, and however its triangles are cut: light that comes at any angle arrives everywhere."""
+    long, wide = (9.0, 0.02) if shape == "sliver" else (5.5, 4.5)
+    turn = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
+    if shape == "tilted":
+        turn = rotation((0.3, 0.8, -0.5), 0.9) @ turn
+    corners = np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ turn[:3, :3].T
+    eye, up = np.array([0.2, 3.0, 0.7]) @ turn[:3, :3].T, turn[:3, :3] @ [0.0, 0.0, -1.0]
+    camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), up, width=96, height=64, fov_y=0.8)
+    lights = [ls.LightPoint(tuple(np.array(at) @ turn[:3, :3].T)) for at in ((1.6, 2.6, 1.4), (-3.0, 0.4, 0.2))]
+    plane = parallelogram(*corners, matte(0.8))
+    frame = lit(ls.Scene((), [plane], lights), camera, pipeline, aovs=("lights",))
+    assert frame.light_shadow is not None
+    assert (frame.instance_index == 0).sum() > 40
+    assert (frame.light_shadow[:, frame.instance_index == 0] == 1.0).all()
 
 
 @PIPELINES
@@ -206,8 +226,12 @@ def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.Sha
         assert off.max() < edge
         assert np.percentile(off, 98) < 1e-4
     else:
-        room = 5.0 * np.sqrt(expected * (1.0 - expected) / samples) + 0.02
-        assert (np.abs(share[..., 0] - expected) < room)[seen].all()
+        # Five standard deviations, and what rare samples add to that (Cornish and Fisher 1938).
+        deviation = np.sqrt(expected * (1.0 - expected) / samples)
+        assert (np.abs(share[..., 0] - expected) < 5.0 * deviation + 4.0 / samples)[seen].all()
+        noisy = seen & (expected > 0.1) & (expected < 0.9)
+        scores = ((share[..., 0] - expected)[noisy] / deviation[noisy]) ** 2
+        assert scores.mean() == pytest.approx(1.0, abs=0.15)
         assert share[seen].mean() == pytest.approx(expected[seen].mean(), abs=3e-3)
 
 
@@ -228,7 +252,7 @@ def test_opaque_enough_counts_as_black_and_the_rest_is_stretched(pipeline: ls.Pi
 
 def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
     """Stained glass: towards the mean colour of the Gaussians, brightest channel 1, by strength times darkness."""
-    shadow = ls.ShadowConfig(color_strength=0.8)
+    shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow=shadow)
     assert frame.light_shadow is not None
@@ -237,7 +261,7 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
     colors = decode_srgb(np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.2], [0.2, 0.2, 0.9], [0.6, 0.6, 0.6]]))
     tint = np.tensordot(each, colors, axes=(0, 0))
     tint /= np.maximum(tint.max(axis=-1, keepdims=True), 1e-12)
-    share = np.minimum(0.8 * (1.0 - passed), 1.0)[..., None]
+    share = np.minimum(1.5 * (1.0 - passed), 1.0)[..., None]
     expected = passed[..., None] * (1.0 - share + share * tint)
     seen = frame.instance_index == 1
     off = np.abs(frame.light_shadow[0] - expected)[seen]
@@ -273,8 +297,8 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
     beside = np.maximum(np.abs(crossing[..., 0]), np.abs(crossing[..., 2]))
     on_sheet = (unlit.instance_index == 0) & (np.abs(points[..., [0, 2]]).max(-1) < 0.9)
     free, dark = on_sheet & (beside > 0.45), on_sheet & (beside < 0.35)
-    assert free.sum() > 200
-    assert dark.sum() > 200
+    assert free.sum() > 100
+    assert dark.sum() > 100
     np.testing.assert_array_equal(frame.light[free], 0.0)
     np.testing.assert_array_equal(frame.captured[free], unlit.color[free])
     power = np.array(light.color) * light.intensity * cosine
