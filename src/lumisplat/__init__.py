@@ -38,9 +38,10 @@ if TYPE_CHECKING:
         save_cameras,
         save_config,
     )
+    from lumisplat.render.calls import render, trace_rays, transmittance
     from lumisplat.render.frame import Frame
     from lumisplat.render.rays import RayHits
-    from lumisplat.render.renderer import Renderer, create_renderer, render, trace_rays, transmittance
+    from lumisplat.render.renderer import Renderer, create_renderer
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.demo import demo_cameras, demo_scene
     from lumisplat.scene.gaussians import Gaussians
@@ -105,13 +106,13 @@ _HOME = {
     "load_cameras": "io",
     "load_config": "io",
     "load_radiance": "io",
-    "render": "render.renderer",
+    "render": "render.calls",
     "save": "io",
     "save_animation": "io",
     "save_cameras": "io",
     "save_config": "io",
-    "trace_rays": "render.renderer",
-    "transmittance": "render.renderer",
+    "trace_rays": "render.calls",
+    "transmittance": "render.calls",
 }
 
 __all__ = [

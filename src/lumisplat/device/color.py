@@ -44,6 +44,18 @@ def decode_srgb_color(display: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
+    """A premultiplied colour over what is behind.
+
+    In double precision, where the product is exact: the same bits whether or not a compiler fuses it with the sum.
+    """
+    result = wp.vec3()
+    for k in range(3):
+        result[k] = float(wp.float64(color[k]) + wp.float64(transmittance) * wp.float64(behind[k]))
+    return result
+
+
+@wp.func
 def texel_linear(texels: wp.array(dtype=wp.uint32), linear_from_byte: wp.array(dtype=float), index: int) -> wp.vec3:
     """Linear colour of one RGBA8 texel, red in the low byte."""
     rgba = texels[index]

@@ -7,7 +7,7 @@ import warp as wp
 
 from lumisplat.constants import LIT_WEIGHT_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
-from lumisplat.device.color import decode_srgb_color, sample_texture
+from lumisplat.device.color import decode_srgb_color, over, sample_texture
 from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light import sample_light
 from lumisplat.device.light_structs import BSDF_PBR, Bsdf, EnvironmentData, LightSample
@@ -96,7 +96,7 @@ def splat_look(
         look.weight = alpha
     else:
         behind = look.transmittance * scene[0].settings[0].background
-        look.captured = color + behind
+        look.captured = over(color, look.transmittance, scene[0].settings[0].background)
     if untouched == 0 and look.gaussian >= 0 and alpha > 0.0:
         if over_light:
             look.albedo = decode_srgb_color(color / alpha)

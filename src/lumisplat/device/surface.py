@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import NORMAL_DEGENERATE
+from lumisplat.device.color import over
 from lumisplat.device.ray_blocks import ray_of_pixel
 from lumisplat.device.ray_structs import RayRadiance
 from lumisplat.device.structs import CameraData, InstanceData, MeshHits, Pixel, Splat, SurfaceData
@@ -121,7 +122,7 @@ def store_surface(
             normal = wp.normalize(normal)
         else:
             normal = -(camera.world_from_camera * wp.normalize(ray))
-    surface.color[i] = color + transmittance * camera.background
+    surface.color[i] = over(color, transmittance, camera.background)
     surface.alpha[i] = 1.0 - transmittance
     surface.depth[i] = depth_z * wp.length(ray)
     surface.normal[i] = normal

@@ -13,7 +13,7 @@ from typing import Any
 
 class _CallablePackage(ModuleType):
     def __call__(self, *args: Any, **options: Any) -> Any:
-        from lumisplat.render.renderer import render
+        from lumisplat.render.calls import render
 
         return render(*args, **options)
 

@@ -8,6 +8,7 @@ what is seen through glass, each in the order of the wave before: neighbours sta
 import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN
+from lumisplat.device.color import over
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.random import branch_stream
 from lumisplat.device.ray_structs import Bounce, MeshPlacement, RayData, RayMeshHits, RayRadiance
@@ -80,7 +81,7 @@ def scatter_rays(
             if refracts == 0:
                 color += transmittance * wp.cw_mul(bounce.refracted, camera[0].background)
         else:
-            color += transmittance * camera[0].background
+            color = over(color, transmittance, camera[0].background)
     color_out[i] = color
     if may_branch:
         branches_out[i] = reflects

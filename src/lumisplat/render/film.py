@@ -61,6 +61,7 @@ class Film:
                 *(scene.instances, scene.mesh_instances, scene.mesh_data),
                 *(Surface.of(self._buffers, camera).data, self._nonfinite(camera)),
             )
+        self._count(camera, met)
 
     def add_lit(
         self,
@@ -90,10 +91,8 @@ class Film:
                 *(self._lit(camera).data, self._nonfinite(camera)),
             )
         images: dict[str, Any] = {}
-        if {"albedo", "emission", "hits"} & set(self._config.aovs):
-            images = {
-                name: self._buffers.get(f"film.ray.{name}", wp.vec3, count) for name in ("albedo", "emission", "hits")
-            }
+        if {"albedo", "emission"} & set(self._config.aovs):
+            images = {name: self._buffers.get(f"film.ray.{name}", wp.vec3, count) for name in ("albedo", "emission")}
             self._launcher.run_banded(
                 film_kernels.look_at_surfaces, count, lit.data, met.rays, met.hits, met.radiance, *images.values()
             )
@@ -103,9 +102,8 @@ class Film:
         if lights is not None:
             images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
             images |= {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
-        for name, values in images.items():
-            image = self._image(camera, name)
-            self._launcher.run_banded(film_kernels.store_image, count, self.lens, values, image)
+        self._store(camera, images)
+        self._count(camera, met)
 
     def develop(self, camera: Camera) -> dict[str, np.ndarray]:
         """The images of a lit frame beside those of the surface: weight, light, and the linear colour."""
@@ -115,9 +113,9 @@ class Film:
             self._launcher.run_banded(film_kernels.develop, camera.width * camera.height, surface.data, lit.data)
         return lit.download()
 
-    def images(self, camera: Camera, light_count: int) -> dict[str, FloatArray]:
+    def images(self, camera: Camera, light_count: int, *, lit: bool) -> dict[str, FloatArray]:
         """The further images that the settings ask for, by the names of the frame's fields."""
-        asked = self._config.aovs
+        asked = set(self._config.aovs) if lit else {"hits"} & set(self._config.aovs)
         images = {name: self._download(camera, name) for name in ("albedo", "emission", "reflection") if name in asked}
         if "hits" in asked:
             images["hits"] = self._download(camera, "hits")[..., 0]
@@ -140,6 +138,17 @@ class Film:
     def nonfinite_count(self, camera: Camera) -> int:
         """Samples since ``begin`` whose colour was NaN or infinite."""
         return int(self._nonfinite(camera).numpy().sum())
+
+    def _count(self, camera: Camera, met: Met) -> None:
+        if "hits" in self._config.aovs:
+            counts = self._buffers.get("film.ray.hits", wp.vec3, met.count)
+            self._launcher.run_banded(film_kernels.count_hits, met.count, met.rays, met.radiance, counts)
+            self._store(camera, {"hits": counts})
+
+    def _store(self, camera: Camera, images: dict[str, Any]) -> None:
+        for name, values in images.items():
+            image = self._image(camera, name)
+            self._launcher.run_banded(film_kernels.store_image, values.shape[0], self.lens, values, image)
 
     def _download(self, camera: Camera, name: str) -> FloatArray:
         return self._image(camera, name).numpy().reshape(camera.height, camera.width, 3).copy()

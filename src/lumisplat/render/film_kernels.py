@@ -105,13 +105,11 @@ def look_at_surfaces(
     radiance: RayRadiance,
     albedo_out: wp.array(dtype=wp.vec3),
     emission_out: wp.array(dtype=wp.vec3),
-    hits_out: wp.array(dtype=wp.vec3),
 ):
-    """What surfaces are without light: their own colour, what they shine by themselves; how many Gaussians blended."""
+    """What surfaces are without light: their own colour, and what they shine by themselves."""
     i = start + wp.tid()
     albedo_out[i] = wp.vec3(0.0)
     emission_out[i] = wp.vec3(0.0)
-    hits_out[i] = wp.vec3(0.0)
     if not rays.t_max[i] > rays.t_min[i]:
         return
     look = splat_look(i, hits, radiance, scene, True)
@@ -129,4 +127,12 @@ def look_at_surfaces(
         emission += look.transmittance * mesh_shine(hits, i, scene, scene[0].splats.shape[0])
     albedo_out[i] = albedo
     emission_out[i] = emission
-    hits_out[i] = wp.vec3(float(radiance.hits[i]))
+
+
+@wp.kernel
+def count_hits(start: int, rays: RayData, radiance: RayRadiance, count_out: wp.array(dtype=wp.vec3)):
+    """How many Gaussians each ray blended, in all channels."""
+    i = start + wp.tid()
+    count_out[i] = wp.vec3(0.0)
+    if rays.t_max[i] > rays.t_min[i]:
+        count_out[i] = wp.vec3(float(radiance.hits[i]))

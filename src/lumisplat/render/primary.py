@@ -75,7 +75,8 @@ class RasterPrimary:
             lists = self._splats.bin(depth_order, rects, camera)
         with stage("composite"):
             if sorts:
-                self._splats.radiate(scene, camera, splats, lists, meshes, radiance=radiance)
+                counts = "hits" in self._config.aovs
+                self._splats.radiate(scene, camera, splats, lists, meshes, radiance=radiance, counts=counts)
             else:
                 self._splats.pick(scene, camera, splats, lists, meshes, lens=lens, radiance=radiance)
         return hits

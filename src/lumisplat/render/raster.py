@@ -96,12 +96,19 @@ class SplatRaster:
         hits: MeshHits,
         *,
         radiance: RayRadiance,
+        counts: bool,
     ) -> None:
-        """The same, but writes what the splats before the mesh give the rays of the pixels."""
+        """The same, but writes what the splats before the mesh give the rays of the pixels.
+
+        Tiles do not count how many are blended: where it ``counts``, pixels are worked on one by one for that.
+        """
         nothing = Surface.of_shape(self._buffers, (0, 0))
-        self._composite(
-            scene, camera, (scene.instances, splats, lists.starts, lists.items, hits, True, nothing.data, radiance)
-        )
+        arguments = (scene.instances, splats, lists.starts, lists.items, hits, True, nothing.data)
+        self._composite(scene, camera, (*arguments, radiance))
+        if counts and not self._launcher.is_parallel:
+            counted = self._buffers.struct("raster.counted", RayRadiance, radiance.hits.shape[0])
+            self._composite(scene, camera, (*arguments, counted), by_pixel=True)
+            radiance.hits = counted.hits
 
     def pick(
         self,
@@ -126,11 +133,13 @@ class SplatRaster:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(kernels.pick_tiles, tiles_x * tiles_y, *inputs, bands=bands)
 
-    def _composite(self, scene: DeviceScene, camera: Camera, arguments: tuple[Any, ...]) -> None:
+    def _composite(
+        self, scene: DeviceScene, camera: Camera, arguments: tuple[Any, ...], *, by_pixel: bool = False
+    ) -> None:
         tiles_x, tiles_y = tile_grid(camera)
         inputs = (scene.camera, *arguments)
-        if self._launcher.is_parallel:
-            self._launcher.run(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *inputs)
+        if self._launcher.is_parallel or by_pixel:
+            self._launcher.run_banded(kernels.composite_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, *inputs)
         else:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(kernels.composite_tiles, tiles_x * tiles_y, *inputs, bands=bands)

@@ -14,7 +14,15 @@ from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
 from lumisplat.device.ray_structs import RayData
 from lumisplat.errors import ConfigError
 from lumisplat.launcher import Launcher, Progress
-from lumisplat.render import bounce_kernels, build_kernels, mesh_kernels, order_kernels, raster_kernels, ray_kernels
+from lumisplat.render import (
+    bounce_kernels,
+    build_kernels,
+    film_kernels,
+    mesh_kernels,
+    order_kernels,
+    raster_kernels,
+    ray_kernels,
+)
 from lumisplat.render.checks import check_camera, check_resumable, check_scene, checked_config
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.film import Film
@@ -25,7 +33,7 @@ from lumisplat.render.met import Met
 from lumisplat.render.order import OrderChunked, OrderCounts, OrderParallel
 from lumisplat.render.primary import RasterPrimary
 from lumisplat.render.raster import SplatRaster, refuse_lens
-from lumisplat.render.rays import RayHits, RayQueries, checked_distances, checked_rays, tracing
+from lumisplat.render.rays import RayHits, RayQueries, checked_distances, checked_rays
 from lumisplat.render.surface import Surface
 from lumisplat.render.trace import RayTracer, ray_count, trace_modules
 from lumisplat.render.transport import Transport, light_modules
@@ -153,9 +161,9 @@ class Renderer:
         return lit and casts and self.config.shadows is not Shadows.OFF
 
     def _samples(self, lit: bool) -> bool:
-        """Whether a frame is the mean of samples: all are but the unlit, sorted raster."""
-        stochastic = self.config.raster.strategy is RasterStrategy.STOCHASTIC
-        return lit or stochastic or self.config.pipeline is not Pipeline.RASTER
+        """Whether a frame is the mean of samples: all are but the unlit, sorted raster that counts nothing."""
+        special = self.config.raster.strategy is RasterStrategy.STOCHASTIC or "hits" in self.config.aovs
+        return lit or special or self.config.pipeline is not Pipeline.RASTER
 
     def _pipeline_modules(self) -> list[Any]:
         modules: list[Any] = []
@@ -163,8 +171,10 @@ class Renderer:
             modules += trace_modules(self._launcher, self.config)
         if self.config.pipeline is not Pipeline.TRACE:
             modules += [raster_kernels, order_kernels, mesh_kernels]
-        if self.config.raster.strategy is RasterStrategy.STOCHASTIC:
+        if self._samples(lit=False):
             modules += [ray_kernels, bounce_kernels]
+        if "hits" in self.config.aovs:
+            modules += [film_kernels]
         return modules
 
     def _light_modules(self) -> list[Any]:
@@ -264,13 +274,13 @@ class Renderer:
     def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int, lit: bool) -> Frame:
         developed = self._film.develop(camera) if lit else {}
         images = Surface.of(self._buffers, camera).download()
-        light: dict[str, Any] = {}
+        light: dict[str, Any] = {} if samples == 0 else self._film.images(camera, 0, lit=False)
         if lit:
             names = self._transport.lit.light_names
             light = {"captured": images["color"], "captured_weight": developed["captured_weight"]}
             light |= {"light": developed["light"], "color_space": "linear"}
-            light |= self._film.images(camera, len(names))
-            light["light_names"] = names if "lights" in self.config.aovs else None
+            light |= self._film.images(camera, len(names), lit=True)
+            light["light_names"] = names if "lights" in self.config.aovs else ()
         return Frame(
             color=developed["color"] if lit else images["color"],
             alpha=images["alpha"],
@@ -322,84 +332,3 @@ def create_renderer(
         DeviceError: There is no such device.
     """
     return Renderer(checked_config(config), Launcher(device, threads, profile), progress)
-
-
-def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
-    """Renders one frame with a renderer of its own; for several, ``create_renderer`` keeps what they share.
-
-    Args:
-        scene: What to draw.
-        camera: From where.
-        config: Settings; None: the defaults.
-        device: As for ``create_renderer``.
-
-    Raises:
-        ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
-        SceneError: As for ``Renderer.render``.
-    """
-    return create_renderer(config, device).render(scene, camera)
-
-
-def trace_rays(
-    scene: Scene,
-    origins: npt.ArrayLike,
-    directions: npt.ArrayLike,
-    config: RenderConfig | None = None,
-    *,
-    device: str = "auto",
-) -> RayHits:
-    """Follows any rays through a scene, mirrors and glass included.
-
-    Rays are worked on in batches, so that memory does not grow with their number; neighbours in the arrays that are
-    neighbours in space are traced together, and faster. For many calls on one scene, ``create_renderer`` with
-    ``Pipeline.TRACE`` and its ``trace_rays`` keep what they share.
-
-    Args:
-        scene: What they meet.
-        origins: World space, shape (N, 3), or (3,) for all rays.
-        directions: World space, of any length, shape (N, 3).
-        config: Settings; None: the defaults. ``background`` is seen in mirrors only.
-        device: As for ``create_renderer``.
-
-    Raises:
-        ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
-        SceneError: A shape does not fit, a value is not finite or a direction has no length; the message counts them.
-    """
-    return create_renderer(tracing(checked_config(config)), device).trace_rays(scene, origins, directions)
-
-
-def transmittance(
-    scene: Scene,
-    origins: npt.ArrayLike,
-    directions: npt.ArrayLike,
-    max_distance: npt.ArrayLike = math.inf,
-    *,
-    config: RenderConfig | None = None,
-    device: str = "auto",
-) -> FloatArray:
-    """How much of the light from as far as ``max_distance`` reaches the origins of rays.
-
-    The product of what all Gaussians on the way let through, exact but for what is below
-    ``config.trace.transmittance_min``; 0 where a mesh stands in between, whatever it is made of.
-
-    Args:
-        scene: What is in between.
-        origins: World space, shape (N, 3), or (3,) for all rays.
-        directions: World space, of any length, shape (N, 3).
-        max_distance: Scene units, one number or one a ray, shape (N,).
-        config: Settings; None: the defaults.
-        device: As for ``create_renderer``.
-
-    Returns:
-        Transmittances 0..1, shape (N,).
-
-    Raises:
-        ConfigError: ``config`` is no RenderConfig.
-        DeviceError: There is no such device, or it is out of memory.
-        SceneError: As for ``trace_rays``, or a distance is negative or NaN.
-    """
-    return create_renderer(tracing(checked_config(config)), device).transmittance(
-        scene, origins, directions, max_distance
-    )
