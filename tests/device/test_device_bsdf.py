@@ -109,7 +109,7 @@ def pairs(count: int, width: float, seed: int) -> tuple[Array, Array, Array]:
 
 
 MATERIALS = [
-    *(pbr(width) for width in (0.0, 1e-6, 1e-4, 0.01, 0.09, 0.25, 0.6, 1.0)),
+    *(pbr(width) for width in (0.0, 1e-30, 1e-6, 1e-4, 0.01, 0.09, 0.25, 0.6, 1.0)),
     *(pbr(width, diffuse=0.0, specular=0.9, tint=True) for width in (1e-6, 0.01, 0.25, 1.0)),
     pbr(0.25, specular=0.0, grazing=0.0, tint=True),
     pbr(0.25, specular=0.3, grazing=0.5, tint=True),
@@ -370,7 +370,7 @@ def test_the_comparison_can_fail() -> None:
     assert compared(pbr(0.09), pbr(0.09, diffuse=0.6), 0.3, 0.2) > LIMIT
 
 
-@pytest.mark.parametrize("number", [3, 5, 7, 9, 11, 13, 16, 18])
+@pytest.mark.parametrize("number", [4, 6, 8, 10, 12, 14, 17, 19])
 def test_weights(number: int) -> None:
     """Value times cosine over density; their mean is what a white sky gives."""
     material = MATERIALS[number]

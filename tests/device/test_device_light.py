@@ -126,6 +126,10 @@ def test_cones_without_a_fade() -> None:
     angles = np.array([0.49, 0.51])
     points = np.cos(angles)[:, None] * AXIS + np.sin(angles)[:, None] * ACROSS
     np.testing.assert_allclose(seen(there, points)["irradiance"][:, 0], (3.0, 0.0), rtol=1e-5)
+    there = light(
+        LIGHT_SPOT, position=(0.0, 0.0, 0.0), direction=(0.0, 0.0, -1.0), inner=math.pi / 2, outer=math.pi / 2
+    )
+    assert seen(there, (1.0, 0.0, 0.0))["irradiance"][0, 0] in (0.0, 3.0)  # on the edge
 
 
 def test_directional_and_headlight() -> None:
