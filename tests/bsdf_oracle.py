@@ -51,17 +51,18 @@ def _above(normal: Array, view: Array, light: Array) -> npt.NDArray[np.bool_]:
 def highlight_albedo(material: Material, cos: Array | None) -> Array:
     """Share of a white sky that a view at ``cos`` gets by the highlight, as fitted; None: the mean over all views.
 
-    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (total - rising) + F90 rising``.
+    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (1 - lost - rising) + F90 rising``.
     """
     width = material["width"]
-    total = 1.0 - 0.38 * width**2
     if cos is None:
         rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * width + 17.0 * width**2))
+        lost = np.asarray(width**2 / (0.26 + 1.05 * width + 0.3 * width**2))
     else:
         rough = cos + 2.48 * width + 38.2 * width**2 + 24.7 * width**3
         rising = (1.0 - cos) ** 5 * cos / rough + (1.0 - cos) ** 3 * 2.3 * width / rough
+        lost = width**2 * (0.53 + 0.79 * cos) / (cos**2 + 1.15 * width - 0.91 * width * cos + 0.74 * width**2)
     head_on = np.asarray(material["specular"], dtype=np.float64)
-    return head_on * (total - rising)[..., None] + material["grazing"] * rising[..., None]
+    return head_on * (1.0 - lost - rising)[..., None] + material["grazing"] * rising[..., None]
 
 
 def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) -> Array:

@@ -13,10 +13,11 @@ from lumisplat.device.ggx import (
     HALF_MIN2,
     WIDTH_MIN,
     facet_density,
-    grazing_albedo,
+    lost_share,
     masking,
-    mean_grazing_albedo,
-    total_albedo,
+    mean_lost_share,
+    mean_rising_share,
+    rising_share,
     visible_facet,
 )
 from lumisplat.device.light_structs import BSDF_SIMPLE, Bsdf, BsdfSample
@@ -85,9 +86,15 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 
 @wp.func
-def highlight_albedo(bsdf: Bsdf, rising: float) -> wp.vec3:
-    """Share of a white sky that the highlight reflects, ``rising`` of it by Schlick's term."""
-    return (total_albedo(bsdf.width) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
+def highlight_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
+    """Share of a white sky that the highlight reflects."""
+    return (1.0 - lost - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
+
+
+@wp.func
+def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """The same for a view at that cosine."""
+    return highlight_albedo(bsdf, rising_share(cosine, bsdf.width), lost_share(cosine, bsdf.width))
 
 
 @wp.func
@@ -96,9 +103,9 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
     if bsdf.grazing <= 0.0:
         return INV_PI * bsdf.diffuse
     white = wp.vec3(1.0)
-    enters = white - highlight_albedo(bsdf, grazing_albedo(cos_light, bsdf.width))
-    leaves = white - highlight_albedo(bsdf, grazing_albedo(cos_view, bsdf.width))
-    mean = white - highlight_albedo(bsdf, mean_grazing_albedo(bsdf.width))
+    enters = white - view_albedo(bsdf, cos_light)
+    leaves = white - view_albedo(bsdf, cos_view)
+    mean = white - highlight_albedo(bsdf, mean_rising_share(bsdf.width), mean_lost_share(bsdf.width))
     mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
     return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
 
@@ -126,7 +133,7 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     """Probability of the highlight: its share of what all of the material would reflect of a white sky."""
     if bsdf.width <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
-    mirrored = highlight_albedo(bsdf, grazing_albedo(cos_view, bsdf.width))
+    mirrored = view_albedo(bsdf, cos_view)
     specular = mean_of(mirrored)
     diffuse = mean_of(wp.cw_mul(bsdf.diffuse, wp.vec3(1.0) - mirrored))
     if diffuse <= 0.0:

@@ -39,27 +39,38 @@ def masking(cosine: float, width: float) -> float:
     return 1.0 / (cosine + wp.sqrt(width2 + (1.0 - width2) * cosine * cosine))
 
 
-@wp.func
-def grazing_albedo(cosine: float, width: float) -> float:
-    """Share of a white sky that a highlight with Schlick's ``(1 - cosine)^5`` alone for reflectance sends to a view.
+# What a highlight sends to a view of a white sky is linear in the reflectances: that at normal incidence times
+# ``1 - lost - rising``, that at grazing incidence times ``rising``. Both are fits to quadrature, and err to the side on
+# which less is left for diffuse light (docs/adr/0009); they are exact where the surface is smooth.
 
-    A fit, from below 0.0001 to 0.066 too much, to what quadrature gives; exact for smooth surfaces (docs/adr/0009).
-    """
+
+@wp.func
+def rising_share(cosine: float, width: float) -> float:
+    """What Schlick's ``(1 - cosine)^5`` reflects; up to 0.08 too much, at grazing angles."""
     x = wp.max(1.0 - cosine, 0.0)
-    top = cosine * x * x + 2.3 * width
-    return x * x * x * top / (cosine + width * (2.48 + width * (38.2 + width * 24.7)))
+    above = cosine * x * x + 2.3 * width
+    below = cosine + width * (2.48 + width * (38.2 + width * 24.7))
+    return x * x * x * above / wp.max(below, 1e-30)
 
 
 @wp.func
-def mean_grazing_albedo(width: float) -> float:
-    """No more than its mean over all views, weighted by the cosine: 1/21 for smooth surfaces."""
-    return (1.0 / 21.0) / (1.0 + width * (2.4 + width * 17.0))
+def lost_share(cosine: float, width: float) -> float:
+    """What microfacets lose to each other's shadow; up to 0.12 too little, at grazing angles."""
+    above = width * width * (0.53 + 0.79 * cosine)
+    below = cosine * cosine + width * (1.15 - 0.91 * cosine + 0.74 * width)
+    return above / wp.max(below, 1e-30)
 
 
 @wp.func
-def total_albedo(width: float) -> float:
-    """The same for a reflectance of 1, at least: what microfacets do not lose to each other's shadow."""
-    return 1.0 - 0.38 * width * width
+def mean_rising_share(width: float) -> float:
+    """No more than its mean over all views, weighted by the cosine."""
+    return 1.0 / (21.0 + width * (50.4 + width * 357.0))
+
+
+@wp.func
+def mean_lost_share(width: float) -> float:
+    """No less than its mean."""
+    return width * width / (0.26 + width * (1.05 + width * 0.3))
 
 
 @wp.func
