@@ -107,6 +107,15 @@ SHADOW_OFFSET = 1.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface. seeds/000 section 4 has
 the offset in world units, which no two captures share."""
 
+SHRINK_RAYS_PER_GAUSSIAN = 0.25
+"""Shadow rays a Gaussian from which on trees are shrunk for a stochastic sample: that costs as much as some rays do."""
+
+SHRINK_INSTANCES_MAX = 8
+"""Instances of an asset up to which its tree is: it has to hold for all of them."""
+
+EDGE_WEIGHT_MAX = 1e-5
+"""Barycentric weight from which on a ray that crosses glass is not on the edge of a triangle: above all rounding."""
+
 SHADOW_ONLY_AMBIENT = 0.5
 """Radiance over albedo that a shadow-only set without a material is taken to have besides its lights."""
 

@@ -12,7 +12,7 @@ from lumisplat.device.traverse import enter_children, shaft_in_object, slabs_of
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 LANES = 16
-Floats, _, shaft_of, _ = bundle_of(LANES)
+Floats, _, shaft_of, *_ = bundle_of(LANES)
 
 
 @wp.kernel

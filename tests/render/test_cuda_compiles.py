@@ -39,9 +39,10 @@ def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     check_compiles(kernel.module, [kernel], tmp_path)
 
 
-def test_occluder_compiles_for_cuda(tmp_path: Path) -> None:
-    """So does the one of shadow rays."""
-    kernel = shadow_kernels.occluder(1)
+@pytest.mark.parametrize("hits", [1, 32])
+def test_occluder_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
+    """So do those of shadow rays."""
+    kernel = shadow_kernels.occluder(1, hits)
     check_compiles(kernel.module, [kernel], tmp_path)
 
 

@@ -19,6 +19,18 @@ TINY = wp.constant(wp.float32(1.0e-30))
 
 
 @wp.func
+def distance_squared(kernel: KernelData, log_response: float) -> float:
+    """Squared canonical distance at which the logarithm of a Gaussian's response is this, at most 0."""
+    if kernel.degree == 0:
+        distance = (1.0 - wp.exp(log_response)) / kernel.falloff
+        return distance * distance
+    exponent = -log_response / kernel.falloff
+    if kernel.degree == 2:
+        return exponent
+    return wp.pow(exponent, 2.0 / float(kernel.degree))
+
+
+@wp.func
 def reach_squared(kernel: KernelData, opacity: float) -> float:
     """Squared canonical distance beyond which a Gaussian is ignored; negative where it never counts.
 
@@ -31,10 +43,7 @@ def reach_squared(kernel: KernelData, opacity: float) -> float:
         least = wp.max(least, kernel.min_response)
     if not least <= 1.0:
         return -1.0
-    if kernel.degree == 0:
-        distance = (1.0 - least) / kernel.falloff
-        return distance * distance
-    return wp.pow(-wp.log(least) / kernel.falloff, 2.0 / float(kernel.degree))
+    return distance_squared(kernel, wp.log(least))
 
 
 @wp.func

@@ -21,6 +21,12 @@ ORIGIN = wp.constant(wp.uint32(0x6C756D69))
 BITS_16 = wp.constant(wp.uint32(16))
 BITS_15 = wp.constant(wp.uint32(15))
 BITS_8 = wp.constant(wp.uint32(8))
+BITS_12 = wp.constant(wp.uint32(12))
+BITS_20 = wp.constant(wp.uint32(20))
+BITS_4 = wp.constant(wp.uint32(4))
+BITS_2 = wp.constant(wp.uint32(2))
+LOW_4 = wp.constant(wp.uint32(15))
+ONE = wp.constant(wp.uint32(1))
 UNIT = wp.constant(wp.float32(2.0**-24))
 
 # Dimensions below 2^31 are the Gaussians', by their index among all of the scene's. Others count down from the last.
@@ -66,3 +72,33 @@ def draw_mixed(stream: wp.uint32, mixed: wp.uint32) -> float:
 def draw(stream: wp.uint32, dimension: wp.uint32) -> float:
     """A number of a stream, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
     return draw_mixed(stream, mix(dimension))
+
+
+@wp.func
+def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
+    """Where one of many permutations of the numbers below 16, picked by ``word``, puts ``k``.
+
+    Each step is one-to-one modulo 16.
+    """
+    k = wp.bit_xor(k, word) * wp.bit_or(wp.rshift(word, BITS_4), ONE)
+    k = wp.bit_and(k, LOW_4)
+    k = wp.bit_xor(k, wp.rshift(k, BITS_2))
+    k = wp.bit_xor(k, wp.rshift(word, BITS_8)) * wp.bit_or(wp.rshift(word, BITS_12), ONE)
+    k = wp.bit_and(k, LOW_4)
+    k = wp.bit_xor(k, wp.rshift(k, BITS_2))
+    return wp.bit_and(wp.bit_xor(k, wp.rshift(word, BITS_16)), LOW_4)
+
+
+@wp.func
+def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
+    """A number of a sample, in [0, 1), a multiple of 2^-24: of 16 samples in a row, one is in each sixteenth.
+
+    Args:
+        key: The same for these 16 samples, which begin with a multiple of 16.
+        sample: Its number.
+        dimension: Different ones are independent.
+    """
+    word = mix(key + mix(wp.uint32(dimension)))
+    place = wp.bit_and(wp.uint32(sample), LOW_4)
+    within = wp.rshift(mix(word + mix(place)), BITS_12)
+    return float(int(wp.lshift(shuffled_16(place, word), BITS_20) + within)) * UNIT

@@ -71,3 +71,37 @@ def meet_triangle(
     hit.t = shear.inverse * (weight_a * turned_a[2] + weight_b * turned_b[2] + weight_c * turned_c[2]) / total
     hit.weights = wp.vec2(weight_b / total, weight_c / total)
     return hit
+
+
+@wp.func
+def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
+    """A corner, sheared and seen along the ray."""
+    turned = axis_last(corner - origin, shear.axis)
+    return wp.vec2(turned[0] - shear.slope[0] * turned[2], turned[1] - shear.slope[1] * turned[2])
+
+
+@wp.func
+def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
+    """Whether a triangle that runs ``around`` counter-clockwise (or clockwise: negative) owns what lies on an edge.
+
+    Of two triangles side by side, one does: as if the ray passed a little to the left of the edge.
+    """
+    if edge_side(start, end) != 0.0:
+        return True
+    along = around * (end - start)
+    return along[1] > 0.0 or (along[1] == 0.0 and along[0] < 0.0)
+
+
+@wp.func
+def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
+    """Whether a triangle that a ray meets counts where it is met exactly on an edge or a corner.
+
+    Those who count every crossing would count the triangles of that edge, or all around that corner.
+    """
+    flat_a = flat_corner(v0, origin, shear)
+    flat_b = flat_corner(v1, origin, shear)
+    flat_c = flat_corner(v2, origin, shear)
+    around = edge_side(flat_a, flat_b) + edge_side(flat_b, flat_c) + edge_side(flat_c, flat_a)
+    if not owns_edge(flat_a, flat_b, around):
+        return False
+    return owns_edge(flat_b, flat_c, around) and owns_edge(flat_c, flat_a, around)

@@ -2,8 +2,11 @@
 
 import warp as wp
 
+from lumisplat.device.color import decode_srgb_color
 from lumisplat.device.ray_structs import SmoothData
+from lumisplat.device.sh import sh_color
 from lumisplat.device.specular import fresnel
+from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import ShadowData
 
 wp.set_module_options({"enable_backward": False})
@@ -20,6 +23,12 @@ def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> w
         return wp.vec3(0.0)
     mirrored = material.specular * fresnel(cosine, 1.0 / material.ior)
     return (1.0 - mirrored) * (1.0 - material.metallic) * material.transmission * base_color
+
+
+@wp.func
+def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
+    """Linear colour of Gaussian ``i`` from all sides: its SH of degree 0."""
+    return decode_srgb_color(sh_color(gaussians.sh, i * gaussians.sh_count, 0, wp.vec3(0.0)))
 
 
 @wp.func

@@ -107,15 +107,18 @@ class TreeInstance:
 class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
-    method: int
-    """EXACT or STOCHASTIC of the shadow kernels; FIRST_HITS is a kernel of its own."""
+    stochastic: int
+    """1: Gaussians block all or nothing, by chance."""
     hull: int
-    """1: Gaussians are hit where rays enter their ellipsoid, which orders the first hits."""
+    """1: Gaussians are hit where rays enter their ellipsoid, which tells the first ones."""
     transmittance_min: float
     """What does not let through more counts as black."""
     threshold: float
     """What does not let through more counts as black, and the rest is stretched to 0..1."""
     color_strength: float
+    seed: wp.uint32
+    sample: int
+    """Its number, which stochastic shadows depend on."""
 
 
 @struct
@@ -123,7 +126,7 @@ class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """SORTED, HIT, PASS or PRODUCT of the integrator."""
+    """SORTED, HIT or PASS of the integrator."""
     hits_per_pass: int
     """Of the stochastic pass."""
     hull: int

@@ -113,17 +113,18 @@ class GaussianTree:
         links = scratch.get("links", ChildLinks, count)
         begins[:1].fill_(0)
         ends[:1].fill_(count)
-        self._levels: list[tuple[int, int]] = []
+        self.levels: list[tuple[int, int]] = []
+        """First node and number of nodes of each level, from the root on."""
         first, nodes = 0, 1
         while nodes:
             edges = scratch.get("edges", kernels.Edges, nodes)
             inner, inner_ends = (scratch.get(name, wp.int32, nodes) for name in ("inner", "inner_ends"))
-            split(len(self._levels), first, nodes, begins, ends, edges, inner)
+            split(len(self.levels), first, nodes, begins, ends, edges, inner)
             wp.utils.array_scan(inner, inner_ends, inclusive=True)
             self._launcher.run_banded(
                 kernels.link_nodes, nodes, first, first + nodes, edges, inner_ends, inner, begins, ends, links
             )
-            self._levels.append((first, nodes))
+            self.levels.append((first, nodes))
             first, nodes = first + nodes, int(inner_ends[nodes - 1 : nodes].numpy()[0])
         self._node_count = first
         return links
@@ -136,7 +137,7 @@ class GaussianTree:
         self._launcher.run_banded(
             kernels.gather_particles, count, self._kernel, gaussians, self._items, self.particles, boxes
         )
-        for first, nodes in reversed(self._levels):
+        for first, nodes in reversed(self.levels):
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
 
 

@@ -87,6 +87,7 @@ class RayQueries:
             uploaded = self._uploaded(given)
             for sample in range(samples):
                 self._load(first, count, sample, uploaded, rays)
+                self._transport.begin_sample(sample)
                 met = self._tracer.look(scene, trees, rays)
                 colors = self._transport.colors(scene, trees, met, lit=lit)
                 if lit:
@@ -133,10 +134,7 @@ class RayQueries:
         for first, given in _batches(origins, directions, distances):
             count, rays = len(given[0]), self._rays(len(given[0]))
             self._load(first, count, 0, self._uploaded(given), rays)
-            hits, transmittance = self._tracer.transmit(scene, trees, rays)
-            through = transmittance.numpy()[:count]
-            dark = (hits.face.numpy()[:count] >= 0) | (through <= self._config.trace.transmittance_min)
-            parts.append(np.where(dark, np.float32(0.0), through))
+            parts.append(self._tracer.transmit(scene, trees, rays).numpy()[:count, 0].copy())
         return np.concatenate(parts)
 
     def _rays(self, count: int) -> RayData:

@@ -35,7 +35,7 @@ from lumisplat.render.primary import RasterPrimary
 from lumisplat.render.raster import SplatRaster, refuse_lens
 from lumisplat.render.rays import RayHits, RayQueries, checked_distances, checked_rays
 from lumisplat.render.surface import Surface
-from lumisplat.render.trace import RayTracer, ray_count, trace_modules
+from lumisplat.render.trace import RayTracer, ray_count, trace_modules, transmit_modules
 from lumisplat.render.transport import Transport, light_modules
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.arrays import FloatArray
@@ -125,6 +125,7 @@ class Renderer:
         start, along = checked_rays(origins, directions)
         distances = checked_distances(max_distance, len(start))
         self._sync_rays(scene)
+        self._load(transmit_modules(self._launcher))
         return self._queries.transmit(self._scene, self._trees, start, along, distances)
 
     def _sync_rays(self, scene: Scene) -> bool:
@@ -214,6 +215,7 @@ class Renderer:
         """One ray a pixel: what it meets, what it sees there, and onto the film."""
         film = self._film
         film.begin_sample(camera, sample)
+        self._transport.begin_sample(sample)
         met = self._met(camera, trees, sample)
         reflection = None
         if lit and "reflection" in self.config.aovs:

@@ -15,9 +15,8 @@ from lumisplat.device.trace_structs import ShadowData
 from lumisplat.launcher import Launcher
 from lumisplat.render import shadow_kernels as kernels
 from lumisplat.render.device_scene import DeviceScene, table_dtype
+from lumisplat.render.shrunk_trees import ShrunkTrees
 from lumisplat.render.tree_scene import TreeScene
-
-_METHODS = {ShadowMethod.EXACT: kernels.EXACT, ShadowMethod.STOCHASTIC: kernels.STOCHASTIC}
 
 
 class ShadowRays:
@@ -27,63 +26,85 @@ class ShadowRays:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings; they do not change.
+        name: Of the buffers.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
-        self._launcher, self._buffers = launcher, buffers
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "shadow") -> None:
+        self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._settings = buffers.get("shadow.settings", ShadowData, 1)
-        self._settings.assign(shadow_table(config))
+        self._shade = occluder_of(launcher, config)
+        self._is_stochastic = config.shadow.method is ShadowMethod.STOCHASTIC
+        self._shrunk = ShrunkTrees(launcher, buffers, name)
+        self._table = shadow_table(config)
+        self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
+        self._settings.assign(self._table)
+
+    def begin_sample(self, sample: int) -> None:
+        """Before the rays of a sample: stochastic shadows are drawn anew for each."""
+        if self._is_stochastic:
+            self._table["sample"] = sample
+            self._settings.assign(self._table)
+            self._shrunk.forget()
 
     def trace(
-        self, scene: DeviceScene, trees: TreeScene, rays: RayData, skips: wp.array[wp.int32], name: str
-    ) -> wp.array[wp.vec3]:
-        """What of the light from ``t_max`` arrives at each ray's origin, per channel, 0..1.
+        self, scene: DeviceScene, trees: TreeScene, rays: RayData, skips: Any, name: str, *, opaque: bool = False
+    ) -> Any:
+        """What of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
         Args:
             scene: After ``sync`` and ``sync_rays``.
             trees: Of the same scene.
             rays: From the point to the light, a multiple of ``PACKET_RAYS``. Meshes count from the origin on, Gaussians
                 from ``t_min``; ``t_max`` is the light's distance, inf for one infinitely far. Where it is not above 0,
-                there is no ray, and the result any number.
-            skips: 1: the ray does not see Gaussians of instances that are ``shadow_only``.
+                there is no ray, and the result is any number.
+            skips: Array of int. 1: the ray does not see Gaussians of instances that are ``shadow_only``. None: all do.
             name: Of the buffer that holds the result.
+            opaque: All meshes are, also those of glass.
         """
-        count = rays.t_max.shape[0]
+        count, run = rays.t_max.shape[0], self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
-        limits = self._buffers.get("shadow.limits", wp.float32, count)
-        self._launcher.run_banded(
+        limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
+        run(
             kernels.shade_by_meshes,
             count,
-            *(scene.placements, scene.mesh_instances, scene.mesh_data, rays, light, limits),
+            *(int(opaque), scene.placements, scene.mesh_instances, scene.mesh_data, rays, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
-        self._launcher.run_banded(
-            occluder_of(self._launcher),
+        if skips is None:
+            skips = self._buffers.get(f"{self._name}.skips", wp.int32, count)
+            skips.zero_()
+        assets = trees.assets
+        if self._is_stochastic:
+            assets = self._shrunk.assets(scene, trees, self._settings, ray_count=count)
+        run(
+            self._shade,
             count // self._lanes,
-            *(self._settings, trees.instances, trees.assets, trees.top_nodes, trees.bundle_radius),
+            *(self._settings, trees.instances, assets, trees.top_nodes, trees.bundle_radius),
             *(rays, limits, skips, light),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return light
 
 
-def shadow_modules(launcher: Launcher) -> list[Any]:
+def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that shadow rays need."""
-    return [kernels, occluder_of(launcher).module]
+    return [kernels, occluder_of(launcher, config).module]
 
 
-def occluder_of(launcher: Launcher) -> Any:
+def occluder_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that takes shadow rays through Gaussians on a device."""
-    return kernels.occluder(1 if launcher.is_parallel else PACKET_RAYS)
+    hits = config.shadow.hits if config.shadow.method is ShadowMethod.FIRST_HITS else 0
+    return kernels.occluder(1 if launcher.is_parallel else PACKET_RAYS, hits)
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the settings of shadow rays from."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
-    row["method"] = _METHODS[config.shadow.method]
-    row["hull"] = config.trace.hit_distance is HitDistance.HULL
+    row["stochastic"] = config.shadow.method is ShadowMethod.STOCHASTIC
+    is_first = config.shadow.method is ShadowMethod.FIRST_HITS
+    row["hull"] = is_first and config.trace.hit_distance is HitDistance.HULL
     row["transmittance_min"] = config.trace.transmittance_min
     row["threshold"] = config.shadow.transmittance_threshold
     row["color_strength"] = config.shadow.color_strength
+    row["seed"] = config.seed
     return table

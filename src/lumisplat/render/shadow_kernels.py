@@ -1,7 +1,9 @@
-"""What of a light reaches the origins of rays. First past meshes, one item a ray; then through Gaussians.
+"""What of a light reaches the origins of rays: first past meshes, then through Gaussians.
 
-Nothing has to be in order: shares of light multiply. So Gaussians are met in whatever order the trees hand them out,
-by bundles of rays as in ``trace_kernels``, without lists and in a single pass.
+``shade_by_meshes``: one item is one ray. ``shade_by_gaussians``: one item is one packet of ``lanes`` consecutive rays,
+as in ``trace_kernels``. Shares of light multiply, so nothing has to be in order, and one walk through the trees is
+enough: Gaussians are met as they come, and where they must be told by distance (the first hits), a list keeps the
+nearest. ``shrink_nodes``: one item is one node of a level of a tree.
 """
 
 import functools
@@ -9,38 +11,53 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_STACK
-from lumisplat.device.bundle import bundle_of
-from lumisplat.device.gaussian import alpha_from_log
+from lumisplat.constants import BOX_MARGIN, COHERENT_SPREAD, EDGE_WEIGHT_MAX, NODE_WIDTH, TRAVERSE_STACK
+from lumisplat.device.bundle import BUNDLE_OPTIONS, bundle_of
+from lumisplat.device.gaussian import ALPHA_LIMIT, alpha_from_log
 from lumisplat.device.mesh_surface import hit_weights, surface_color, surface_normal
-from lumisplat.device.particle import alpha_of_degree
-from lumisplat.device.random import draw_mixed, mix
+from lumisplat.device.particle import alpha_of_degree, distance_squared
+from lumisplat.device.random import draw_stratified, stream_of
 from lumisplat.device.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.ray_structs import MeshPlacement, RayData
-from lumisplat.device.ray_triangle import meet_triangle
-from lumisplat.device.shade import pass_straight, shadow_of
+from lumisplat.device.ray_triangle import meet_triangle, owns_crossing
+from lumisplat.device.shade import pass_straight, shadow_of, tint_of
 from lumisplat.device.structs import MeshData, MeshInstanceData
-from lumisplat.device.trace_structs import FAR, Node, ShadowData, Slabs, TreeAsset, TreeInstance
+from lumisplat.device.surface import instance_of
+from lumisplat.device.trace_structs import (
+    FAR,
+    NO_CHILD,
+    Node,
+    Particle,
+    ShadowData,
+    Slabs,
+    TreeAsset,
+    TreeInstance,
+)
 from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
-from lumisplat.render.trace_kernels import OPTIONS
 
 # As for all that meets triangles: fused products would let rays through shared edges.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-EXACT = 0
-STOCHASTIC = 1
-
-METHOD_STOCHASTIC = wp.constant(STOCHASTIC)
 WIDTH = wp.constant(NODE_WIDTH)
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
+MARGIN = wp.constant(wp.float32(BOX_MARGIN))
+EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
-StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
+StackInts = wp.types.vector(length=TRAVERSE_STACK + 1, dtype=wp.int32)
+Picks = wp.types.vector(length=NODE_WIDTH + 1, dtype=wp.int32)
+
+
+@wp.func
+def shadow_key(settings: ShadowData) -> wp.uint32:
+    """Of what a stochastic sample draws; no pixel's."""
+    return stream_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.kernel
 def shade_by_meshes(
     start: int,
+    opaque: int,
     placements: wp.array(dtype=MeshPlacement),
     instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
@@ -48,7 +65,7 @@ def shade_by_meshes(
     light_out: wp.array(dtype=wp.vec3),
     limit_out: wp.array(dtype=float),
 ):
-    """Multiplies what all triangles between the origin and ``t_max`` let through, in any order.
+    """Multiplies what all triangles between the origin and ``t_max`` let through; nothing if they are ``opaque``.
 
     ``limit_out`` is as far as Gaussians have to be looked for: not at all where no light is left.
     """
@@ -68,33 +85,40 @@ def shade_by_meshes(
                 item = int(0)
                 while wp.max(light) > 0.0 and wp.bvh_query_next(query, item, t_max - ray.begin):
                     corners = meshes.indices[placement.face_first + item]
-                    hit = meet_triangle(
-                        ray.origin,
-                        ray.direction,
-                        ray.shear,
-                        meshes.positions[corners[0]],
-                        meshes.positions[corners[1]],
-                        meshes.positions[corners[2]],
-                    )
+                    v0 = meshes.positions[corners[0]]
+                    v1 = meshes.positions[corners[1]]
+                    v2 = meshes.positions[corners[2]]
+                    hit = meet_triangle(ray.origin, ray.direction, ray.shear, v0, v1, v2)
                     t = ray.begin + hit.t
                     if t > 0.0 and t < t_max:
-                        weights = hit_weights(hit.weights)
-                        instance = instances[number]
-                        normal = surface_normal(instance, meshes, corners, weights)
-                        color = surface_color(instance, meshes, corners, weights)
-                        cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
-                        light = wp.cw_mul(light, pass_straight(placement.material, color, cosine))
+                        share = wp.vec3(0.0)
+                        if opaque == 0 and placement.material.smooth != 0:
+                            weights = hit_weights(hit.weights)
+                            if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, v0, v1, v2):
+                                share = wp.vec3(1.0)
+                            else:
+                                instance = instances[number]
+                                normal = surface_normal(instance, meshes, corners, weights)
+                                color = surface_color(instance, meshes, corners, weights)
+                                cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
+                                share = pass_straight(placement.material, color, cosine)
+                        light = wp.cw_mul(light, share)
     light_out[i] = light
     limit_out[i] = wp.where(wp.max(light) > 0.0, t_max, -wp.inf)
 
 
 @functools.cache
-def occluder(lanes: int) -> Any:
-    """The kernel for packets of ``lanes`` rays."""
+def occluder(lanes: int, hits: int) -> Any:
+    """The kernel for packets of ``lanes`` rays, which keep ``hits`` first hits each if that is the method."""
     LANES = lanes
-    Floats, _, shaft_of, meet_particle = bundle_of(lanes)
+    HITS = max(hits, 1)
+    FIRST = hits > 0
+    ORDER = 1.0 if hits > 0 else -1.0
+    Floats, Ints, shaft_of, meet_particle, pass_particle = bundle_of(lanes)
+    HitFloats = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.float32)
+    HitInts = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.int32)
 
-    @wp.kernel(module="unique", module_options=OPTIONS)
+    @wp.kernel(module="unique", module_options=BUNDLE_OPTIONS)
     def shade_by_gaussians(
         start: int,
         settings: wp.array(dtype=ShadowData),
@@ -107,39 +131,40 @@ def occluder(lanes: int) -> Any:
         skips: wp.array(dtype=int),
         light_inout: wp.array(dtype=wp.vec3),
     ):
-        """Multiplies the light of each ray with what all Gaussians up to its limit let through."""
+        """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES
         view = settings[0]
         least = wp.max(view.transmittance_min, view.threshold)
+        key = shadow_key(view)
+        tints = view.color_strength > 0.0 and view.stochastic == 0
 
-        whole = Floats(-FAR)
-        left = Floats(1.0)  # transmittances
+        waiting = Floats(-FAR)  # limits of the rays that have not been followed yet
         live = int(0)
-        skipping = int(1)
         for lane in range(LANES):
             if limits[first + lane] > rays.t_min[first + lane]:
-                whole[lane] = wp.min(limits[first + lane], FAR)
+                waiting[lane] = wp.min(limits[first + lane], FAR)
                 live += 1
-                skipping &= skips[first + lane]
-        if live == 0:
-            return
-        # Rays that part are no bundle: each goes alone.
-        bundles = int(1)
-        shaft = shaft_of(rays, first, whole)
-        if shaft.spread > SPREAD_MAX or shaft.radius > radius_max:
-            bundles = int(LANES)
-        for bundle in range(bundles):
-            limit = Floats()  # negative: there is no ray
-            alive = Floats()  # transmittance where there is one
+        while live > 0:
+            # Rays that part are no bundle: those near the first one go together.
+            limit = Floats(-FAR)  # negative: there is no ray
+            origin = wp.vec3()
+            along = wp.vec3()
+            members = int(0)
             for lane in range(LANES):
-                limit[lane] = whole[lane]
-                if bundles > 1 and lane != bundle:
-                    limit[lane] = -FAR
-            if bundles > 1:
-                if limit[bundle] < 0.0:
-                    continue
-                shaft = shaft_of(rays, first, limit)
+                if waiting[lane] > 0.0:
+                    if members == 0:
+                        origin = rays.origin[first + lane]
+                        along = rays.direction[first + lane]
+                    apart = wp.length(rays.origin[first + lane] - origin)
+                    bend = wp.length(rays.direction[first + lane] - along)
+                    if members == 0 or (apart <= radius_max and bend <= SPREAD_MAX):
+                        limit[lane] = waiting[lane]
+                        waiting[lane] = -FAR
+                        members += 1
+            live -= members
+            shaft = shaft_of(rays, first, limit)
             t_min = Floats()
+            left = Floats()  # transmittances of the rays that there are
             begin = float(FAR)
             reach = float(-FAR)
             for lane in range(LANES):
@@ -147,10 +172,21 @@ def occluder(lanes: int) -> Any:
                 if limit[lane] > 0.0:
                     begin = lesser(begin, t_min[lane])
                     reach = larger(reach, limit[lane])
-                    alive[lane] = 1.0
+                    left[lane] = 1.0
+            # Sums of linear colours, weighted by alpha.
+            red = Floats()
+            green = Floats()
+            blue = Floats()
+            # The nearest hits, in their order; those from (cut_t, cut_index) on do not count.
+            hit_t = HitFloats()
+            hit_alpha = HitFloats()
+            hit_index = HitInts()
+            held = Ints()
+            cut_t = Floats(FAR)
+            cut_index = Ints(-1)
 
-            # The nodes that wait, nearest on top.
-            entry = StackFloats()
+            # The nodes that wait.
+            ranks = StackFloats()
             link = StackInts()
             owner = StackInts()  # instance whose tree the node is of; -1: the tree of the instances
             owner[0] = -1
@@ -167,6 +203,8 @@ def occluder(lanes: int) -> Any:
             dz = Floats()
             while top > 0:
                 top -= 1
+                if FIRST and ranks[top] > reach:
+                    continue
                 if owner[top] != current:
                     current = owner[top]
                     if current < 0:
@@ -185,7 +223,7 @@ def occluder(lanes: int) -> Any:
                             dy[lane] = d[1]
                             dz[lane] = d[2]
                             end[lane] = limit[lane]
-                            if (instance.shadow_only & skips[first + lane]) != 0:
+                            if instance.shadow_only != 0 and skips[first + lane] != 0:
                                 end[lane] = -FAR
                 node = Node()
                 if current < 0:
@@ -194,57 +232,160 @@ def occluder(lanes: int) -> Any:
                     node = assets[instance.asset].nodes[link[top]]
                 links = node.link
                 entries = enter_children(node, slabs, begin)
+                pick = Picks()
+                picks = int(0)
                 base = int(top)
-                changed = int(0)
                 for c in range(WIDTH):
                     if entries[c] <= reach:
                         if links[c] >= 0 or current < 0:
                             # A node waits in its place among its siblings; an instance as its root.
+                            rank = ORDER * entries[c]
                             j = int(top)
-                            while j > base and entry[wp.max(j - 1, 0)] < entries[c]:
-                                entry[j] = entry[j - 1]
+                            while j > base and ranks[wp.max(j - 1, 0)] < rank:
+                                ranks[j] = ranks[j - 1]
                                 link[j] = link[j - 1]
                                 owner[j] = owner[j - 1]
                                 j -= 1
-                            entry[j] = entries[c]
+                            ranks[j] = rank
                             link[j] = wp.max(links[c], 0)
                             owner[j] = wp.where(links[c] < 0, ~links[c], current)
                             top += 1
                         else:
-                            particle = assets[instance.asset].particles[~links[c]]
-                            t, distance2 = meet_particle(particle, 0, ox, oy, oz, dx, dy, dz, t_min, end)
-                            found = int(0)
-                            alpha = Floats()
+                            pick[picks] = ~links[c]
+                            picks += 1
+                changed = int(0)
+                for p in range(picks):
+                    particle = assets[instance.asset].particles[pick[p]]
+                    t = Floats(FAR)
+                    distance2 = Floats()
+                    along2 = Floats(1.0)
+                    met = Ints()
+                    found = int(0)
+                    if FIRST:
+                        t, distance2 = meet_particle(particle, view.hull, ox, oy, oz, dx, dy, dz, t_min, end)
+                        for lane in range(LANES):
+                            met[lane] = wp.where(t[lane] < FAR, 1, 0)
+                    else:
+                        met, distance2, along2 = pass_particle(particle, ox, oy, oz, dx, dy, dz, t_min, end)
+                    for lane in range(LANES):
+                        found = found | met[lane]
+                    if found != 0:
+                        changed = int(1)
+                        alpha = Floats()
+                        for lane in range(LANES):
+                            distance2[lane] = distance2[lane] / along2[lane]
+                            alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
+                        if instance.kernel.degree != 2:
                             for lane in range(LANES):
-                                found += wp.where(t[lane] < FAR, 1, 0)
-                                alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
-                            if found > 0:
-                                if instance.kernel.degree != 2:
-                                    for lane in range(LANES):
-                                        alpha[lane] = alpha_of_degree(
-                                            instance.kernel, particle.log_opacity, distance2[lane]
-                                        )
-                                if view.method == METHOD_STOCHASTIC:
-                                    dimension = mix(wp.uint32(instance.first + particle.index))
-                                    for lane in range(LANES):
-                                        number = draw_mixed(rays.stream[first + lane], dimension)
-                                        alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
-                                changed = int(1)
+                                alpha[lane] = alpha_of_degree(instance.kernel, particle.log_opacity, distance2[lane])
+                        if FIRST:
+                            index = instance.first + particle.index
+                            reach = float(-FAR)
+                            for lane in range(LANES):
+                                if t[lane] < cut_t[lane] or (t[lane] == cut_t[lane] and index < cut_index[lane]):
+                                    bottom = lane * HITS
+                                    j = wp.min(held[lane], HITS - 1) + bottom
+                                    while j > bottom and (
+                                        hit_t[wp.max(j - 1, 0)] > t[lane]
+                                        or (hit_t[wp.max(j - 1, 0)] == t[lane] and hit_index[wp.max(j - 1, 0)] > index)
+                                    ):
+                                        hit_t[j] = hit_t[j - 1]
+                                        hit_alpha[j] = hit_alpha[j - 1]
+                                        hit_index[j] = hit_index[j - 1]
+                                        j -= 1
+                                    hit_t[j] = t[lane]
+                                    hit_alpha[j] = alpha[lane]
+                                    hit_index[j] = index
+                                    held[lane] = wp.min(held[lane] + 1, HITS)
+                                    if held[lane] == HITS:
+                                        cut_t[lane] = hit_t[bottom + HITS - 1]
+                                        cut_index[lane] = hit_index[bottom + HITS - 1]
+                                reach = larger(reach, lesser(cut_t[lane], limit[lane]))
+                        else:
+                            if view.stochastic != 0:
+                                number = draw_stratified(key, view.sample, instance.first + particle.index)
                                 for lane in range(LANES):
-                                    alive[lane] = alive[lane] * (1.0 - wp.where(t[lane] < FAR, alpha[lane], 0.0))
+                                    alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
+                            for lane in range(LANES):
+                                alpha[lane] = wp.where(met[lane] != 0, alpha[lane], 0.0)
+                                left[lane] = left[lane] * (1.0 - alpha[lane])
+                            if tints:
+                                color = tint_of(assets[instance.asset].gaussians, particle.index)
+                                for lane in range(LANES):
+                                    red[lane] = red[lane] + alpha[lane] * color[0]
+                                    green[lane] = green[lane] + alpha[lane] * color[1]
+                                    blue[lane] = blue[lane] + alpha[lane] * color[2]
                 if changed != 0:
                     most = float(0.0)
                     for lane in range(LANES):
-                        most = larger(most, alive[lane])
+                        most = larger(most, left[lane])
                     if most <= least:
                         top = int(0)
             for lane in range(LANES):
                 if limit[lane] > 0.0:
-                    left[lane] = alive[lane]
-
-        for lane in range(LANES):
-            if whole[lane] > 0.0:
-                shade = shadow_of(view, left[lane], wp.vec3(0.0))
-                light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shade)
+                    transmittance = left[lane]
+                    tint = wp.vec3(red[lane], green[lane], blue[lane])
+                    for j in range(lane * HITS, lane * HITS + held[lane]):
+                        transmittance = transmittance * (1.0 - hit_alpha[j])
+                        if tints:
+                            index = hit_index[j]
+                            placed = instances[instance_of(instances, index)]
+                            tint += hit_alpha[j] * tint_of(assets[placed.asset].gaussians, index - placed.first)
+                    shade = shadow_of(view, transmittance, tint)
+                    light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shade)
 
     return shade_by_gaussians
+
+
+@wp.kernel
+def shrink_nodes(
+    start: int,
+    node_first: int,
+    settings: wp.array(dtype=ShadowData),
+    owners: wp.array(dtype=int),
+    instances: wp.array(dtype=TreeInstance),
+    particles: wp.array(dtype=Particle),
+    nodes: wp.array(dtype=Node),
+    nodes_out: wp.array(dtype=Node),
+):
+    """Boxes of a level's nodes around what of their Gaussians blocks light in a stochastic sample.
+
+    Gaussians block as far as their alpha is above the number drawn for them, in the instance (of the ``owners``) in
+    which that is farthest.
+    """
+    n = node_first + start + wp.tid()
+    view = settings[0]
+    key = shadow_key(view)
+    kernel = instances[owners[0]].kernel
+    node = nodes[n]
+    for c in range(WIDTH):
+        low = wp.vec3(FAR)
+        high = wp.vec3(-FAR)
+        link = node.link[c]
+        if link < 0:
+            particle = particles[~link]
+            number = float(1.0)
+            for k in range(owners.shape[0]):
+                index = instances[owners[k]].first + particle.index
+                number = wp.min(number, draw_stratified(key, view.sample, index))
+            log_response = wp.log(number) - particle.log_opacity
+            if number < ALPHA_LIMIT and log_response < 0.0 and particle.reach2 > 0.0:
+                share = wp.sqrt(wp.min(distance_squared(kernel, log_response) / particle.reach2, 1.0))
+                corner = wp.vec3(node.low_x[c], node.low_y[c], node.low_z[c])
+                opposite = wp.vec3(node.high_x[c], node.high_y[c], node.high_z[c])
+                center = 0.5 * corner + 0.5 * opposite
+                half = (0.5 * share) * (opposite - corner)
+                half += (wp.vec3(wp.max(half)) + wp.abs(center)) * MARGIN
+                low = center - half
+                high = center + half
+        elif link != NO_CHILD:
+            child = nodes_out[link]
+            low = wp.vec3(wp.min(child.low_x), wp.min(child.low_y), wp.min(child.low_z))
+            high = wp.vec3(wp.max(child.high_x), wp.max(child.high_y), wp.max(child.high_z))
+        node.low_x[c] = low[0]
+        node.low_y[c] = low[1]
+        node.low_z[c] = low[2]
+        node.high_x[c] = high[0]
+        node.high_y[c] = high[1]
+        node.high_z[c] = high[2]
+    nodes_out[n] = node

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lumisplat.buffers import Buffers
-from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.config import HitDistance, NormalMethod, RenderConfig, ShadowConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
 from lumisplat.device.ray_structs import RayData, RayRadiance
 from lumisplat.device.trace_structs import TraceData
@@ -17,7 +17,7 @@ from lumisplat.render import bounce_kernels, build_kernels, mesh_hits_kernels, r
 from lumisplat.render.device_scene import DeviceScene, table_dtype
 from lumisplat.render.mesh_hits import MeshHitFinder
 from lumisplat.render.met import Met
-from lumisplat.render.shadow import shadow_modules
+from lumisplat.render.shadow import ShadowRays, shadow_modules
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.scene.camera import Camera
 
@@ -45,8 +45,7 @@ class RayTracer:
         """Looks for meshes alone."""
         self._settings = buffers.get("trace.settings", TraceData, 1)
         self._settings.assign(trace_table(config.trace))
-        self._product_settings = buffers.get("trace.product_settings", TraceData, 1)
-        self._product_settings.assign(product_table(config.trace))
+        self._transmit = ShadowRays(launcher, buffers, replace(config, shadow=ShadowConfig()), "transmit")
 
     def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> Met:
         """What rays meet.
@@ -62,25 +61,24 @@ class RayTracer:
             radiance = self.integrate(trees, rays, "trace.radiance")
         return Met(rays, hits, radiance)
 
-    def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> tuple[Any, Any]:
-        """Nearest triangles, and what the Gaussians before them let through.
+    def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> Any:
+        """What of the light from ``t_max`` arrives at the origins of rays, an array of wp.vec3; behind meshes nothing.
 
         Args:
             scene: After ``sync`` and ``sync_rays``.
             trees: Of the same scene.
-            rays: As for ``look``.
+            rays: As for ``look``, but that ``t_max`` stays.
         """
-        hits = self.mesh_hits.find(scene, rays, "trace.hits")
-        return hits, self.integrate(trees, rays, "trace.radiance", self._product_settings).transmittance
+        return self._transmit.trace(scene, trees, rays, None, "trace.transmittance", opaque=True)
 
-    def integrate(self, trees: TreeScene, rays: RayData, name: str, settings: Any = None) -> RayRadiance:
+    def integrate(self, trees: TreeScene, rays: RayData, name: str) -> RayRadiance:
         """What the Gaussians up to ``t_max`` give rays, in buffers of that name."""
         count = rays.t_max.shape[0]
         radiance = self._buffers.struct(name, RayRadiance, count)
         self._launcher.run_banded(
             self._integrate,
             count // self._lanes,
-            *(settings or self._settings, trees.instances, trees.assets, trees.top_nodes, trees.bundle_radius),
+            *(self._settings, trees.instances, trees.assets, trees.top_nodes, trees.bundle_radius),
             *(rays, radiance),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
@@ -97,20 +95,17 @@ def integrator_of(launcher: Launcher, config: RenderConfig) -> Any:
 
 def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that tracing needs."""
-    own = [build_kernels, mesh_hits_kernels, bounce_kernels, ray_kernels, integrator_of(launcher, config).module]
-    return own + shadow_modules(launcher)
+    return [build_kernels, mesh_hits_kernels, bounce_kernels, ray_kernels, integrator_of(launcher, config).module]
+
+
+def transmit_modules(launcher: Launcher) -> list[Any]:
+    """The kernel modules that transmittance alone needs besides."""
+    return shadow_modules(launcher, RenderConfig())
 
 
 def ray_count(camera: Camera) -> int:
     """Rays of an image: whole blocks."""
     return PACKET_RAYS * (-(-camera.width // RAY_BLOCK_PX)) * (-(-camera.height // RAY_BLOCK_PX))
-
-
-def product_table(config: TraceConfig) -> np.ndarray:
-    """The same for transmittance alone, which needs no order; a ray is finished where its own falls to the minimum."""
-    table = trace_table(replace(config, strategy=TraceStrategy.SORTED))
-    table["strategy"] = trace_kernels.PRODUCT
-    return table
 
 
 def trace_table(config: TraceConfig) -> np.ndarray:

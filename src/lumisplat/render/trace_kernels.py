@@ -7,7 +7,7 @@ overflows forgets its farthest hit, and starts again behind the last one blended
 of sorting all hits.
 
 The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
-stochastic pass is drawn whenever k hits were blended. A fourth way multiplies what all hits let through, in any order.
+stochastic pass is drawn whenever k hits were blended.
 """
 
 import functools
@@ -16,7 +16,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
-from lumisplat.device.bundle import bundle_of
+from lumisplat.device.bundle import BUNDLE_OPTIONS, bundle_of
 from lumisplat.device.gaussian import alpha_from_log
 from lumisplat.device.particle import alpha_of_degree
 from lumisplat.device.random import draw_mixed, mix
@@ -25,23 +25,14 @@ from lumisplat.device.ray_structs import Ray, RayData, RayRadiance
 from lumisplat.device.trace_structs import FAR, Node, Slabs, TraceData, TreeAsset, TreeInstance
 from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
 
-OPTIONS = {
-    "enable_backward": False,
-    # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds are to be fused.
-    "max_unroll": 4,
-    "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
-    " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
-}
-wp.set_module_options(OPTIONS)
+wp.set_module_options(BUNDLE_OPTIONS)
 
 SORTED = 0
 HIT = 1
 PASS = 2
-PRODUCT = 3
 
 STRATEGY_HIT = wp.constant(HIT)
 STRATEGY_PASS = wp.constant(PASS)
-STRATEGY_PRODUCT = wp.constant(PRODUCT)
 WIDTH = wp.constant(NODE_WIDTH)
 NO_INDEX = wp.constant(2**31 - 1)
 REWIND = wp.constant(wp.float32(PASS_REWIND))
@@ -56,11 +47,11 @@ def integrator(lanes: int, hits: int) -> Any:
     """The kernel for packets of ``lanes`` rays that keep ``hits`` hits each."""
     LANES = lanes
     HITS = hits
-    Floats, Ints, shaft_of, meet_particle = bundle_of(lanes)
+    Floats, Ints, shaft_of, meet_particle, _ = bundle_of(lanes)
     HitFloats = wp.types.vector(length=lanes * hits, dtype=wp.float32)
     HitInts = wp.types.vector(length=lanes * hits, dtype=wp.int32)
 
-    @wp.kernel(module="unique", module_options=OPTIONS)
+    @wp.kernel(module="unique", module_options=BUNDLE_OPTIONS)
     def integrate_gaussians(
         start: int,
         settings: wp.array(dtype=TraceData),
@@ -231,17 +222,6 @@ def integrator(lanes: int, hits: int) -> Any:
                                             t[lane] = wp.where(
                                                 number * view.acceptance_scale < alpha[lane], t[lane], FAR
                                             )
-                                    if found > 0 and view.strategy == STRATEGY_PRODUCT:
-                                        found = int(0)
-                                        reach = float(-FAR)
-                                        for lane in range(LANES):
-                                            if t[lane] < FAR:
-                                                left = radiance_out.transmittance[first + lane] * (1.0 - alpha[lane])
-                                                radiance_out.transmittance[first + lane] = left
-                                                if left <= view.transmittance_min:
-                                                    limit[lane] = -FAR
-                                                    cut_t[lane] = -FAR
-                                            reach = larger(reach, cut_t[lane])
                                     if found > 0:
                                         for lane in range(LANES):
                                             if t[lane] < FAR:

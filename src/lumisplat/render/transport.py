@@ -8,7 +8,7 @@ from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig, Shadows
 from lumisplat.launcher import Launcher
 from lumisplat.render import bounce_kernels, film_kernels, shade_kernels
-from lumisplat.render.bounce import Bounces
+from lumisplat.render.bounce import Bounces, Wave
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.met import Met
 from lumisplat.render.shade import LightImages, Shader
@@ -33,8 +33,13 @@ class Transport:
         self.lit = LitScene(launcher, buffers, config)
         """Lights and materials; synchronised before lit frames."""
         self._bounces = Bounces(launcher, buffers, tracer.mesh_hits)
-        shadows = None if config.shadows is Shadows.OFF else ShadowRays(launcher, buffers, config)
-        self._shader = Shader(launcher, buffers, config, self.lit, shadows)
+        self._shadows = None if config.shadows is Shadows.OFF else ShadowRays(launcher, buffers, config)
+        self._shader = Shader(launcher, buffers, config, self.lit, self._shadows)
+
+    def begin_sample(self, sample: int) -> None:
+        """Before the rays of a sample."""
+        if self._shadows is not None:
+            self._shadows.begin_sample(sample)
 
     def colors(
         self,
@@ -54,15 +59,18 @@ class Transport:
             lit: With lights.
             reflection: If lit, receives what reflected and refracted rays bring.
         """
+
+        def light(wave: Wave, number: int, may_branch: bool) -> None:
+            direct = reflection if number == 0 else None
+            self._shader.shade(scene, trees, wave, number, may_branch=may_branch, reflection=direct)
+
         goes_on = trees is not None and self._config.pipeline is not Pipeline.RASTER
         return self._bounces.resolve(
             scene,
             met,
             trace=lambda rays: self._tracer.integrate(trees, rays, "trace.branch_radiance"),  # type: ignore[arg-type]
             bounces=self._config.max_bounces if goes_on else 0,
-            light=(lambda wave, number, branch: self._shader.shade(scene, trees, wave, number, branch))
-            if lit
-            else None,
+            light=light if lit else None,
             reflection=reflection,
         )
 
@@ -74,4 +82,4 @@ class Transport:
 def light_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that lit frames need besides those of their pipeline."""
     own = [shade_kernels, film_kernels, bounce_kernels]
-    return own if config.shadows is Shadows.OFF else own + shadow_modules(launcher)
+    return own if config.shadows is Shadows.OFF else own + shadow_modules(launcher, config)

@@ -61,6 +61,11 @@ class TreeScene:
         """Memory of the trees, bytes."""
         return self._buffers.bytes + sum(held.tree.bytes for held in self._held)
 
+    @property
+    def held(self) -> list[HeldTree]:
+        """The trees, in the order of the device scene's assets."""
+        return self._held
+
     def sync(self, scene: Scene, device_scene: DeviceScene, config: RenderConfig, *, lit: bool = False) -> None:
         """Builds or refits what changed, and writes where the instances are.
 
