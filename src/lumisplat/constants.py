@@ -103,6 +103,9 @@ BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 
 # --- Light and shadow ---
 
+EXPOSURE_MAX = 100
+"""Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
+
 SHADOW_OFFSET = 1.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface. seeds/000 section 4 has
 the offset in world units, which no two captures share."""

@@ -114,6 +114,8 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
         ({"model": "fisheye"}, "camera model is 'fisheye', expected one of CameraModel.PINHOLE, CameraModel.FISHEYE"),
         ({"aperture": -0.1}, "camera aperture is -0.1, expected the radius of a lens"),
         ({"aperture": np.nan}, "camera aperture is nan, expected a finite number"),
+        ({"exposure": np.nan}, "camera exposure is nan, expected a finite number"),
+        ({"exposure": 2000.0}, "camera exposure is 2000.0, expected stops from -100 to 100"),
         ({"focus_distance": 0.0}, "camera focus_distance is 0.0, expected a positive number"),
         ({"focus_distance": "far"}, "camera focus_distance is far, expected a finite number"),
         ({"focus_distance": np.inf}, "camera focus_distance is inf, expected a finite number"),

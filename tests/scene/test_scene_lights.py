@@ -62,6 +62,8 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightPoint, {"intensity": math.nan}, "intensity is nan"),
         (ls.LightPoint, {"intensity": math.inf}, "intensity is inf"),
         (ls.LightPoint, {"intensity": True}, "intensity is True"),
+        (ls.LightPoint, {"intensity": 1e39}, r"intensity is 1e\+39"),
+        (ls.LightPoint, {"radius": 1e39}, r"radius is 1e\+39"),
         (ls.LightPoint, {"position": (0.0, math.nan, 0.0)}, "position has 1 non-finite"),
         (ls.LightPoint, {"position": (0.0, 0.0)}, r"position has shape \(2,\), expected three numbers"),
         (ls.LightPoint, {"position": "here"}, "position is not an array of numbers"),

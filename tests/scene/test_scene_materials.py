@@ -52,6 +52,7 @@ def test_textures_are_kept(name: str) -> None:
     [
         (ls.MaterialPbr, {"emissive": (1.0, -1.0, 0.0)}, "emissive is .* expected three numbers of at least 0"),
         (ls.MaterialPbr, {"emissive": np.inf}, "emissive is inf"),
+        (ls.MaterialPbr, {"emissive": 1e39}, r"emissive is 1e\+39, expected three numbers of at least 0"),
         (ls.MaterialPbr, {"occlusion_strength": 1.5}, "occlusion_strength is 1.5, expected 0..1"),
         (ls.MaterialPbr, {"normal_scale": np.nan}, "normal_scale is nan, expected a finite number"),
         (ls.MaterialPbr, {"ior": True}, "ior is True"),

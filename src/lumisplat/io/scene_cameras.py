@@ -63,10 +63,11 @@ def read_scene_cameras(
     cameras: list[Camera] = []
     for table in document.tables("cameras"):
         try:
-            if "path" in table.values:
-                cameras += _cameras_of_file(table, load, width, height)
-            else:
-                cameras.append(_view(table))
+            with np.errstate(over="ignore", invalid="ignore"):  # what is out of reach is refused by its name
+                if "path" in table.values:
+                    cameras += _cameras_of_file(table, load, width, height)
+                else:
+                    cameras.append(_view(table))
         except FormatError:
             raise
         except SceneError as error:

@@ -33,7 +33,7 @@ from lumisplat.io.mesh_arrays import without_loose_textures
 from lumisplat.io.scene_lights import moved_light, read_environment, read_light
 from lumisplat.io.scene_materials import MaterialTable, material_of, read_materials
 from lumisplat.io.scene_placement import PLACEMENT, placement
-from lumisplat.io.source import PathLike
+from lumisplat.io.source import PathLike, parsing
 from lumisplat.io.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
@@ -76,9 +76,13 @@ def read_scene_file(path: PathLike, load: Load) -> Scene:
     Raises:
         FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
     """
-    document = read_document(path)
+    with parsing(path, "a scene file"):
+        return _scene(read_document(path), load)
+
+
+def _scene(document: TomlTable, load: Load) -> Scene:
     if all(document.values.get(key, []) == [] for key in _SHOWN):
-        raise FormatError(path, f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+        raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     assets = _Assets(load, read_materials(document))

@@ -11,6 +11,9 @@ from lumisplat.errors import SceneError
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
 
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+"""Largest number that a kernel can be given."""
+
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
     """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers.

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import NEAR_PLANE
+from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import is_number, matrix_4x4
 
@@ -64,7 +64,7 @@ class Camera:
     """The pose at the end of the last row, shape (4, 4), of a rolling shutter: row y is exposed when (y + 0.5) / height
     of the way is done, the eye moving straight and the rotation steadily (slerp). None: all rows at once."""
     exposure: float = 0.0
-    """Of lit frames, stops: pictures show linear light times 2 to this power."""
+    """Of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -76,6 +76,10 @@ class Camera:
             if name in ("fx", "fy", "near", "focus_distance") and value <= 0.0:
                 raise SceneError(f"camera {name} is {value}, expected a positive number")
             object.__setattr__(self, name, float(value))
+        if abs(self.exposure) > EXPOSURE_MAX:
+            raise SceneError(
+                f"camera exposure is {self.exposure}, expected stops from -{EXPOSURE_MAX} to {EXPOSURE_MAX}"
+            )
         if self.aperture < 0.0:
             raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
         if not isinstance(self.model, CameraModel):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import FloatArray, float_array, is_number
+from lumisplat.scene.arrays import FLOAT32_MAX, FloatArray, float_array, is_number
 
 Vector = tuple[float, float, float]
 
@@ -255,6 +255,7 @@ def _direction(name: str, values: object) -> Vector:
 
 
 def _check_number(name: str, value: Any, low: float, *, above: bool = False, finite: bool = True) -> None:
-    if not is_number(value) or not (value > low if above else value >= low) or (finite and not math.isfinite(value)):
+    above_low = is_number(value) and (value > low if above else value >= low)
+    if not above_low or (finite and value > FLOAT32_MAX):
         bound = f"above {low:g}" if above else f"at least {low:g}"
         raise SceneError(f"{name} is {value}, expected a number {bound}")

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import is_number, kept
+from lumisplat.scene.arrays import FLOAT32_MAX, is_number, kept
 
 Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]
@@ -146,7 +146,7 @@ def _color(name: str, value: Any, high: float) -> Color:
         color = tuple(float(c) for c in values) if numbers else ()
     except (TypeError, ValueError):
         color = ()
-    if len(color) != 3 or not all(0.0 <= c <= high and math.isfinite(c) for c in color):
+    if len(color) != 3 or not all(0.0 <= c <= min(high, FLOAT32_MAX) for c in color):
         bound = f"in 0..{high:g}" if math.isfinite(high) else "of at least 0"
         raise SceneError(f"{name} is {value}, expected three numbers {bound}")
     return color[0], color[1], color[2]
