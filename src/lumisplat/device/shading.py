@@ -16,6 +16,7 @@ from lumisplat.device.random import branch_stream, draw
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import spawn_point
 from lumisplat.device.shade_structs import (
+    SEES_BACKGROUND,
     Contribution,
     MaterialData,
     ShadeScene,
@@ -48,6 +49,16 @@ def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
     if weight <= 0.0:
         return wp.vec3(0.0)
     return weight * decode_srgb_color(captured / weight)
+
+
+@wp.func
+def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> bool:
+    """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
+    if hits.face[i] >= 0:
+        return True
+    if from_camera:
+        return scene[0].settings[0].camera_sees != SEES_BACKGROUND
+    return scene[0].environment.exists != 0
 
 
 @wp.func

@@ -86,7 +86,7 @@ class Bounces:
             trace: The same for the rays that go on.
             bounces: How often a ray may go on; beyond, it sees the background.
             light: Lights what rays meet; None: surfaces show their own colour.
-            reflection: If lit, receives what reflected and refracted rays bring, linear.
+            reflection: If lit, receives what reflected and refracted rays bring, linear, beside what ``light`` wrote.
 
         Returns:
             Display-referred colours, or what ``light`` returned for these rays.
@@ -96,8 +96,6 @@ class Bounces:
         while count := self._scatter(scene, waves[-1], len(waves) - 1, light, may_branch=len(waves) <= bounces):
             waves.append(self._next_wave(scene, waves[-1], len(waves), count, trace=trace, light=light))
         nothing = self._buffers.get("bounce.nothing", wp.vec3, 0)
-        if reflection is not None:
-            reflection.zero_()
         for near, far in reversed(list(itertools.pairwise(waves))):
             links = (near.branches, near.branch_ends, far.weights, far.colors)
             if light is None:

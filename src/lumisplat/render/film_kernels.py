@@ -2,13 +2,14 @@
 
 import warp as wp
 
+from lumisplat.device.color import decode_srgb_color
 from lumisplat.device.film import LitPixels, store_lit_sample
 from lumisplat.device.mesh_surface import hit_weights, surface_color
 from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import surface_of_ray
 from lumisplat.device.shade_structs import RayColors, ShadeScene
-from lumisplat.device.shading import captured_color, mesh_shine, splat_look
+from lumisplat.device.shading import captured_color, is_over_light, mesh_shine, splat_look
 from lumisplat.device.structs import SurfaceData
 
 wp.set_module_options({"enable_backward": False})
@@ -112,8 +113,11 @@ def look_at_surfaces(
     emission_out[i] = wp.vec3(0.0)
     if not rays.t_max[i] > rays.t_min[i]:
         return
-    look = splat_look(i, hits, radiance, scene, True)
+    over_light = is_over_light(i, True, hits, scene)
+    look = splat_look(i, hits, radiance, scene, over_light)
     own = captured_color(look.captured, look.weight)
+    if not over_light:
+        own -= decode_srgb_color(look.transmittance * scene[0].settings[0].background)
     albedo = own
     emission = own
     if look.instance >= 0 and scene[0].materials[look.instance].shadow_only == 0:

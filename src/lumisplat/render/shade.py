@@ -47,7 +47,16 @@ class Shader:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lit, self._shadows = lit, shadows
 
-    def shade(self, scene: DeviceScene, trees: TreeScene | None, wave: Wave, number: int, may_branch: bool) -> None:
+    def shade(
+        self,
+        scene: DeviceScene,
+        trees: TreeScene | None,
+        wave: Wave,
+        number: int,
+        *,
+        may_branch: bool,
+        reflection: Any = None,
+    ) -> None:
         """Writes what the rays of a wave see, but for what mirrors and glass bring, and which rays go on.
 
         Args:
@@ -56,6 +65,7 @@ class Shader:
             wave: Rays, a multiple of a packet's.
             number: Of the wave; 0: the rays of pixels.
             may_branch: Rays may go on.
+            reflection: Receives what pixels' rays that may not go on would bring, linear; None: not asked for.
         """
         from_camera = number == 0
         images = self.images(wave.count) if from_camera else None
@@ -67,6 +77,7 @@ class Shader:
                 wave.count,
                 *(from_camera, may_branch, adds, self._lit.data, wave.met.rays, wave.met.hits, wave.met.radiance),
                 *(wave.path_weights, wave.colors, wave.branches),
+                self._buffers.get("shade.nothing", wp.vec3, 0) if reflection is None else reflection,
             )
         if each:
             self._add_lights(scene, trees, wave, from_camera=from_camera, images=images)

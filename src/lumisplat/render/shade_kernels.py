@@ -17,7 +17,6 @@ from lumisplat.device.random import branch_stream
 from lumisplat.device.ray_structs import Bounce, RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import bounce_of
 from lumisplat.device.shade_structs import (
-    SEES_BACKGROUND,
     SEES_ENVIRONMENT,
     SEES_NOTHING,
     Arrivals,
@@ -31,6 +30,7 @@ from lumisplat.device.shading import (
     from_environment,
     from_light,
     is_black,
+    is_over_light,
     light_key,
     mesh_point,
     mesh_shine,
@@ -61,16 +61,6 @@ ALL_LIGHTS = wp.constant(2)
 def has_ray(rays: RayData, i: int) -> bool:
     """Whether there is a ray ``i``."""
     return rays.t_max[i] > rays.t_min[i]
-
-
-@wp.func
-def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> bool:
-    """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
-    if hits.face[i] >= 0:
-        return True
-    if from_camera:
-        return scene[0].settings[0].camera_sees != SEES_BACKGROUND
-    return scene[0].environment.exists != 0
 
 
 @wp.func
@@ -128,8 +118,12 @@ def start_shading(
     path_weights: wp.array(dtype=float),
     colors_out: RayColors,
     branches_out: wp.array(dtype=int),
+    reflection_out: wp.array(dtype=wp.vec3),
 ):
-    """What a ray shows without its branches, and without the lights that shadow rays go to."""
+    """What a ray shows without its branches, and without the lights that shadow rays go to.
+
+    What unfollowed branches see also goes, alone, to an array that may be empty.
+    """
     i = start + wp.tid()
     if may_branch:
         branches_out[i] = 0
@@ -144,6 +138,7 @@ def start_shading(
     look = splat_look(i, hits, radiance, scene, over_light)
     splat_count = scene[0].splats.shape[0]
     light = wp.vec3(0.0)
+    beyond = wp.vec3(0.0)
     if hits.face[i] >= 0:
         light = look.transmittance * mesh_shine(hits, i, scene, splat_count)
         if scene[0].placements[hits.instance[i]].material.smooth != 0:
@@ -158,10 +153,10 @@ def start_shading(
                 branches_out[branches_out.shape[0] // 2 + i] = refracts
             if reflects == 0 and not is_black(bounce.reflected):
                 seen = far_radiance(reflect(rays.direction[i], bounce.normal), scene)
-                light += look.transmittance * wp.cw_mul(bounce.reflected, seen)
+                beyond += look.transmittance * wp.cw_mul(bounce.reflected, seen)
             if refracts == 0 and not is_black(bounce.refracted):
                 seen = far_radiance(refract(rays.direction[i], bounce.normal, bounce.eta), scene)
-                light += look.transmittance * wp.cw_mul(bounce.refracted, seen)
+                beyond += look.transmittance * wp.cw_mul(bounce.refracted, seen)
     elif over_light and not (from_camera and scene[0].settings[0].camera_sees == SEES_NOTHING):
         light = look.transmittance * environment_radiance(scene[0].environment, rays.direction[i])
 
@@ -178,7 +173,9 @@ def start_shading(
             light += unblocked(mesh, rays, i, adds_lights, scene)
     colors_out.captured[i] = look.captured
     colors_out.captured_weight[i] = look.weight
-    colors_out.light[i] = light
+    colors_out.light[i] = light + beyond
+    if reflection_out.shape[0] > 0:
+        reflection_out[i] = beyond
     sees_environment = from_camera and scene[0].settings[0].camera_sees == SEES_ENVIRONMENT
     colors_out.alpha[i] = wp.where(hits.face[i] >= 0 or sees_environment, 1.0, 1.0 - look.transmittance)
 
@@ -305,7 +302,7 @@ def gather_lit(
     weights: wp.array(dtype=wp.vec3),
     colors: RayColors,
     light_inout: wp.array(dtype=wp.vec3),
-    reflection_out: wp.array(dtype=wp.vec3),
+    reflection_inout: wp.array(dtype=wp.vec3),
 ):
     """Adds what a ray's branches see to what it shows itself; alone, it goes to an array that may be empty."""
     i = start + wp.tid()
@@ -318,5 +315,5 @@ def gather_lit(
             seen = captured_color(colors.captured[child], colors.captured_weight[child]) + colors.light[child]
             total += wp.cw_mul(weights[child], seen)
     light_inout[i] += total
-    if reflection_out.shape[0] > 0:
-        reflection_out[i] = total
+    if reflection_inout.shape[0] > 0:
+        reflection_inout[i] += total
