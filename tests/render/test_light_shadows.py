@@ -156,6 +156,26 @@ def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
         assert share[band].mean() == pytest.approx(expected, abs=0.015)
 
 
+@RAYS
+@pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
+def test_only_what_is_nearer_than_a_light_blocks_it(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+    """A lid right under a lamp leaves the floor dark, one right above it changes nothing."""
+    lights = [
+        ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
+        ls.LightPoint((0.5, 2.0, 0.3), radius=0.2),
+        ls.LightSpot((-0.5, 2.0, 0.3), (0.1, -1.0, 0.0), outer_angle=1.2),
+        ls.LightRect((0.0, 2.0, -0.5), (0.5, 0.0, 0.0), (0.0, 0.0, 0.5)),
+    ]
+    camera = ls.Camera.look_at((0.0, 1.2, 2.6), (0.0, 0.0, 0.0), width=48, height=32, fov_y=0.5)
+    for height, arrives in ((1.69, 0.0), (2.31, 1.0)):
+        lid = parallelogram((-9.0, height, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
+        scene = ls.Scene((), [floor(matte(0.8)), lid], lights)
+        frame = lit(scene, camera, pipeline, shadows=shadows, samples=4, aovs=("lights",))
+        assert frame.light_shadow is not None
+        assert (frame.instance_index == 0).all()
+        np.testing.assert_array_equal(frame.light_shadow, arrives)
+
+
 @PIPELINES
 def test_glass_lets_light_through_straight(pipeline: ls.Pipeline) -> None:
     """Two faces of a slab, each with the share that Fresnel's equations let through at that angle."""
