@@ -159,6 +159,17 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[st
     assert not list(tmp_path.iterdir())
 
 
+def test_exposures_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """In one line, however many cameras there are; without any nothing is said."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0))
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        save_cameras(tmp_path / "plain.json", [camera, camera])
+        assert not caplog.records
+        save_cameras(tmp_path / "bright.json", [replace(camera, exposure=1.0), replace(camera, exposure=2.0)])
+    assert ["cannot hold the exposure" in record.getMessage() for record in caplog.records] == [True]
+    assert load_cameras(tmp_path / "bright.json")[0].exposure == 0.0
+
+
 def test_saving_nothing_is_refused(tmp_path: Path) -> None:
     """No cameras, no file."""
     with pytest.raises(SceneError, match="no cameras"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,6 +81,8 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
         if camera.aperture > 0.0 or camera.camera_from_world_end is not None:
             what = "an aperture" if camera.aperture > 0.0 else "a rolling shutter"
             raise SceneError(f"camera {k} ({camera.name}) has {what}, which a transforms.json cannot hold")
+    if any(camera.exposure for camera in cameras):
+        _log.warning("%s: a transforms.json cannot hold the exposure of cameras: left out", os.fspath(path))
     frames = [
         {
             "file_path": camera.name or f"frame_{k:05d}",
