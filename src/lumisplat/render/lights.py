@@ -174,26 +174,31 @@ def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
     A texel's share is the luminance that bilinear interpolation gives its cell, times the cell's solid angle. Dark rows
     have no share, of a dark image none has.
     """
-    luminance = image.astype(np.float64) @ LUMINANCE
-    luminance /= max(luminance.max(), np.finfo(np.float64).tiny)
-    # The mean of a piecewise linear function over a cell is 1/8 of the values beside it and 3/4 of its own.
-    across = 0.125 * (np.roll(luminance, 1, axis=1) + np.roll(luminance, -1, axis=1)) + 0.75 * luminance
-    padded = np.pad(across, ((1, 1), (0, 0)), mode="edge")
-    mean = 0.125 * (padded[:-2] + padded[2:]) + 0.75 * across
+    luminance = image @ np.array(LUMINANCE, dtype=np.float32)
+    across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
+    mean = _cell_means(np.pad(across, ((1, 1), (0, 0)), mode="edge"))
     edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
-    return _ends(mean.sum(axis=1) * (edges[:-1] - edges[1:])), _ends(mean)
+    rows = _ends(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
+    return rows, np.stack([_ends(row) for row in mean])
 
 
-def _ends(weights: Doubles) -> npt.NDArray[np.float32]:
-    """Cumulative shares along the last axis, exact in float32, so that whatever has a weight has a share."""
-    total = weights.sum(axis=-1, keepdims=True)
-    shares = weights / np.where(total > 0.0, total, 1.0)
+def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Half the means of what is interpolated down the first axis: 1/8 of the values beside, 3/4 of a cell's own.
+
+    Half, as no sum of float32 numbers then overflows.
+    """
+    parts = padded * np.float32(1.0 / 16.0)
+    return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
+
+
+def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Cumulative shares, exact in float32, so that whatever has a weight has a share."""
+    total = float(weights.sum(dtype=np.float64))
+    if total == 0.0:
+        return np.zeros(len(weights), dtype=np.float32)
     least = ENVIRONMENT_SHARE_MIN / ENVIRONMENT_SHARE_STEPS
-    shares = np.where(weights > 0.0, np.maximum(shares, least), 0.0)
-    ends = np.cumsum(shares, axis=-1)
-    last = ends[..., -1:]
-    steps = np.rint(ends / np.where(last > 0.0, last, 1.0) * ENVIRONMENT_SHARE_STEPS)
-    return (steps / ENVIRONMENT_SHARE_STEPS).astype(np.float32)
+    ends = np.cumsum(np.where(weights > 0.0, np.maximum(weights / total, least), 0.0), dtype=np.float64)
+    return (np.rint(ends / ends[-1] * ENVIRONMENT_SHARE_STEPS) / ENVIRONMENT_SHARE_STEPS).astype(np.float32)
 
 
 def _rotation(wxyz: Doubles) -> Doubles:
