@@ -43,6 +43,8 @@ def mean_of(color: wp.vec3) -> float:
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
     """Factor, per channel, by which parts that reflect more than all light together are scaled down."""
     total = bsdf.diffuse + bsdf.specular
+    if wp.max(total) <= 1.0:
+        return wp.vec3(1.0)
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
 

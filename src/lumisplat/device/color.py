@@ -44,6 +44,14 @@ def decode_srgb_color(display: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
+    """Linear, premultiplied colour of what was captured."""
+    if weight <= 0.0:
+        return wp.vec3(0.0)
+    return weight * decode_srgb_color(captured / weight)
+
+
+@wp.func
 def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
     """A premultiplied colour over what is behind.
 

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.color import captured_color
 from lumisplat.device.ray_structs import RaySurface
 from lumisplat.device.ray_surface import store_sample
 from lumisplat.device.structs import SurfaceData, struct
@@ -18,7 +19,7 @@ class LitPixels:
     light: wp.array(dtype=wp.vec3)
     """Linear: what light adds or shadows take."""
     color: wp.array(dtype=wp.vec3)
-    """Linear: both together."""
+    """Linear: both together, once the last sample is there."""
 
 
 @wp.func
@@ -29,12 +30,16 @@ def store_lit_sample(
     captured_weight: float,
     light: wp.vec3,
     alpha: float,
+    last: bool,
     found: RaySurface,
     surface: SurfaceData,
     lit: LitPixels,
     nonfinite: wp.array(dtype=int),
 ):
-    """Sample n moves the means by 1 / (n + 1) of the way; light that is not finite is left out, and counted."""
+    """Sample n moves the means by 1 / (n + 1) of the way; light that is not finite is left out, and counted.
+
+    After the ``last`` one, the colour is made of both.
+    """
     if not wp.isfinite(light[0] + light[1] + light[2]):
         light = wp.vec3(0.0)
         nonfinite[pixel] = nonfinite[pixel] + 1
@@ -46,3 +51,6 @@ def store_lit_sample(
         share = 1.0 / float(sample + 1)
         lit.captured_weight[pixel] += share * (captured_weight - lit.captured_weight[pixel])
         lit.light[pixel] += share * (light - lit.light[pixel])
+    if last:
+        color = captured_color(surface.color[pixel], lit.captured_weight[pixel]) + lit.light[pixel]
+        lit.color[pixel] = wp.max(color, wp.vec3(0.0))

@@ -29,6 +29,8 @@ TINY = wp.constant(wp.float32(1e-30))
 @wp.func
 def window(light: LightData, distance2: float) -> float:
     """How much of a light is left towards the end of its range (glTF, KHR_lights_punctual)."""
+    if light.range == wp.inf:
+        return 1.0
     share2 = distance2 / (light.range * light.range)
     return wp.clamp(1.0 - share2 * share2, 0.0, 1.0)
 
@@ -56,7 +58,8 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
     sample.distance = distance
     if distance2 < TINY:
         return sample
-    sample.direction = (1.0 / distance) * offset
+    inverse = 1.0 / distance
+    sample.direction = inverse * offset
     share = window(light, distance2)
     if light.kind == LIGHT_SPOT:
         share *= cone(light, sample.direction)
@@ -76,7 +79,11 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
             share *= 2.0 / (1.0 + cosine)
         else:
             nearest2 = wp.max(nearest2, light.radius * light.radius)
-    sample.irradiance = wp.min((share / wp.max(distance2, nearest2)) * light.power, BRIGHTEST)
+    if distance2 > nearest2:
+        share *= inverse * inverse
+    else:
+        share /= nearest2
+    sample.irradiance = wp.min(share * light.power, BRIGHTEST)
     return sample
 
 

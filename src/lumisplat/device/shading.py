@@ -44,14 +44,6 @@ def is_black(color: wp.vec3) -> bool:
 
 
 @wp.func
-def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
-    """Linear, premultiplied colour of what was captured."""
-    if weight <= 0.0:
-        return wp.vec3(0.0)
-    return weight * decode_srgb_color(captured / weight)
-
-
-@wp.func
 def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> bool:
     """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
     if hits.face[i] >= 0:
@@ -129,13 +121,25 @@ def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def has_splats(look: SplatLook, scene: wp.array(dtype=ShadeScene)) -> bool:
+    """Whether light may change what Gaussians show: there is a surface, and not one that shines as captured."""
+    if look.gaussian < 0:
+        return False
+    return scene[0].materials[look.instance].untouched == 0
+
+
+@wp.func
+def has_mesh(i: int, look: SplatLook, hits: RayMeshHits) -> bool:
+    """Whether enough of ray ``i`` reaches a mesh for light to be looked for there."""
+    return hits.face[i] >= 0 and look.transmittance >= WEIGHT_MIN
+
+
+@wp.func
 def splat_point(
     i: int, look: SplatLook, rays: RayData, radiance: RayRadiance, scene: wp.array(dtype=ShadeScene)
 ) -> ShadingPoint:
-    """The surface of the Gaussians on ray ``i``."""
+    """The surface of the Gaussians on ray ``i``, if ``has_splats``."""
     point = ShadingPoint()
-    if look.gaussian < 0 or scene[0].materials[look.instance].untouched != 0:
-        return point
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[look.instance].asset
     point.exists = 1
@@ -243,11 +247,9 @@ def mapped_normal(
 def mesh_point(
     i: int, transmittance: float, rays: RayData, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene), splat_count: int
 ) -> ShadingPoint:
-    """The mesh that ray ``i`` ends on, as far as the Gaussians before it let through."""
+    """The mesh that ray ``i`` ends on, as far as the Gaussians before it let through, if it ``has_mesh``."""
     point = ShadingPoint()
     face = hits.face[i]
-    if face < 0 or transmittance < WEIGHT_MIN:
-        return point
     number = hits.instance[i]
     material = scene[0].materials[splat_count + number]
     instance = scene[0].mesh_instances[number]

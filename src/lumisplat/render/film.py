@@ -70,16 +70,21 @@ class Film:
         met: Met,
         colors: Any,
         *,
+        last: bool,
         lights: LightImages | None,
         reflection: Any,
     ) -> None:
-        """Adds one lit ray a pixel, and the further images that the settings ask for."""
+        """Adds one lit ray a pixel, and the further images that the settings ask for.
+
+        Colours are there after the ``last`` sample.
+        """
         count = met.count
         with self._launcher.stage("store"):
             self._launcher.run_banded(
                 film_kernels.store_lit_rays,
                 count,
                 *(
+                    last,
                     self.lens,
                     lit.data,
                     met.rays,
@@ -105,13 +110,9 @@ class Film:
         self._store(camera, images)
         self._count(camera, met)
 
-    def develop(self, camera: Camera) -> dict[str, np.ndarray]:
+    def developed(self, camera: Camera) -> dict[str, np.ndarray]:
         """The images of a lit frame beside those of the surface: weight, light, and the linear colour."""
-        with self._launcher.stage("store"):
-            lit = self._lit(camera)
-            surface = Surface.of(self._buffers, camera)
-            self._launcher.run_banded(film_kernels.develop, camera.width * camera.height, surface.data, lit.data)
-        return lit.download()
+        return self._lit(camera).download()
 
     def images(self, camera: Camera, light_count: int, *, lit: bool) -> dict[str, FloatArray]:
         """The further images that the settings ask for, by the names of the frame's fields."""

@@ -2,14 +2,14 @@
 
 import warp as wp
 
-from lumisplat.device.color import decode_srgb_color
+from lumisplat.device.color import captured_color, decode_srgb_color
 from lumisplat.device.film import LitPixels, store_lit_sample
 from lumisplat.device.mesh_surface import hit_weights, surface_color
 from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import surface_of_ray
 from lumisplat.device.shade_structs import RayColors, ShadeScene
-from lumisplat.device.shading import captured_color, is_over_light, mesh_shine, splat_look
+from lumisplat.device.shading import is_over_light, mesh_shine, splat_look
 from lumisplat.device.structs import SurfaceData
 
 wp.set_module_options({"enable_backward": False})
@@ -27,6 +27,7 @@ def pixel_index(lens: LensData, ray: int) -> int:
 @wp.kernel
 def store_lit_rays(
     start: int,
+    last: bool,
     lenses: wp.array(dtype=LensData),
     scene: wp.array(dtype=ShadeScene),
     rays: RayData,
@@ -56,19 +57,12 @@ def store_lit_rays(
         colors.captured_weight[i],
         colors.light[i],
         colors.alpha[i],
+        last,
         surface,
         surface_inout,
         lit_inout,
         nonfinite_inout,
     )
-
-
-@wp.kernel
-def develop(start: int, surface: SurfaceData, lit_inout: LitPixels):
-    """The linear image: what was captured, and light."""
-    i = start + wp.tid()
-    color = captured_color(surface.color[i], lit_inout.captured_weight[i]) + lit_inout.light[i]
-    lit_inout.color[i] = wp.max(color, wp.vec3(0.0))
 
 
 @wp.kernel

@@ -201,7 +201,7 @@ class Renderer:
         self._film.begin(camera)
         count = self.config.samples
         for sample in range(first, first + count):
-            self._add_sample(camera, trees, sample, lit)
+            self._add_sample(camera, trees, sample, lit=lit, last=sample == first + count - 1)
             if progress:
                 progress("tracing", (sample - first + 1) / count)
         with self._launcher.stage("download"):
@@ -211,7 +211,7 @@ class Renderer:
             counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count(camera))
             return self._frame(scene, camera, counts, samples=first + count, lit=lit)
 
-    def _add_sample(self, camera: Camera, trees: TreeScene | None, sample: int, lit: bool) -> None:
+    def _add_sample(self, camera: Camera, trees: TreeScene | None, sample: int, *, lit: bool, last: bool) -> None:
         """One ray a pixel: what it meets, what it sees there, and onto the film."""
         film = self._film
         film.begin_sample(camera, sample)
@@ -224,7 +224,7 @@ class Renderer:
             colors = self._transport.colors(self._scene, trees, met, lit=lit, reflection=reflection)
         if lit:
             lights = self._transport.light_images(met.count)
-            film.add_lit(self._transport.lit, camera, met, colors, lights=lights, reflection=reflection)
+            film.add_lit(self._transport.lit, camera, met, colors, last=last, lights=lights, reflection=reflection)
         else:
             film.add(self._scene, camera, met, colors)
 
@@ -274,7 +274,7 @@ class Renderer:
             self._splats.composite(self._scene, camera, splats, lists, hits)
 
     def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int, lit: bool) -> Frame:
-        developed = self._film.develop(camera) if lit else {}
+        developed = self._film.developed(camera) if lit else {}
         images = Surface.of(self._buffers, camera).download()
         light: dict[str, Any] = {} if samples == 0 else self._film.images(camera, 0, lit=False)
         if lit:

@@ -9,7 +9,7 @@ only darkened, and ``gather_lit`` brings back what reflected and refracted rays 
 import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN
-from lumisplat.device.color import decode_srgb_color
+from lumisplat.device.color import captured_color, decode_srgb_color
 from lumisplat.device.environment import environment_radiance
 from lumisplat.device.light_structs import LIGHT_ENVIRONMENT
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
@@ -26,9 +26,10 @@ from lumisplat.device.shade_structs import (
     ShadingPoint,
 )
 from lumisplat.device.shading import (
-    captured_color,
     from_environment,
     from_light,
+    has_mesh,
+    has_splats,
     is_black,
     is_over_light,
     light_key,
@@ -160,14 +161,14 @@ def start_shading(
     elif over_light and not (from_camera and scene[0].settings[0].camera_sees == SEES_NOTHING):
         light = look.transmittance * environment_radiance(scene[0].environment, rays.direction[i])
 
-    splats = splat_point(i, look, rays, radiance, scene)
-    if splats.exists != 0 and splats.shadow_only == 0:
-        material = scene[0].materials[look.instance]
-        change = material.emissive + material.ambient - wp.vec3(1.0)
-        light += splats.scale * wp.cw_mul(change, look.albedo)
-    if adds_lights != NO_LIGHTS:
-        if splats.exists != 0 and splats.shadow_only == 0:
-            light += unblocked(splats, rays, i, adds_lights, scene)
+    if has_splats(look, scene):
+        splats = splat_point(i, look, rays, radiance, scene)
+        if splats.shadow_only == 0:
+            material = scene[0].materials[look.instance]
+            light += splats.scale * wp.cw_mul(material.emissive + material.ambient - wp.vec3(1.0), look.albedo)
+            if adds_lights != NO_LIGHTS:
+                light += unblocked(splats, rays, i, adds_lights, scene)
+    if adds_lights != NO_LIGHTS and has_mesh(i, look, hits):
         mesh = mesh_point(i, look.transmittance, rays, hits, scene, splat_count)
         if mesh.exists != 0:
             light += unblocked(mesh, rays, i, adds_lights, scene)
@@ -206,9 +207,9 @@ def spawn_shadow_rays(
     look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
     for slot in range(2):
         point = ShadingPoint()
-        if slot == 0:
+        if slot == 0 and has_splats(look, scene):
             point = splat_point(i, look, rays, radiance, scene)
-        else:
+        elif slot == 1 and has_mesh(i, look, hits):
             point = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
         if point.exists != 0:
             j = slot * stride + i
