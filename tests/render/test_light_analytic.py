@@ -220,12 +220,12 @@ def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
 
 
 MATERIALS = {
-    "default": (ls.MaterialPbr(), 0.02),
+    "default": (ls.MaterialPbr(), 0.01),
     "plastic": (ls.MaterialPbr(base_color=(0.9, 0.1, 0.3), roughness=0.25), 0.03),
-    "dull": (ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.9, specular=0.4, ior=1.8), 0.02),
+    "dull": (ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.9, specular=0.4, ior=1.8), 0.01),
     "gold": (ls.MaterialPbr(base_color=(1.0, 0.75, 0.3), roughness=0.4, metallic=1.0), 0.0),
-    "half a metal": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5), 0.12),
-    "frosted": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6), 0.02),
+    "half a metal": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5), 0.03),
+    "frosted": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6), 0.01),
 }
 """And how much darker they may be than the integrals say: what highlights leave of the light is taken from fits that
 rather take too much."""
