@@ -110,8 +110,12 @@ SHADOW_OFFSET = 1.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface. seeds/000 section 4 has
 the offset in world units, which no two captures share."""
 
-SHRINK_RAYS_PER_GAUSSIAN = 0.25
-"""Shadow rays a Gaussian from which on trees are shrunk for a stochastic sample: that costs as much as some rays do."""
+SHADOW_BUNDLE_RADIUS = 0.03
+"""As COHERENT_RADIUS, of the rays of a packet to a light: those that start farther from its first one go apart."""
+
+SHRINK_RAYS_PER_GAUSSIAN = 2.0
+"""Places for shadow rays in a stochastic sample, per Gaussian, from which on its trees are shrunk: that takes as long
+as a ray a Gaussian saves in a capture that is all surface, and pays off long before where rays cross much of it."""
 
 SHRINK_INSTANCES_MAX = 8
 """Instances of an asset up to which its tree is: it has to hold for all of them."""

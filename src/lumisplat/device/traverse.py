@@ -45,20 +45,25 @@ def shaft_in_object(shaft: Shaft, instance: TreeInstance) -> Shaft:
 
 
 @wp.func
-def slabs_of(shaft: Shaft) -> Slabs:
-    """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s."""
+def slabs_between(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3, speed: float) -> Slabs:
+    """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s.
+
+    Args:
+        low: Lower corner of a box around the origins of rays.
+        high: Its upper corner.
+        slow: Least components of their directions.
+        fast: Largest components.
+        speed: Length of about all directions.
+    """
     slabs = Slabs()
-    width = shaft.radius + MARGIN * wp.max(wp.abs(shaft.origin))
-    slabs.low = shaft.origin - wp.vec3(width)
-    slabs.high = shaft.origin + wp.vec3(width)
-    speed = wp.length(shaft.axis)
-    spread = shaft.spread + MARGIN * speed
+    slabs.low = low
+    slabs.high = high
     least = SLOPE_MIN * speed
     for k in range(3):
-        up = shaft.axis[k] - spread
+        up = slow[k]
         if wp.abs(up) < least:
             up = -least
-        down = -shaft.axis[k] - spread
+        down = -fast[k]
         if wp.abs(down) < least:
             down = -least
         slabs.up_far[k] = wp.where(up > 0.0, 1.0 / up, 0.0)
@@ -70,6 +75,24 @@ def slabs_of(shaft: Shaft) -> Slabs:
         slabs.down_near[k] = wp.where(down < 0.0, 1.0 / down, 0.0)
         slabs.down_near_void[k] = wp.where(down < 0.0, 0.0, -FAR)
     return slabs
+
+
+@wp.func
+def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
+    """The same of the rays themselves, with room for rounding."""
+    width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
+    speed = wp.max(wp.max(wp.abs(slow)), wp.max(wp.abs(fast)))
+    spread = wp.vec3(MARGIN * speed)
+    return slabs_between(low - width, high + width, slow - spread, fast + spread, speed)
+
+
+@wp.func
+def slabs_of(shaft: Shaft) -> Slabs:
+    """A shaft, made ready."""
+    width = wp.vec3(shaft.radius + MARGIN * wp.max(wp.abs(shaft.origin)))
+    speed = wp.length(shaft.axis)
+    spread = wp.vec3(shaft.spread + MARGIN * speed)
+    return slabs_between(shaft.origin - width, shaft.origin + width, shaft.axis - spread, shaft.axis + spread, speed)
 
 
 @wp.func

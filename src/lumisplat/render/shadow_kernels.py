@@ -33,7 +33,7 @@ from lumisplat.device.trace_structs import (
     TreeAsset,
     TreeInstance,
 )
-from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
+from lumisplat.device.traverse import enter_children, larger, lesser, slabs_around
 
 # As for all that meets triangles: fused products would let rays through shared edges.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -114,7 +114,7 @@ def occluder(lanes: int, hits: int) -> Any:
     HITS = max(hits, 1)
     FIRST = hits > 0
     ORDER = 1.0 if hits > 0 else -1.0
-    Floats, Ints, shaft_of, meet_particle, pass_particle = bundle_of(lanes)
+    Floats, Ints, _, meet_particle, pass_particle = bundle_of(lanes)
     HitFloats = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.float32)
     HitInts = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.int32)
 
@@ -162,7 +162,6 @@ def occluder(lanes: int, hits: int) -> Any:
                         waiting[lane] = -FAR
                         members += 1
             live -= members
-            shaft = shaft_of(rays, first, limit)
             t_min = Floats()
             left = Floats()  # transmittances of the rays that there are
             begin = float(FAR)
@@ -207,24 +206,37 @@ def occluder(lanes: int, hits: int) -> Any:
                     continue
                 if owner[top] != current:
                     current = owner[top]
-                    if current < 0:
-                        slabs = slabs_of(shaft)
-                    else:
+                    to_object = wp.identity(n=3, dtype=wp.float32)
+                    offset = wp.vec3(0.0)
+                    blind = int(0)
+                    if current >= 0:
                         instance = instances[current]
-                        slabs = slabs_of(shaft_in_object(shaft, instance))
-                        for lane in range(LANES):
-                            o = instance.object_from_world * rays.origin[first + lane]
-                            o += instance.object_from_world_offset
-                            d = instance.object_from_world * rays.direction[first + lane]
-                            ox[lane] = o[0]
-                            oy[lane] = o[1]
-                            oz[lane] = o[2]
-                            dx[lane] = d[0]
-                            dy[lane] = d[1]
-                            dz[lane] = d[2]
-                            end[lane] = limit[lane]
-                            if instance.shadow_only != 0 and skips[first + lane] != 0:
-                                end[lane] = -FAR
+                        to_object = instance.object_from_world
+                        offset = instance.object_from_world_offset
+                        blind = instance.shadow_only
+                    # What bounds the rays there: a box around their origins, and the least and largest slopes.
+                    low = wp.vec3(FAR)
+                    high = wp.vec3(-FAR)
+                    slow = wp.vec3(FAR)
+                    fast = wp.vec3(-FAR)
+                    for lane in range(LANES):
+                        o = to_object * rays.origin[first + lane] + offset
+                        d = to_object * rays.direction[first + lane]
+                        ox[lane] = o[0]
+                        oy[lane] = o[1]
+                        oz[lane] = o[2]
+                        dx[lane] = d[0]
+                        dy[lane] = d[1]
+                        dz[lane] = d[2]
+                        end[lane] = limit[lane]
+                        if limit[lane] > 0.0:
+                            low = wp.min(low, o)
+                            high = wp.max(high, o)
+                            slow = wp.min(slow, d)
+                            fast = wp.max(fast, d)
+                        if blind != 0 and skips[first + lane] != 0:
+                            end[lane] = -FAR
+                    slabs = slabs_around(low, high, slow, fast)
                 node = Node()
                 if current < 0:
                     node = top_nodes[link[top]]

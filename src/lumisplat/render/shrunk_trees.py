@@ -35,16 +35,19 @@ class ShrunkTrees:
         self._assets: Any = None
         self._nodes: list[Any] = []
         self._is_fresh = False
+        self._rays = 0
+        """Of the sample so far."""
 
     def forget(self) -> None:
         """Another sample begins."""
-        self._is_fresh = False
+        self._is_fresh, self._rays = False, 0
 
     def assets(self, scene: DeviceScene, trees: TreeScene, settings: Any, *, ray_count: int) -> Any:
-        """The scene's assets with trees for the sample that ``settings`` tell; as they are if that is not worth it."""
+        """The scene's assets with trees for the sample that ``settings`` tell; the whole trees while few rays came."""
         if trees.assets is self._whole and self._is_fresh:
             return self._assets
-        if ray_count < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
+        self._rays += ray_count
+        if self._rays < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
             return trees.assets
         nodes = []
         for place, (asset, held) in enumerate(zip(scene.assets, trees.held, strict=True)):
