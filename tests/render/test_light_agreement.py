@@ -147,6 +147,19 @@ def test_pipelines_light_splats_alike(name: str) -> None:
     assert raster.color[whole].mean() == pytest.approx(trace.color[whole].mean(), rel=0.05)
 
 
+@PIPELINES
+def test_white_gaussians_disappear_in_even_light(pipeline: ls.Pipeline) -> None:
+    """The white furnace: what the Gaussians of a surface take from each other by their shadows is below 1 %."""
+    white = matte(1.0)
+    splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
+    sky = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
+    scene = ls.Scene([ls.SplatInstance(splats, material=white)], (), [sky])  # type: ignore[arg-type]
+    frame = lit(scene, CAMERA, pipeline, shadows=ls.Shadows.SOFT, samples=48)
+    inside = (frame.instance_index == 0) & (frame.alpha > 0.99)
+    assert inside.sum() > 500
+    np.testing.assert_allclose(frame.color[inside].mean(axis=0), sky.color, rtol=0.01)
+
+
 def capture() -> ls.Gaussians:
     """What stands for a capture: it shines as it is."""
     return random_gaussians(71, count=300, degree=2, center=(0.0, 0.8, 0.0), extent=(0.9, 0.7, 0.6))
