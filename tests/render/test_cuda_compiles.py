@@ -16,7 +16,7 @@ from lumisplat.render import shadow_kernels, trace_kernels
 MODULES = [
     module.name
     for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")
-    if module.name.endswith("_kernels") and not module.name.endswith(".trace_kernels")  # makes its kernels on demand
+    if module.name.endswith("_kernels") and not module.name.endswith((".trace_kernels", ".shadow_kernels"))
 ]
 
 
@@ -39,7 +39,7 @@ def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     check_compiles(kernel.module, [kernel], tmp_path)
 
 
-@pytest.mark.parametrize("hits", [1, 32])
+@pytest.mark.parametrize("hits", [0, 32])
 def test_occluder_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     """So do those of shadow rays."""
     kernel = shadow_kernels.occluder(1, hits)

@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.color import decode_srgb_color
+from lumisplat.device.random import stream_of
 from lumisplat.device.ray_structs import SmoothData
 from lumisplat.device.sh import sh_color
 from lumisplat.device.specular import fresnel
@@ -10,6 +11,12 @@ from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import ShadowData
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def shadow_key(settings: ShadowData) -> wp.uint32:
+    """Of what a stochastic sample draws; no pixel's."""
+    return stream_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.func

@@ -19,7 +19,7 @@ from lumisplat.constants import (
 from lumisplat.device.ray_structs import RayData
 from lumisplat.device.trace_structs import ShadowData
 from lumisplat.launcher import Launcher
-from lumisplat.render import shadow_kernels as kernels
+from lumisplat.render import shadow_kernels, shadow_mesh_kernels, shrink_kernels
 from lumisplat.render.device_scene import DeviceScene, table_dtype
 from lumisplat.render.shrunk_trees import ShrunkTrees
 from lumisplat.render.tree_scene import TreeScene
@@ -71,7 +71,7 @@ class ShadowRays:
         light = self._buffers.get(name, wp.vec3, count)
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
         run(
-            kernels.shade_by_meshes,
+            shadow_mesh_kernels.shade_by_meshes,
             count,
             *(int(opaque), scene.placements, scene.mesh_instances, scene.mesh_data, rays, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
@@ -94,13 +94,13 @@ class ShadowRays:
 
 def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that shadow rays need."""
-    return [kernels, occluder_of(launcher, config).module]
+    return [shadow_mesh_kernels, shrink_kernels, occluder_of(launcher, config).module]
 
 
 def occluder_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that takes shadow rays through Gaussians on a device."""
     hits = config.shadow.hits if config.shadow.method is ShadowMethod.FIRST_HITS else 0
-    return kernels.occluder(1 if launcher.is_parallel else PACKET_RAYS, hits)
+    return shadow_kernels.occluder(1 if launcher.is_parallel else PACKET_RAYS, hits)
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""What of a light reaches the origins of rays: first past meshes, then through Gaussians.
+"""What of a light comes through Gaussians.
 
-``shade_by_meshes``: one item is one ray. ``shade_by_gaussians``: one item is one packet of ``lanes`` consecutive rays,
-as in ``trace_kernels``. Shares of light multiply, so nothing has to be in order, and one walk through the trees is
-enough: Gaussians are met as they come, and where they must be told by distance (the first hits), a list keeps the
-nearest. ``shrink_nodes``: one item is one node of a level of a tree.
+One item is one packet of ``lanes`` consecutive rays, as in ``trace_kernels``. Shares of light multiply, so nothing has
+to be in order, and one walk through the trees is enough. It goes far from the points first: what the light shines on
+first blocks it from all that is behind, while around the points themselves there is much that hardly does. Where only
+the first hits count, it goes near first, and a list keeps the nearest.
 """
 
 import functools
@@ -11,112 +11,37 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import BOX_MARGIN, COHERENT_SPREAD, EDGE_WEIGHT_MAX, NODE_WIDTH, TRAVERSE_STACK
+from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.bundle import BUNDLE_OPTIONS, bundle_of
-from lumisplat.device.gaussian import ALPHA_LIMIT, alpha_from_log
-from lumisplat.device.mesh_surface import hit_weights, surface_color, surface_normal
-from lumisplat.device.particle import alpha_of_degree, distance_squared
-from lumisplat.device.random import draw_stratified, stream_of
-from lumisplat.device.ray_mesh import box_span, inverse_or_large, ray_in_mesh
-from lumisplat.device.ray_structs import MeshPlacement, RayData
-from lumisplat.device.ray_triangle import meet_triangle, owns_crossing
-from lumisplat.device.shade import pass_straight, shadow_of, tint_of
-from lumisplat.device.structs import MeshData, MeshInstanceData
+from lumisplat.device.gaussian import alpha_from_log
+from lumisplat.device.particle import alpha_of_degree
+from lumisplat.device.random import draw_stratified
+from lumisplat.device.ray_structs import RayData
+from lumisplat.device.shade import shadow_key, shadow_of, tint_of
 from lumisplat.device.surface import instance_of
-from lumisplat.device.trace_structs import (
-    FAR,
-    NO_CHILD,
-    Node,
-    Particle,
-    ShadowData,
-    Slabs,
-    TreeAsset,
-    TreeInstance,
-)
+from lumisplat.device.trace_structs import FAR, Node, ShadowData, Slabs, TreeAsset, TreeInstance
 from lumisplat.device.traverse import enter_children, larger, lesser, slabs_around
 
-# As for all that meets triangles: fused products would let rays through shared edges.
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+wp.set_module_options(BUNDLE_OPTIONS)
 
 WIDTH = wp.constant(NODE_WIDTH)
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
-MARGIN = wp.constant(wp.float32(BOX_MARGIN))
-EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
-StackInts = wp.types.vector(length=TRAVERSE_STACK + 1, dtype=wp.int32)
-Picks = wp.types.vector(length=NODE_WIDTH + 1, dtype=wp.int32)
-
-
-@wp.func
-def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Of what a stochastic sample draws; no pixel's."""
-    return stream_of(-1, settings.sample // 16, settings.seed)
-
-
-@wp.kernel
-def shade_by_meshes(
-    start: int,
-    opaque: int,
-    placements: wp.array(dtype=MeshPlacement),
-    instances: wp.array(dtype=MeshInstanceData),
-    meshes: MeshData,
-    rays: RayData,
-    light_out: wp.array(dtype=wp.vec3),
-    limit_out: wp.array(dtype=float),
-):
-    """Multiplies what all triangles between the origin and ``t_max`` let through; nothing if they are ``opaque``.
-
-    ``limit_out`` is as far as Gaussians have to be looked for: not at all where no light is left.
-    """
-    i = start + wp.tid()
-    t_max = rays.t_max[i]
-    light = wp.vec3(1.0)
-    if t_max > 0.0:
-        origin = rays.origin[i]
-        direction = rays.direction[i]
-        inverse = inverse_or_large(direction)
-        for number in range(placements.shape[0]):
-            span = box_span(origin, inverse, placements[number].low, placements[number].high)
-            if span[0] <= span[1] and span[1] > 0.0 and span[0] < t_max and wp.max(light) > 0.0:
-                placement = placements[number]
-                ray = ray_in_mesh(placement, origin, direction, span[0], 0.0)
-                query = wp.bvh_query_ray(placement.tree, ray.origin, ray.direction)
-                item = int(0)
-                while wp.max(light) > 0.0 and wp.bvh_query_next(query, item, t_max - ray.begin):
-                    corners = meshes.indices[placement.face_first + item]
-                    v0 = meshes.positions[corners[0]]
-                    v1 = meshes.positions[corners[1]]
-                    v2 = meshes.positions[corners[2]]
-                    hit = meet_triangle(ray.origin, ray.direction, ray.shear, v0, v1, v2)
-                    t = ray.begin + hit.t
-                    if t > 0.0 and t < t_max:
-                        share = wp.vec3(0.0)
-                        if opaque == 0 and placement.material.smooth != 0:
-                            weights = hit_weights(hit.weights)
-                            if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, v0, v1, v2):
-                                share = wp.vec3(1.0)
-                            else:
-                                instance = instances[number]
-                                normal = surface_normal(instance, meshes, corners, weights)
-                                color = surface_color(instance, meshes, corners, weights)
-                                cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
-                                share = pass_straight(placement.material, color, cosine)
-                        light = wp.cw_mul(light, share)
-    light_out[i] = light
-    limit_out[i] = wp.where(wp.max(light) > 0.0, t_max, -wp.inf)
+StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
+Picks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
 
 
 @functools.cache
 def occluder(lanes: int, hits: int) -> Any:
-    """The kernel for packets of ``lanes`` rays, which keep ``hits`` first hits each if that is the method."""
+    """The kernel for packets of ``lanes`` rays, of whose hits the nearest ``hits`` count; 0: all."""
     LANES = lanes
     HITS = max(hits, 1)
     FIRST = hits > 0
-    ORDER = 1.0 if hits > 0 else -1.0
+    ORDER = 1.0 if hits > 0 else -1.0  # of the distances at which nodes are entered
     Floats, Ints, _, meet_particle, pass_particle = bundle_of(lanes)
-    HitFloats = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.float32)
-    HitInts = wp.types.vector(length=lanes * max(hits, 1), dtype=wp.int32)
+    HitFloats = wp.types.vector(length=LANES * HITS, dtype=wp.float32)
+    HitInts = wp.types.vector(length=LANES * HITS, dtype=wp.int32)
 
     @wp.kernel(module="unique", module_options=BUNDLE_OPTIONS)
     def shade_by_gaussians(
@@ -141,7 +66,7 @@ def occluder(lanes: int, hits: int) -> Any:
         waiting = Floats(-FAR)  # limits of the rays that have not been followed yet
         live = int(0)
         for lane in range(LANES):
-            if limits[first + lane] > rays.t_min[first + lane]:
+            if limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
                 waiting[lane] = wp.min(limits[first + lane], FAR)
                 live += 1
         while live > 0:
@@ -347,57 +272,3 @@ def occluder(lanes: int, hits: int) -> Any:
                     light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shade)
 
     return shade_by_gaussians
-
-
-@wp.kernel
-def shrink_nodes(
-    start: int,
-    node_first: int,
-    settings: wp.array(dtype=ShadowData),
-    owners: wp.array(dtype=int),
-    instances: wp.array(dtype=TreeInstance),
-    particles: wp.array(dtype=Particle),
-    nodes: wp.array(dtype=Node),
-    nodes_out: wp.array(dtype=Node),
-):
-    """Boxes of a level's nodes around what of their Gaussians blocks light in a stochastic sample.
-
-    Gaussians block as far as their alpha is above the number drawn for them, in the instance (of the ``owners``) in
-    which that is farthest.
-    """
-    n = node_first + start + wp.tid()
-    view = settings[0]
-    key = shadow_key(view)
-    kernel = instances[owners[0]].kernel
-    node = nodes[n]
-    for c in range(WIDTH):
-        low = wp.vec3(FAR)
-        high = wp.vec3(-FAR)
-        link = node.link[c]
-        if link < 0:
-            particle = particles[~link]
-            number = float(1.0)
-            for k in range(owners.shape[0]):
-                index = instances[owners[k]].first + particle.index
-                number = wp.min(number, draw_stratified(key, view.sample, index))
-            log_response = wp.log(number) - particle.log_opacity
-            if number < ALPHA_LIMIT and log_response < 0.0 and particle.reach2 > 0.0:
-                share = wp.sqrt(wp.min(distance_squared(kernel, log_response) / particle.reach2, 1.0))
-                corner = wp.vec3(node.low_x[c], node.low_y[c], node.low_z[c])
-                opposite = wp.vec3(node.high_x[c], node.high_y[c], node.high_z[c])
-                center = 0.5 * corner + 0.5 * opposite
-                half = (0.5 * share) * (opposite - corner)
-                half += (wp.vec3(wp.max(half)) + wp.abs(center)) * MARGIN
-                low = center - half
-                high = center + half
-        elif link != NO_CHILD:
-            child = nodes_out[link]
-            low = wp.vec3(wp.min(child.low_x), wp.min(child.low_y), wp.min(child.low_z))
-            high = wp.vec3(wp.max(child.high_x), wp.max(child.high_y), wp.max(child.high_z))
-        node.low_x[c] = low[0]
-        node.low_y[c] = low[1]
-        node.low_z[c] = low[2]
-        node.high_x[c] = high[0]
-        node.high_y[c] = high[1]
-        node.high_z[c] = high[2]
-    nodes_out[n] = node

@@ -13,7 +13,7 @@ from lumisplat.buffers import Buffers
 from lumisplat.constants import SHRINK_INSTANCES_MAX, SHRINK_RAYS_PER_GAUSSIAN
 from lumisplat.device.trace_structs import Node, TreeAsset
 from lumisplat.launcher import Launcher
-from lumisplat.render import shadow_kernels as kernels
+from lumisplat.render import shrink_kernels
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.tree_scene import TreeScene
 from lumisplat.render.upload import upload_structs
@@ -58,7 +58,7 @@ class ShrunkTrees:
             nodes.append(self._buffers.get(f"{self._name}.nodes{place}", Node, tree.nodes.shape[0]))
             for first, count in reversed(tree.levels):
                 self._launcher.run_banded(
-                    kernels.shrink_nodes,
+                    shrink_kernels.shrink_nodes,
                     count,
                     *(first, settings, asset.instance_ids, trees.instances, tree.particles, tree.nodes, nodes[-1]),
                 )
