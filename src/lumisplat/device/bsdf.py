@@ -43,8 +43,6 @@ def mean_of(color: wp.vec3) -> float:
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
     """Factor, per channel, by which parts that reflect more than all light together are scaled down."""
     total = bsdf.diffuse + bsdf.specular
-    if wp.max(total) <= 1.0:
-        return wp.vec3(1.0)
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
 
@@ -64,7 +62,9 @@ def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> w
     value = INV_PI * bsdf.diffuse
     if wp.max(bsdf.specular) > 0.0:
         value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
-    return wp.cw_mul(value, simple_scale(bsdf))
+    if wp.max(bsdf.diffuse + bsdf.specular) > 1.0:
+        value = wp.cw_mul(value, simple_scale(bsdf))
+    return value
 
 
 @wp.func
