@@ -106,6 +106,7 @@ class RayRig:
         rays.t_max.assign(np.full(count, t_max, np.float32))
         rays.travelled.zero_()
         rays.stream.assign(np.arange(count, dtype=np.uint32))
+        rays.strand.assign(np.arange(count, dtype=np.uint32))
         return rays
 
     def _radiance(self, rays: RayData, name: str) -> RayRadiance:

@@ -109,8 +109,8 @@ EXPOSURE_MAX = 100
 SHADOW_OFFSET = 3.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface, which ends three standard
 deviations off. On the biker, lit from the front, 1 leaves a third of the surface speckled by its own Gaussians, 2 some
-patches, 4 nothing, but no contact shadows either. seeds/000 section 4 has the offset in world units, which no two captures
-share."""
+patches, 4 nothing, but no contact shadows either. seeds/000 section 4 has the offset in world units, which no two
+captures share."""
 
 SHADOW_BUNDLE_RADIUS = 0.03
 """As COHERENT_RADIUS, of the rays of a packet to a light: those that start farther from its first one go apart."""

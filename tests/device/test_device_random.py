@@ -202,3 +202,33 @@ def test_the_statistics_can_fail() -> None:
         first, second = mix(key + np.uint32(5)), mix(key + np.uint32(5) + np.uint32(1 << 29))
         assert np.abs(pair_z(first, second)).max() > 2.0 * LIMIT
         assert abs(chi_square_z(np.bincount((PIXELS * np.uint32(0x21F0AAAD)) >> 20, minlength=4096))) > LIMIT
+
+
+@pytest.mark.parametrize("key", [0, 0x9E3779B9])
+def test_spread_points_are_stratified(key: int) -> None:
+    """Aligned runs of 2^n points have one point in each of the 2^n boxes of every shape, for any key."""
+    points = np.array([random.spread(wp.uint32(key), i) for i in range(128)])
+    assert (points >= 0.0).all() and (points < 1.0).all()
+    for first, count in ((0, 64), (64, 64), (96, 32), (40, 8)):
+        run = points[first : first + count]
+        for columns in (2**k for k in range(int(np.log2(count)) + 1)):
+            cells = np.floor(run * (columns, count // columns)).astype(int)
+            assert len({tuple(cell) for cell in cells}) == count, (first, count, columns)
+
+
+def test_spread_points_of_different_keys_are_independent() -> None:
+    """The same samples of many keys are uniform, in x and y, and not related to those of the key before."""
+    count = 800
+    points = np.array([[random.spread(wp.uint32(key), i) for i in (0, 3)] for key in range(count)]).reshape(count, 4)
+    assert np.abs(points.mean(axis=0) - 0.5).max() < 4.5 / np.sqrt(12 * count)
+    related = np.corrcoef(points[1:].T, points[:-1].T)
+    assert np.abs(related[:4, 4:]).max() < 4.5 / np.sqrt(count)
+    assert max(abs(related[0, 1]), abs(related[2, 3])) < 4.5 / np.sqrt(count)
+
+
+def test_bits_reverse() -> None:
+    """As strings do; twice is the word itself."""
+    for word in (0, 1, 0x80000000, 0x12345678, 0xDEADBEEF):
+        turned = int(random.reversed_bits(wp.uint32(word)))
+        assert f"{turned:032b}" == f"{word:032b}"[::-1]
+        assert int(random.reversed_bits(wp.uint32(turned))) == word

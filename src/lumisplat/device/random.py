@@ -102,3 +102,54 @@ def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
     place = wp.bit_and(wp.uint32(sample), LOW_4)
     within = wp.rshift(mix(word + mix(place)), BITS_12)
     return float(int(wp.lshift(shuffled_16(place, word), BITS_20) + within)) * UNIT
+
+
+@wp.func
+def swapped_bits(word: wp.uint32, mask: wp.uint32, shift: wp.uint32) -> wp.uint32:
+    """The bits of ``mask`` change places with those ``shift`` above."""
+    return wp.bit_or(wp.lshift(wp.bit_and(word, mask), shift), wp.bit_and(wp.rshift(word, shift), mask))
+
+
+@wp.func
+def reversed_bits(word: wp.uint32) -> wp.uint32:
+    """The word, read from the other end."""
+    word = swapped_bits(word, wp.uint32(0x0000FFFF), BITS_16)
+    word = swapped_bits(word, wp.uint32(0x00FF00FF), BITS_8)
+    word = swapped_bits(word, wp.uint32(0x0F0F0F0F), wp.uint32(4))
+    word = swapped_bits(word, wp.uint32(0x33333333), wp.uint32(2))
+    return swapped_bits(word, wp.uint32(0x55555555), wp.uint32(1))
+
+
+@wp.func
+def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
+    """Owen scrambling: whether a bit flips depends on those above it and on the key (Laine and Karras 2011)."""
+    word = reversed_bits(word) + key
+    word = wp.bit_xor(word, word * wp.uint32(0x6C50B47C))
+    word = wp.bit_xor(word, word * wp.uint32(0xB82F1E52))
+    word = wp.bit_xor(word, word * wp.uint32(0xC7AFE638))
+    word = wp.bit_xor(word, word * wp.uint32(0x8D22F6E6))
+    return reversed_bits(word)
+
+
+@wp.func
+def spread(key: wp.uint32, sample: int) -> wp.vec2:
+    """Point ``sample`` of a sequence that fills the unit square evenly, another one for each key, 0..1 each.
+
+    The first two dimensions of Sobol's, shuffled and scrambled (Burley 2020, Practical Hash-based Owen Scrambling):
+    any 2^n points in a row that start at a multiple of 2^n are stratified, and sequences of different keys are as good
+    as independent.
+    """
+    key = mix(key)
+    index = scrambled(wp.uint32(sample), key)
+    second = wp.uint32(0)
+    direction = wp.uint32(0x80000000)
+    rest = index
+    while rest != wp.uint32(0):
+        if wp.bit_and(rest, wp.uint32(1)) != wp.uint32(0):
+            second = wp.bit_xor(second, direction)
+        direction = wp.bit_xor(direction, wp.rshift(direction, wp.uint32(1)))
+        rest = wp.rshift(rest, wp.uint32(1))
+    key = mix(key + wp.uint32(1))
+    x = scrambled(reversed_bits(index), key)
+    y = scrambled(second, mix(key + wp.uint32(1)))
+    return wp.vec2(float(int(wp.rshift(x, BITS_8))) * UNIT, float(int(wp.rshift(y, BITS_8))) * UNIT)

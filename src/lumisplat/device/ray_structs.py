@@ -30,6 +30,8 @@ class RayData:
     """Distance of the nearest mesh; inf: none; not above ``t_min``: there is no ray."""
     stream: wp.array(dtype=wp.uint32)
     """Key of the ray's random numbers."""
+    strand: wp.array(dtype=wp.uint32)
+    """The same for what is spread evenly over the samples of a pixel, which share it."""
 
 
 @struct

@@ -80,6 +80,8 @@ class ShadeData:
     camera_sees: int
     """SEES_BACKGROUND, SEES_ENVIRONMENT in its place, or SEES_NOTHING: of the rays that are not reflected."""
     light_count: int
+    sample: int
+    """Number of the sample of each pixel."""
     soft: int
     """1: lights are sampled over their extent."""
     shadow_offset: float

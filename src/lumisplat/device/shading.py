@@ -10,9 +10,9 @@ from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.color import decode_srgb_color, over, sample_texture
 from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light import sample_light
-from lumisplat.device.light_structs import BSDF_PBR, Bsdf, EnvironmentData, LightSample
+from lumisplat.device.light_structs import BSDF_PBR, Bsdf, LightSample
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
-from lumisplat.device.random import branch_stream, draw
+from lumisplat.device.random import branch_stream, spread
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import spawn_point
 from lumisplat.device.shade_structs import (
@@ -340,20 +340,19 @@ def reflected(point: ShadingPoint, sample: LightSample, irradiance: wp.vec3) -> 
 
 
 @wp.func
-def light_key(stream: wp.uint32, number: int) -> wp.uint32:
-    """Of the random numbers that pick a point of light ``number``."""
-    return branch_stream(stream, LIGHT_BRANCHES + number)
+def light_key(strand: wp.uint32, number: int) -> wp.uint32:
+    """Of the sequence that picks points of light ``number``."""
+    return branch_stream(strand, LIGHT_BRANCHES + number)
 
 
 @wp.func
-def from_light(number: int, point: ShadingPoint, stream: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
+def from_light(number: int, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
     """What light ``number``, which is not the environment, adds by way of a surface."""
     light = scene[0].lights[number]
     soft = scene[0].settings[0].soft
     u = wp.vec2(0.5)
     if soft != 0:
-        key = light_key(stream, number)
-        u = wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1)))
+        u = spread(light_key(strand, number), scene[0].settings[0].sample)
     sample = sample_light(light, point.position, soft, u)
     irradiance = arriving(point, sample)
     if is_black(irradiance):
@@ -363,23 +362,27 @@ def from_light(number: int, point: ShadingPoint, stream: wp.uint32, scene: wp.ar
 
 @wp.func
 def from_environment(
-    environment: EnvironmentData, picks_bsdf: bool, point: ShadingPoint, key: wp.uint32
+    number: int, picks_bsdf: bool, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)
 ) -> Contribution:
-    """What the environment adds by way of a surface, in a direction picked by its brightness or by the BSDF.
+    """What the environment, light ``number``, adds by way of a surface, where its brightness or the BSDF sends a look.
 
     With the balance heuristic (Veach and Guibas 1995), both ways together see all of it once.
     """
     sample = LightSample()
+    environment = scene[0].environment
+    key = light_key(strand, number)
+    turn = scene[0].settings[0].sample
     if picks_bsdf:
-        u = wp.vec2(draw(key, wp.uint32(2)), draw(key, wp.uint32(3)))
-        picked = bsdf_sample(point.bsdf, point.normal, point.view, u, draw(key, wp.uint32(4)))
+        u = spread(branch_stream(key, 0), turn)
+        choice = spread(branch_stream(key, 1), turn)
+        picked = bsdf_sample(point.bsdf, point.normal, point.view, u, choice[0])
         sample.direction = picked.direction
         sample.distance = wp.inf
         if picked.density > 0.0:
             both = picked.density + environment_density(environment, picked.direction)
             sample.irradiance = environment_radiance(environment, picked.direction) / both
     else:
-        sample = sample_environment(environment, wp.vec2(draw(key, wp.uint32(0)), draw(key, wp.uint32(1))))
+        sample = sample_environment(environment, spread(key, turn))
         if sample.density > 0.0:
             other = bsdf_pdf(point.bsdf, point.normal, point.view, sample.direction)
             sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))

@@ -130,6 +130,7 @@ def spawn_rays(
     rays_out.t_max[child] = wp.inf
     rays_out.travelled[child] = rays.travelled[i] + rays.t_max[i]
     rays_out.stream[child] = branch_stream(rays.stream[i], refracted)
+    rays_out.strand[child] = branch_stream(rays.strand[i], refracted)
     weights_out[child] = weight
     path_weights_out[child] = path_weights[i] * wp.max(weight)
 

@@ -33,6 +33,7 @@ def start_rays(start: int, lenses: wp.array(dtype=LensData), rays_out: RayData):
     rays_out.t_min[i] = ray.t_min
     rays_out.travelled[i] = 0.0
     rays_out.stream[i] = stream_of(y * lens.width + x, lens.sample, lens.seed)
+    rays_out.strand[i] = stream_of(y * lens.width + x, 0, lens.seed)
     if wp.length_sq(ray.direction) > 0.0:
         rays_out.t_max[i] = wp.inf
 
@@ -97,6 +98,7 @@ def load_rays(
     rays_out.t_max[i] = distances[i]
     rays_out.travelled[i] = 0.0
     rays_out.stream[i] = stream_of(first + i, sample, seed)
+    rays_out.strand[i] = stream_of(first + i, 0, seed)
 
 
 @wp.kernel

@@ -89,7 +89,7 @@ class RayQueries:
                 self._load(first, count, sample, uploaded, rays)
                 self._transport.begin_sample(sample)
                 met = self._tracer.look(scene, trees, rays)
-                colors = self._transport.colors(scene, trees, met, lit=lit)
+                colors = self._transport.colors(scene, trees, met, lit=lit, sample=sample)
                 if lit:
                     colors = self._linear(colors)
                 self._launcher.run_banded(

@@ -221,7 +221,7 @@ class Renderer:
         if lit and "reflection" in self.config.aovs:
             reflection = self._buffers.get("film.ray.reflection", wp.vec3, met.count)
         with self._launcher.stage("light" if lit else "bounce"):
-            colors = self._transport.colors(self._scene, trees, met, lit=lit, reflection=reflection)
+            colors = self._transport.colors(self._scene, trees, met, lit=lit, sample=sample, reflection=reflection)
         if lit:
             lights = self._transport.light_images(met.count)
             film.add_lit(self._transport.lit, camera, met, colors, last=last, lights=lights, reflection=reflection)

@@ -98,11 +98,10 @@ def unblocked(
     for number in range(scene[0].settings[0].light_count):
         if adds_lights == ALL_LIGHTS or scene[0].lights[number].casts_shadow == 0:
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                key = light_key(rays.stream[i], number)
-                total += from_environment(scene[0].environment, False, point, key).color
-                total += from_environment(scene[0].environment, True, point, key).color
+                total += from_environment(number, False, point, rays.strand[i], scene).color
+                total += from_environment(number, True, point, rays.strand[i], scene).color
             else:
-                total += from_light(number, point, rays.stream[i], scene).color
+                total += from_light(number, point, rays.strand[i], scene).color
     return total
 
 
@@ -213,12 +212,11 @@ def spawn_shadow_rays(
             point = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
         if point.exists != 0:
             j = slot * stride + i
-            key = light_key(rays.stream[i], number)
             contribution = Contribution()
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                contribution = from_environment(scene[0].environment, picks_bsdf, point, key)
+                contribution = from_environment(number, picks_bsdf, point, rays.strand[i], scene)
             else:
-                contribution = from_light(number, point, rays.stream[i], scene)
+                contribution = from_light(number, point, rays.strand[i], scene)
             if not is_black(contribution.color):
                 contributions_out[j] = contribution.color
                 rays_out.origin[j] = point.position
@@ -230,7 +228,8 @@ def spawn_shadow_rays(
                     rays_out.origin[j] = mesh_start(i, point.side, hits, scene)
                 rays_out.t_max[j] = contribution.distance
                 rays_out.travelled[j] = 0.0
-                rays_out.stream[j] = branch_stream(key, slot)
+                rays_out.strand[j] = rays.strand[i]
+                rays_out.stream[j] = branch_stream(light_key(rays.stream[i], number), slot)
                 skips_out[j] = point.shadow_only
 
 

@@ -43,6 +43,7 @@ class LitScene:
         self._lights = LightTable()
         self._version = -1
         self._row = ShadeScene()
+        self._table: Any = None
         self.data: Any = None
         """What kernels take: a 1-element ShadeScene array."""
         self.lights: tuple[Light, ...] = ()
@@ -77,10 +78,11 @@ class LitScene:
         placements = placement_table(scene, device_scene)
         self._row.splats = table("shade.splats", SplatPlacement, len(placements))
         self._row.settings = table("shade.settings", ShadeData, 1)
+        self._table = self._settings(for_camera)
         for array, rows in (
             (self._row.materials, materials),
             (self._row.splats, placements),
-            (self._row.settings, self._settings(for_camera)),
+            (self._row.settings, self._table),
         ):
             if len(rows):
                 array.assign(rows)
@@ -91,6 +93,11 @@ class LitScene:
         self._row.environment = self._lights.environment
         self.data = upload_structs([self._row], ShadeScene, self._launcher.device)
         self.has_shadow_only = any(instance.shadow_only for instance in scene.splats)
+
+    def begin_sample(self, sample: int) -> None:
+        """Before a sample is shaded."""
+        self._table[:1]["sample"] = sample
+        self._row.settings.assign(self._table)
 
     def _settings(self, for_camera: bool) -> np.ndarray:
         config = self._config

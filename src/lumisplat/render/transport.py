@@ -48,6 +48,7 @@ class Transport:
         met: Met,
         *,
         lit: bool,
+        sample: int,
         reflection: Any = None,
     ) -> Any:
         """RayColors if ``lit``, else display-referred colours, over all that is behind the Gaussians.
@@ -57,6 +58,7 @@ class Transport:
             trees: Of the same scene; None: no ray goes on, and nothing blocks lights.
             met: The rays, and what they met.
             lit: With lights.
+            sample: Number of the sample.
             reflection: If lit, receives what reflected and refracted rays bring.
         """
 
@@ -64,6 +66,8 @@ class Transport:
             direct = reflection if number == 0 else None
             self._shader.shade(scene, trees, wave, number, may_branch=may_branch, reflection=direct)
 
+        if lit:
+            self.lit.begin_sample(sample)
         goes_on = trees is not None and self._config.pipeline is not Pipeline.RASTER
         return self._bounces.resolve(
             scene,
