@@ -38,7 +38,9 @@ class ShadowRig:
         self._device = device
         self._buffers = Buffers(device)
         self._shadows: dict[RenderConfig, ShadowRays] = {}
-        self._held: tuple[Scene, RenderConfig, DeviceScene, TreeScene] | None = None
+        self._scene = DeviceScene(device)
+        self._trees: dict[RenderConfig, TreeScene] = {}
+        """By the settings that their bounds depend on."""
 
     def light(
         self,
@@ -56,26 +58,19 @@ class ShadowRig:
     ) -> np.ndarray:
         """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
         config = replace(config or RenderConfig(), shadow=ShadowConfig(**shadow))
-        on_device, trees = self._synced(scene, config)
+        # Shadow settings and the seed have no part in what is on the device.
+        trees = self._trees.setdefault(replace(config, shadow=ShadowConfig(), seed=0), TreeScene(self._launcher))
+        self._scene.sync(scene, front_camera(), config)
+        self._scene.sync_rays(scene)
+        trees.sync(scene, self._scene, config)
         if config not in self._shadows:
             self._shadows[config] = ShadowRays(self._launcher, Buffers(self._device), config)
         shadows = self._shadows[config]
         origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
         rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
         shadows.begin_sample(sample)
-        light = shadows.trace(on_device, trees, rays, skipping, "light", opaque=opaque)
+        light = shadows.trace(self._scene, trees, rays, skipping, "light", opaque=opaque)
         return light.numpy()[: len(origins)].astype(float)
-
-    def _synced(self, scene: Scene, config: RenderConfig) -> tuple[DeviceScene, TreeScene]:
-        # Shadow settings and the seed have no part in what is on the device.
-        settled = replace(config, shadow=ShadowConfig(), seed=0)
-        if self._held is None or self._held[0] is not scene or self._held[1] != settled:
-            on_device, trees = DeviceScene(self._device), TreeScene(self._launcher)
-            on_device.sync(scene, front_camera(), config)
-            on_device.sync_rays(scene)
-            trees.sync(scene, on_device, config)
-            self._held = scene, settled, on_device, trees
-        return self._held[2:]
 
     def _rays(
         self, origins: np.ndarray, directions: np.ndarray, t_min: Any, t_max: Any, skips: Any

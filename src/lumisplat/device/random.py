@@ -18,11 +18,11 @@ MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
 """Where streams start: any number but 0, of which the permutation makes 0."""
 
+BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
 BITS_15 = wp.constant(wp.uint32(15))
-BITS_8 = wp.constant(wp.uint32(8))
 BITS_12 = wp.constant(wp.uint32(12))
-BITS_20 = wp.constant(wp.uint32(20))
+BITS_8 = wp.constant(wp.uint32(8))
 BITS_4 = wp.constant(wp.uint32(4))
 BITS_2 = wp.constant(wp.uint32(2))
 LOW_4 = wp.constant(wp.uint32(15))
@@ -80,13 +80,11 @@ def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
 
     Each step is one-to-one modulo 16.
     """
-    k = wp.bit_xor(k, word) * wp.bit_or(wp.rshift(word, BITS_4), ONE)
-    k = wp.bit_and(k, LOW_4)
+    k = wp.bit_and(k * wp.bit_or(wp.rshift(word, BITS_4), ONE) + word, LOW_4)
     k = wp.bit_xor(k, wp.rshift(k, BITS_2))
-    k = wp.bit_xor(k, wp.rshift(word, BITS_8)) * wp.bit_or(wp.rshift(word, BITS_12), ONE)
-    k = wp.bit_and(k, LOW_4)
-    k = wp.bit_xor(k, wp.rshift(k, BITS_2))
-    return wp.bit_and(wp.bit_xor(k, wp.rshift(word, BITS_16)), LOW_4)
+    k = wp.bit_and(k * wp.bit_or(wp.rshift(word, BITS_12), ONE) + wp.rshift(word, BITS_8), LOW_4)
+    k = wp.bit_xor(k, wp.rshift(k, ONE))
+    return wp.bit_and(k + wp.rshift(word, BITS_16), LOW_4)
 
 
 @wp.func

@@ -19,7 +19,7 @@ from lumisplat.device.random import draw_stratified
 from lumisplat.device.ray_structs import RayData
 from lumisplat.device.shade import shadow_key, shadow_of, tint_of
 from lumisplat.device.surface import instance_of
-from lumisplat.device.trace_structs import FAR, Node, ShadowData, Slabs, TreeAsset, TreeInstance
+from lumisplat.device.trace_structs import FAR, NO_CHILD, Node, ShadowData, Slabs, TreeAsset, TreeInstance
 from lumisplat.device.traverse import enter_children, larger, lesser, slabs_around
 
 wp.set_module_options(BUNDLE_OPTIONS)
@@ -173,7 +173,8 @@ def occluder(lanes: int, hits: int) -> Any:
                 picks = int(0)
                 base = int(top)
                 for c in range(WIDTH):
-                    if entries[c] <= reach:
+                    # Rays without a direction enter all boxes, also those of no child.
+                    if entries[c] <= reach and links[c] != NO_CHILD:
                         if links[c] >= 0 or current < 0:
                             # A node waits in its place among its siblings; an instance as its root.
                             rank = ORDER * entries[c]

@@ -1,0 +1,33 @@
+"""Kernels that call what shadows are made of, so that tests reach it."""
+
+import warp as wp
+
+from lumisplat.device.random import draw_stratified
+from lumisplat.device.ray_triangle import owns_crossing, ray_shear
+from lumisplat.device.shade import shadow_key
+from lumisplat.device.trace_structs import ShadowData
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def draw_all(seed: wp.uint32, samples: int, numbers_out: wp.array2d(dtype=float)):
+    """Row = dimension, column = sample."""
+    dimension, sample = wp.tid()
+    settings = ShadowData()
+    settings.seed = seed
+    settings.sample = sample
+    numbers_out[dimension, sample] = draw_stratified(shadow_key(settings), sample, dimension)
+
+
+@wp.kernel
+def own_all(
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    corners: wp.array2d(dtype=wp.vec3),
+    owned_out: wp.array2d(dtype=int),
+):
+    """Row = ray, column = triangle."""
+    i, j = wp.tid()
+    shear = ray_shear(directions[i])
+    owned_out[i, j] = int(owns_crossing(origins[i], shear, corners[j, 0], corners[j, 1], corners[j, 2]))

@@ -1,0 +1,93 @@
+"""What shadows are made of: numbers of stochastic samples, and who owns the edge of a triangle."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import probe_shade_kernels as probes
+import pytest
+import warp as wp
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+LIMIT = 5.0
+"""Standard deviations; nothing here depends on chance."""
+
+
+def numbers(device: str, dimensions: int, samples: int, seed: int = 0) -> np.ndarray:
+    """What samples draw, shape (D, S)."""
+    out = wp.zeros((dimensions, samples), dtype=float, device=device)
+    wp.launch(probes.draw_all, (dimensions, samples), [wp.uint32(seed), samples, out], device=device)
+    return out.numpy().astype(float)
+
+
+def z_of_counts(values: np.ndarray, places: int) -> float:
+    """Chi-square of equal expectations, as a standard normal number (Wilson and Hilferty 1931)."""
+    counts = np.bincount(values.ravel(), minlength=places)
+    chi2 = ((counts - values.size / places) ** 2).sum() * places / values.size
+    variance = 2.0 / (9.0 * (places - 1))
+    return float((np.cbrt(chi2 / (places - 1)) - (1.0 - variance)) / math.sqrt(variance))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_sixteen_samples_fall_into_sixteen_strata(device: str) -> None:
+    """From each multiple of 16 on, for every dimension; and all numbers are in 0..1, down to 2^-24."""
+    drawn = numbers(device, 500, 64)
+    assert (drawn >= 0.0).all() and (drawn < 1.0).all()
+    np.testing.assert_array_equal(drawn * 2.0**24 % 1.0, 0.0)
+    strata = (16.0 * drawn).astype(int).reshape(500, 4, 16)
+    np.testing.assert_array_equal(np.sort(strata, axis=-1), np.broadcast_to(np.arange(16), strata.shape))
+    assert (strata[:, 0] != strata[:, 1]).any(axis=-1).mean() > 0.99  # another order in each sixteen
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_sample_is_uniform_and_its_dimensions_are_independent(device: str) -> None:
+    """At each place of the sixteen, and for pairs of Gaussians, of samples and of seeds."""
+    drawn = numbers(device, 1 << 16, 32)
+    cells = (16.0 * drawn).astype(int)
+    fine = (4096.0 * drawn).astype(int) % 256
+    for sample in range(32):
+        assert abs(z_of_counts(cells[:, sample], 16)) < LIMIT
+        assert abs(z_of_counts(fine[:, sample], 256)) < LIMIT
+        neighbours = 16 * cells[::2, sample] + cells[1::2, sample]
+        assert abs(z_of_counts(neighbours, 256)) < LIMIT
+    for one, two in ((0, 16), (3, 19), (15, 16), (7, 24)):
+        assert abs(z_of_counts(16 * cells[:, one] + cells[:, two], 256)) < LIMIT
+    other = (16.0 * numbers(device, 1 << 16, 1, seed=1)[:, 0]).astype(int)
+    assert abs(z_of_counts(16 * cells[:, 0] + other, 256)) < LIMIT
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_strata_of_two_gaussians_meet_at_random(device: str) -> None:
+    """Within sixteen samples, that two Gaussians both draw low numbers happens as often as for shuffled cards."""
+    low = numbers(device, 1 << 15, 16) < 0.5
+    both = (low[::2] & low[1::2]).sum(axis=1)
+    # Of 8 low ones among 16, twice: hypergeometric, mean 4, variance 16/15.
+    assert abs(both.mean() - 4.0) < LIMIT * math.sqrt(16.0 / 15.0 / len(both))
+    assert both.var() == pytest.approx(16.0 / 15.0, rel=0.05)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_one_triangle_owns_what_lies_on_edges(device: str) -> None:
+    """Around a corner that a ray goes through, and along its edges, from any side and however wound: exactly one."""
+    rng = np.random.default_rng(1)
+    angles = (np.arange(7) + rng.uniform(0.0, 0.5, 7)) * 2.0 * math.pi / 7.0
+    rim = np.round(np.stack([4.0 * np.cos(angles), 4.0 * np.sin(angles), 0.0 * angles], axis=-1) * 8.0) / 8.0
+    fan = [(np.zeros(3), rim[i], rim[(i + 1) % 7]) for i in range(7)]
+    fan = [(a, c, b) if i % 3 == 0 else (b, c, a) if i % 3 == 1 else (a, b, c) for i, (a, b, c) in enumerate(fan)]
+    targets = np.concatenate([np.zeros((1, 3)), 0.5 * rim])
+    for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
+        turned = np.roll(np.array(fan), axis, axis=-1)
+        along = np.roll([0.0, 0.0, sign], axis)
+        origins = np.roll(targets, axis, axis=-1) - 5.0 * along
+        owned = wp.zeros((len(targets), 7), dtype=int, device=device)
+        arrays = [
+            wp.array(rows.astype(np.float32), dtype=wp.vec3, device=device)
+            for rows in (origins, np.broadcast_to(along, origins.shape).copy(), turned)
+        ]
+        wp.launch(probes.own_all, (len(targets), 7), [*arrays, owned], device=device)
+        met = owned.numpy()
+        assert met[0].sum() == 1
+        for i in range(7):
+            assert met[1 + i, [i - 1, i]].sum() == 1
