@@ -334,20 +334,6 @@ def test_info_shows_text_as_it_is(work):
     assert "[/red] :cat: ?[2J" in outcome.out
 
 
-def test_demo(work, monkeypatch):
-    """Demo writes a picture for each of its cameras, and on request its capture and cameras, which render."""
-    gaussians = ls.load(work.path("capture.ply"))
-    monkeypatch.setattr(ls, "demo_scene", lambda report: ls.Scene(splats=(ls.SplatInstance(gaussians),)))
-    monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
-    assert work.run("demo", "-o", "@demo", "--save-assets", "--width", "32").status == 0
-    names = {"left.png", "right.png", "demo.ply", "transforms.json"}
-    assert {path.name for path in work.path("demo").iterdir()} == names
-    args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frame", "left", "--width", "32")
-    assert work.run(*args, "-o", "@again.png").status == 0
-    first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
-    assert np.abs(first.astype(int) - again).max() <= 1
-
-
 def test_convert_keeps_the_kernel_degree(work, caplog):
     """A capture trained with another kernel is still one in the other format, or one line says that it is not."""
     gaussians = ls.load(work.path("capture.ply"))

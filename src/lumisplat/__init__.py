@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from lumisplat.render.renderer import Renderer, create_renderer
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.demo import demo_cameras, demo_scene
+    from lumisplat.scene.demo_lit import demo_scene_lit
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.lights import (
         LightDirectional,
@@ -101,6 +102,7 @@ _HOME = {
     "create_renderer": "render.renderer",
     "demo_cameras": "scene.demo",
     "demo_scene": "scene.demo",
+    "demo_scene_lit": "scene.demo_lit",
     "gaussians_from_mesh": "scene.sampling",
     "load": "io",
     "load_cameras": "io",
@@ -155,6 +157,7 @@ __all__ = [
     "create_renderer",
     "demo_cameras",
     "demo_scene",
+    "demo_scene_lit",
     "gaussians_from_mesh",
     "load",
     "load_cameras",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,3 +97,52 @@ def test_demo_reports_progress(demo: ls.Scene, heard: list[float]) -> None:
     assert heard[0] == 0.0
     assert heard == sorted(heard)
     assert heard[-1] == 1.0
+
+
+@pytest.fixture(scope="module")
+def lit(demo: ls.Scene) -> ls.Scene:
+    """The scene in the evening."""
+    return ls.demo_scene_lit(demo)
+
+
+def test_relit_demo_holds_the_same_things(demo: ls.Scene, lit: ls.Scene) -> None:
+    """Room and garden are the capture, meshes are where they were; a mirror, glass, and three kinds of light."""
+    assert [instance.name for instance in lit.splats] == ["room", "garden"]
+    means = np.concatenate([instance.gaussians.means for instance in lit.splats])
+    np.testing.assert_array_equal(means, demo.splats[0].gaussians.means)
+    assert [one.name for one in lit.meshes] == [one.name for one in demo.meshes]
+    for one, before in zip(lit.meshes, demo.meshes, strict=True):
+        np.testing.assert_array_equal(one.mesh.positions, before.mesh.positions)
+        assert one.mesh.colors is None
+    smooth = [one.mesh.material for one in lit.meshes if one.mesh.material.is_smooth]
+    assert sorted(material.transmission for material in smooth if isinstance(material, ls.MaterialPbr)) == [0.0, 1.0]
+    assert [type(light) for light in lit.lights] == [ls.LightSpot, ls.LightPoint, ls.LightEnvironment]
+    assert [light.name for light in lit.lights] == ["spot", "lamp", "sky"]
+
+
+def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
+    """Where all lights are off, the room is black, and the garden shines as in a picture without lights."""
+    camera = ls.demo_cameras(160, 90, count=1)[0]
+    off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
+    dark = ls.render(off, camera, ls.RenderConfig(shadows=ls.Shadows.OFF), device="cpu")
+    unlit = ls.render(lit, camera, ls.RenderConfig(lighting=False), device="cpu")
+    assert dark.light is not None
+    room = (dark.instance_index == 0) & (dark.alpha > 0.999)
+    assert np.abs(dark.color[room]).max() < 1e-5
+    untouched = (dark.instance_index == 1) & (dark.light == 0.0).all(axis=2)
+    assert untouched.sum() > 300
+    np.testing.assert_array_equal(dark.pixels_srgb()[untouched], unlit.pixels_srgb()[untouched])
+
+
+def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
+    """From every camera, most of the picture is neither black nor white, and warm and cool light are both there."""
+    config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
+    renderer = ls.create_renderer(config, "cpu")
+    for camera in ls.demo_cameras(160, 90):
+        frame = renderer.render(lit, camera)
+        pixels = frame.pixels_srgb()[frame.instance_index != 1]
+        brightest = pixels.max(axis=1)
+        assert 0.15 < np.median(brightest) < 0.8, camera.name
+        assert (brightest > 0.99).mean() < 0.02, camera.name
+        assert (brightest < 0.02).mean() < 0.05, camera.name
+        assert frame.stats is not None and frame.stats.nonfinite_count == 0

@@ -9,19 +9,20 @@ from typing import Annotated
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.console import progress_bars
+from lumisplat.cli.console import Report, progress_bars
+from lumisplat.cli.demo_light import lit_pictures
 from lumisplat.cli.options import DeviceCommand, Flag
 from lumisplat.cli.outputs import check_writable, make_folder, plan_shots
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(DeviceCommand):
-    """Build the demo scene and render it. Nothing is downloaded."""
+    """Build the demo scene and render it, as captured and lit anew. Nothing is downloaded."""
 
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("out")
     """Folder for the pictures."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Image width; the aspect ratio is kept."""
+    """Image width, of lit pictures twice their width; the aspect ratio is kept."""
     save_assets: Flag = False
     """Also write the scene's capture (demo.ply) and cameras (transforms.json), to try the other commands on."""
 
@@ -32,15 +33,25 @@ class Demo(DeviceCommand):
         check_writable(self.output)
         with progress_bars() as report:
             renderer = self.start_renderer(report)
-            make_folder(shots[0].path.parent)
+            make_folder(self.output)
             scene = ls.demo_scene(report)
             if self.save_assets:
                 self._save_assets(scene, cameras)
             for done, shot in enumerate(shots):
                 report("rendering", done / len(shots))
                 renderer.render(scene, shot.camera).save(shot.path)
-        for shot in shots:
-            print(shot.path)
+                print(shot.path, flush=True)
+            report("rendering", 1.0)
+            self._light(scene, shots[0].camera, report)
+
+    def _light(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
+        """Writes the lit pictures, each as soon as it is there."""
+
+        def start(config: ls.RenderConfig) -> ls.Renderer:
+            return self.start_renderer(report, config)
+
+        for path in lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
+            print(path, flush=True)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
         ls.save(self.output / "demo.ply", scene.splats[0].gaussians)

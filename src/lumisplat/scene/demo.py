@@ -21,6 +21,9 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 DAYLIGHT = Daylight(sun_direction=(-1.0, 0.52, 0.36))
 """The light in which the demo's capture was taken: through the window on the left."""
 
+GARDEN_COUNT = 4_000
+"""The last Gaussians of the capture: what the window looks out on."""
+
 _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
     "hero": ((0.95, 1.30, 3.25), (-0.06, 0.70, -0.55), 0.585),
     "left": ((-1.55, 1.35, 1.75), (0.35, 0.55, -0.75), 0.72),
@@ -57,7 +60,7 @@ def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
     report("lighting the demo scene", 0.8)
     meshes = [demo_room.woodwork(), demo_objects.ball(rng), demo_objects.knot(), demo_objects.jewel()]
     capture, meshes = _in_daylight(merged(sets), meshes)
-    garden = gaussians_from_mesh(demo_room.garden(), 4_000)
+    garden = gaussians_from_mesh(demo_room.garden(), GARDEN_COUNT)
     report("lighting the demo scene", 1.0)
     return Scene(
         splats=(SplatInstance(merged([capture, garden]), name="room"),),
