@@ -346,14 +346,20 @@ def light_key(strand: wp.uint32, number: int) -> wp.uint32:
 
 
 @wp.func
-def from_light(number: int, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
-    """What light ``number``, which is not the environment, adds by way of a surface."""
-    light = scene[0].lights[number]
-    soft = scene[0].settings[0].soft
-    u = wp.vec2(0.5)
-    if soft != 0:
-        u = spread(light_key(strand, number), scene[0].settings[0].sample)
-    sample = sample_light(light, point.position, soft, u)
+def from_center(number: int, point: ShadingPoint, scene: wp.array(dtype=ShadeScene)) -> Contribution:
+    """What light ``number``, which is not the environment, adds by way of a surface, all of it at its centre."""
+    sample = sample_light(scene[0].lights[number], point.position, 0, wp.vec2(0.5))
+    irradiance = arriving(point, sample)
+    if is_black(irradiance):
+        return Contribution()
+    return reflected(point, sample, irradiance)
+
+
+@wp.func
+def from_extent(number: int, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
+    """The same, by a point that chance picks on it."""
+    u = spread(light_key(strand, number), scene[0].settings[0].sample)
+    sample = sample_light(scene[0].lights[number], point.position, 1, u)
     irradiance = arriving(point, sample)
     if is_black(irradiance):
         return Contribution()

@@ -69,18 +69,29 @@ class Shader:
         """
         from_camera = number == 0
         images = self.images(wave.count) if from_camera else None
-        each = images is not None or (trees is not None and self._config.shadows is not Shadows.OFF)
-        adds = kernels.NO_LIGHTS if images is not None else kernels.FREE_LIGHTS if each else kernels.ALL_LIGHTS
+        blocks = trees is not None and self._config.shadows is not Shadows.OFF
+        met = wave.met.rays, wave.met.hits, wave.met.radiance
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
                 kernels.start_shading,
                 wave.count,
-                *(from_camera, may_branch, adds, self._lit.data, wave.met.rays, wave.met.hits, wave.met.radiance),
-                *(wave.path_weights, wave.colors, wave.branches),
+                *(from_camera, may_branch, self._lit.data, *met, wave.path_weights, wave.colors, wave.branches),
                 self._buffers.get("shade.nothing", wp.vec3, 0) if reflection is None else reflection,
             )
-        if each:
+            for kernel in () if images is not None else self._unblocked(blocks):
+                self._launcher.run_banded(
+                    kernel, wave.count, from_camera, not blocks, self._lit.data, *met, wave.colors.light
+                )
+        if blocks or images is not None:
             self._add_lights(scene, trees, wave, from_camera=from_camera, images=images)
+
+    def _unblocked(self, blocks: bool) -> list[Any]:
+        """The kernels that add the lights that nothing blocks; where nothing ``blocks`` any, all of them."""
+        lights = [light for light in self._lit.lights if not (blocks and light.casts_shadow)]
+        lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + self._lit.has_headlight
+        soft = self._config.shadows is Shadows.SOFT
+        sampled = len(lights) > lamps or (soft and lamps)
+        return [kernels.add_hard_lights] * bool(lamps and not soft) + [kernels.add_sampled_lights] * bool(sampled)
 
     def images(self, count: int) -> LightImages | None:
         """What the lights gave the rays of pixels last, if the settings ask for it."""

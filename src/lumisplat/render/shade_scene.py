@@ -48,6 +48,8 @@ class LitScene:
         """What kernels take: a 1-element ShadeScene array."""
         self.lights: tuple[Light, ...] = ()
         """Those that are on; none where a headlight stands in for them."""
+        self.has_headlight = False
+        """Whether there is one because there are no lights at all."""
         self.has_shadow_only = False
         """Whether some set is only darkened."""
 
@@ -67,6 +69,7 @@ class LitScene:
         """
         self._lights.sync(scene, camera, self._buffers)
         self.lights = tuple(light for light in scene.lights if light.enabled)
+        self.has_headlight = not scene.lights
         if self._version != device_scene.version:
             self._row.attributes = upload_structs(
                 attribute_rows(device_scene, self._launcher.device), SplatAttributes, self._launcher.device
@@ -104,9 +107,9 @@ class LitScene:
         row = table = np.zeros(1, dtype=table_dtype(ShadeData))
         row["background"] = config.background or (0.0, 0.0, 0.0)
         row["camera_sees"] = SEES_BACKGROUND
-        if not for_camera:
+        if not for_camera or config.background is None:
             row["camera_sees"] = SEES_NOTHING
-        elif self._lights.environment.exists and self._lights.environment.visible and config.background is not None:
+        elif self._lights.environment.exists and self._lights.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
         row["light_count"] = self._lights.count
         row["soft"] = config.shadows is Shadows.SOFT
