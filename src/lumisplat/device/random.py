@@ -47,10 +47,15 @@ def mix(word: wp.uint32) -> wp.uint32:
 
 
 @wp.func
+def strand_of(pixel: int, seed: wp.uint32) -> wp.uint32:
+    """Key of what the samples of a pixel share, with ``pixel = y * width + x``."""
+    return mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
+
+
+@wp.func
 def stream_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
-    """Key of the random numbers of one sample of a pixel, with ``pixel = y * width + x``."""
-    stream = mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
-    return mix(stream + mix(wp.uint32(sample)))
+    """Key of the random numbers of one sample of a pixel."""
+    return mix(strand_of(pixel, seed) + mix(wp.uint32(sample)))
 
 
 @wp.func

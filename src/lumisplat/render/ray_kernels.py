@@ -6,7 +6,7 @@ the surface that the first sample met. ``load_rays`` and ``store_hits`` do the s
 
 import warp as wp
 
-from lumisplat.device.random import stream_of
+from lumisplat.device.random import strand_of, stream_of
 from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import store_sample, surface_of_ray
@@ -33,7 +33,7 @@ def start_rays(start: int, lenses: wp.array(dtype=LensData), rays_out: RayData):
     rays_out.t_min[i] = ray.t_min
     rays_out.travelled[i] = 0.0
     rays_out.stream[i] = stream_of(y * lens.width + x, lens.sample, lens.seed)
-    rays_out.strand[i] = stream_of(y * lens.width + x, 0, lens.seed)
+    rays_out.strand[i] = strand_of(y * lens.width + x, lens.seed)
     if wp.length_sq(ray.direction) > 0.0:
         rays_out.t_max[i] = wp.inf
 
@@ -98,7 +98,7 @@ def load_rays(
     rays_out.t_max[i] = distances[i]
     rays_out.travelled[i] = 0.0
     rays_out.stream[i] = stream_of(first + i, sample, seed)
-    rays_out.strand[i] = stream_of(first + i, 0, seed)
+    rays_out.strand[i] = strand_of(first + i, seed)
 
 
 @wp.kernel
