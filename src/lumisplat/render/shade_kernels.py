@@ -3,7 +3,7 @@
 A ray has two surfaces that light may reach, numbered ``ray`` (that of the Gaussians) and ``stride + ray`` (the mesh
 behind them). ``start_shading`` writes what is there without lights; ``add_hard_lights`` and ``add_sampled_lights`` add
 those that nothing blocks; for every other light, ``spawn_shadow_rays`` and ``add_light`` go before and after the shadow
-rays. ``darken_captured`` ends what is only darkened, and ``gather_lit`` brings back what reflected and refracted rays saw.
+rays. ``darken_captured`` ends what is only darkened, ``gather_lit`` brings back what reflected and refracted rays saw.
 """
 
 import warp as wp
