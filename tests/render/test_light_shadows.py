@@ -326,6 +326,17 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
     covered = dark & (unlit.alpha > 0.99)
     np.testing.assert_allclose(frame.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
 
+    # A lamp that nothing blocks shines into the shadow, whether or not it has an image of its own.
+    lamp = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, casts_shadow=False)
+    ratio = (0.5 * np.pi + 3.0) / (0.5 * np.pi + 3.0 + power)
+    for aovs in ((), ("lights",)):
+        brighter = lit(ls.Scene([capture], [lid], [light, lamp]), camera, pipeline, aovs=aovs)
+        np.testing.assert_allclose(brighter.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
+    below = brighter.instance_index == 1
+    assert below.sum() > 50
+    plain = lit(ls.Scene([replace(capture, shadow_only=False)], [lid], [light, lamp]), camera, pipeline)
+    np.testing.assert_allclose(brighter.color[below], plain.color[below], rtol=1e-4, atol=1e-6)
+
 
 @PIPELINES
 def test_a_captured_colour_is_the_albedo_of_a_set_without_any(pipeline: ls.Pipeline) -> None:

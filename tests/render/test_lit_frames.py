@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.shapes import sphere
-from scenes import similarity
+from scenes import one_gaussian, similarity
 from ways import WAYS, renderer_of
 
 LAMPS = (
@@ -287,3 +287,41 @@ def test_an_environment_is_seen_where_nothing_is() -> None:
             behind = ls.render(ls.Scene([], [empty], [hidden]), view, config(pipeline), device="cpu")
             np.testing.assert_allclose(behind.color[0, 0], decode_srgb(np.array([0.1, 0.2, 0.3])), rtol=1e-5)
             assert (behind.alpha == 0.0).all()
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_thin_captures_over_nothing_keep_their_colour(pipeline: ls.Pipeline) -> None:
+    """Without a background, half of a grey is half of its light, whatever its material and however it is drawn."""
+    veil = one_gaussian(mean=(0.0, 0.0, 0.0), scale=(3.0, 3.0, 0.01), opacity=0.5, color=(0.5, 0.5, 0.5))
+    view = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=16, height=16, fov_y=0.1)
+    sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    paper = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1))
+    for material in (None, paper):
+        for strategy in (ls.RasterStrategy.SORTED, ls.RasterStrategy.STOCHASTIC):
+            chance = strategy is ls.RasterStrategy.STOCHASTIC
+            settings = config(
+                pipeline,
+                background=None,
+                shadows=ls.Shadows.OFF,
+                samples=64 if chance else 1,
+                raster=ls.RasterConfig(strategy=strategy),
+            )
+            given = ls.Scene([ls.SplatInstance(veil, material=material)], lights=[sun])
+            frame = ls.render(given, view, settings, device="cpu")
+            assert frame.alpha.mean() == pytest.approx(0.5, abs=0.02)
+            linear = frame.alpha[..., None] * decode_srgb(np.full(3, 0.5))
+            np.testing.assert_allclose(frame.color, linear, rtol=2e-3, atol=1e-6)
+            np.testing.assert_allclose(frame.premultiplied(), linear, rtol=2e-3, atol=1e-6)
+            np.testing.assert_allclose(frame.pixels_srgb()[..., :3], 0.5, atol=1e-3)
+
+
+def test_pixels_that_leave_the_lens_are_no_capture() -> None:
+    """Where only some samples have a ray, what a transparent frame captured is no more than what covers it."""
+    fisheye = ls.Camera(
+        width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE
+    )
+    behind = one_gaussian(mean=(0.0, 0.0, -4.0), scale=2.0, opacity=0.9, color=(0.5, 0.5, 0.5))
+    settings = config(background=None, samples=8, lighting=True)
+    frame = ls.render(ls.Scene([ls.SplatInstance(behind)]), fisheye, settings, device="cpu")
+    assert checked(frame.captured_weight).max() > 0.5
+    assert (checked(frame.captured_weight) <= frame.alpha + 1e-5).all()

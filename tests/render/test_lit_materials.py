@@ -94,6 +94,16 @@ def test_metallic_roughness_texture_multiplies() -> None:
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
 
 
+def test_texels_of_no_roughness_still_shine() -> None:
+    """Rays go on from smooth materials only; a smooth spot of a rough one shows the sky in its highlight instead."""
+    spotless = ls.MaterialPbr(
+        base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
+    )
+    sky = ls.LightEnvironment(color=(0.2, 0.3, 0.4), visible=False)
+    seen = middle(lit(ls.Scene(meshes=[wall(spotless)], lights=[sky]), shadows=ls.Shadows.OFF, samples=4))
+    np.testing.assert_allclose(seen, [0.2, 0.3, 0.4], rtol=0.02)
+
+
 def test_normal_texture_tilts() -> None:
     """Red leans right, green up: the cosine of the light changes by what the map says, and scales with its strength."""
     up = ls.LightDirectional((0.0, 1.0, 1.0), intensity=np.pi)  # from above: y of the camera points down

@@ -265,7 +265,8 @@ def mesh_point(
         uv = hit_uv(meshes, corners, weights)
         if material.metallic_roughness_texture.width > 0:
             factors = texel(meshes, meshes.unit_from_byte, material.metallic_roughness_texture, uv)
-            roughness *= factors[1]
+            # Mirrors go on only from smooth materials: a texel of 0 is a narrow highlight, not none.
+            roughness = wp.max(roughness * factors[1], wp.min(roughness, ROUGHNESS_MIN))
             metallic *= factors[2]
         if material.normal_texture.width > 0:
             linear = scene[0].placements[number].world_from_object

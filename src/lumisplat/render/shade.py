@@ -78,7 +78,9 @@ class Shader:
                 *(from_camera, may_branch, self._lit.data, *met, wave.path_weights, wave.colors, wave.branches),
                 self._buffers.get("shade.nothing", wp.vec3, 0) if reflection is None else reflection,
             )
-            for kernel in () if images is not None else self._unblocked(blocks):
+            # A shadow is a share of all light: where sets are only darkened, lights that nothing blocks count, too.
+            alone = images is not None or (blocks and self._lit.has_shadow_only)
+            for kernel in () if alone else self._unblocked(blocks):
                 self._launcher.run_banded(
                     kernel, wave.count, from_camera, not blocks, self._lit.data, *met, wave.colors.light
                 )
@@ -124,7 +126,6 @@ class Shader:
             arrivals.arrived.zero_()
         nothing = get("shade.nothing", wp.vec3, 0)
         data = self._lit.data
-        # Of a headlight, only its images are asked for.
         for number in range(len(self._lit.light_names)):
             light = self._lit.lights[number] if self._lit.lights else None
             casts = light is not None and light.casts_shadow
@@ -132,7 +133,7 @@ class Shader:
             if images is not None:
                 images.direct[number].zero_()
                 images.arrived[number].zero_()
-            elif not casts:
+            elif not casts and not self._lit.has_shadow_only:
                 continue  # added already
             for picks_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
                 with stage("shade"):

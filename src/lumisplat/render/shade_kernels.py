@@ -109,7 +109,8 @@ def start_shading(
         branches_out[branches_out.shape[0] // 2 + i] = 0
     if not has_ray(rays, i):
         colors_out.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
-        colors_out.captured_weight[i] = wp.where(from_camera, 1.0, 0.0)
+        shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
+        colors_out.captured_weight[i] = wp.where(shows, 1.0, 0.0)
         colors_out.light[i] = wp.vec3(0.0)
         colors_out.alpha[i] = 0.0
         return
