@@ -50,10 +50,10 @@ HITS_HELD_CPU = 64
 """Hits that a ray keeps sorted on the CPU at least: they cost little there and save passes, 1.6 times faster."""
 
 COHERENT_SPREAD = 0.15
-"""Rays of a packet whose directions differ by more than this from their mean are traced one by one."""
+"""Rays of a packet whose directions differ by more than this from that of the first one are not traced with it."""
 
-COHERENT_RADIUS = 0.01
-"""So are those whose origins are farther from their mean than this share of the largest capture in the scene."""
+COHERENT_RADIUS = 0.03
+"""Nor are those that start farther from it than this share of the largest capture in the scene."""
 
 TREE_SURFACE_LEVELS = 10
 """Levels of a tree that are split by surface area; below, in the middle, which bounds the depth of any input."""
@@ -111,9 +111,6 @@ SHADOW_OFFSET = 3.0
 deviations off. On the biker, lit from the front, 1 leaves a third of the surface speckled by its own Gaussians, 2 some
 patches, 4 nothing, but no contact shadows either. seeds/000 section 4 has the offset in world units, which no two
 captures share."""
-
-SHADOW_BUNDLE_RADIUS = 0.03
-"""As COHERENT_RADIUS, of the rays of a packet to a light: those that start farther from its first one go apart."""
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
 """Places for shadow rays in a stochastic sample, per Gaussian, from which on its trees are shrunk: that takes as long

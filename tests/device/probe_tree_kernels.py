@@ -7,12 +7,12 @@ from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, particl
 from lumisplat.device.ray_structs import RayData
 from lumisplat.device.structs import GaussianData
 from lumisplat.device.trace_structs import Box, Children, KernelData, Node, Particle, Slabs, TreeInstance
-from lumisplat.device.traverse import enter_children, shaft_in_object, slabs_of
+from lumisplat.device.traverse import enter_children
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 LANES = 16
-Floats, _, shaft_of, *_ = bundle_of(LANES)
+Floats, _, gather, slabs_of, *_ = bundle_of(LANES)
 
 
 @wp.kernel
@@ -61,9 +61,30 @@ def probe_bundles(
     """Bundles in the space of an instance, as slabs and ray by ray, and where they enter the children of a node."""
     i = wp.tid()
     instance = instances[i]
+    ox = Floats()
+    oy = Floats()
+    oz = Floats()
+    dx = Floats()
+    dy = Floats()
+    dz = Floats()
     for lane in range(LANES):
         ray = i * LANES + lane
-        origins[ray] = instance.object_from_world * rays.origin[ray] + instance.object_from_world_offset
-        directions[ray] = instance.object_from_world * rays.direction[ray]
-    slabs[i] = slabs_of(shaft_in_object(shaft_of(rays, i * LANES, limits[i]), instance))
+        o = instance.object_from_world * rays.origin[ray] + instance.object_from_world_offset
+        d = instance.object_from_world * rays.direction[ray]
+        origins[ray] = o
+        directions[ray] = d
+        ox[lane] = o[0]
+        oy[lane] = o[1]
+        oz[lane] = o[2]
+        dx[lane] = d[0]
+        dy[lane] = d[1]
+        dz[lane] = d[2]
+    slabs[i] = slabs_of(limits[i], ox, oy, oz, dx, dy, dz)
     entries[i] = enter_children(nodes[i], slabs[i], begins[i])
+
+
+@wp.kernel
+def probe_gather(rays: RayData, waiting: wp.array(dtype=Floats), radius_max: float, members: wp.array(dtype=Floats)):
+    """The first bundle of each packet."""
+    i = wp.tid()
+    members[i] = gather(rays, i * LANES, waiting[i], radius_max)

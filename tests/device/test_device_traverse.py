@@ -54,7 +54,6 @@ def placed(world_from_object: np.ndarray) -> np.ndarray:
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
     table["object_from_world_offset"] = object_from_world[:, :3, 3]
-    table["object_per_world"] = 1.0 / np.cbrt(np.linalg.det(world_from_object[:, :3, :3]))
     return table
 
 
@@ -103,7 +102,7 @@ def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
     lane = np.where(bundles.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
     lane = lane.astype(int)
     origin, direction = (np.float64(values[rows, lane]) for values in (found.origins, found.directions))
-    per_world = bundles.instances["object_per_world"].astype(np.float64)[:, None, None]
+    per_world = np.cbrt(np.linalg.det(bundles.instances["object_from_world"].astype(np.float64)))[:, None, None]
     length = np.linalg.norm(bundles.origins - bundles.origins.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
     size = np.maximum(np.abs(found.origins).max(axis=(1, 2)), (length * per_world[:, 0, 0]))[:, None, None]
     t = random.uniform(-2.0, 6.0, (count, NODE_WIDTH, 1)) * size / per_world
@@ -261,5 +260,30 @@ def test_bundles_are_not_boundless() -> None:
         node["low_y"][0, c], node["high_y"][0, c] = -0.1, 0.1
         node["low_z"][0, c], node["high_z"][0, c] = z - 0.1, z + 0.1
     entries = probe(bundles, node).entries[0]
-    assert entries[0] == pytest.approx(4.9 / (directions[0, :, 2].mean() + 0.009), rel=5e-3) and entries[0] <= 4.9
+    assert entries[0] == pytest.approx(4.9 / directions[0, :, 2].max(), rel=1e-5) and entries[0] <= 4.9
     assert (entries[1:] == NEVER).all()
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_bundles_gather_what_is_near_the_first(device: str) -> None:
+    """Of the rays that wait, in whatever lane: it itself, and those within the radius and the spread of it."""
+    random = np.random.default_rng(3)
+    count, radius = 500, 0.1
+    origins = np.float32(random.normal(0.0, 0.06, (count, LANES, 3)))
+    directions = np.float32(normalized(np.array([0.0, 0.6, 0.8]) + random.normal(0.0, 0.07, (count, LANES, 3))))
+    waiting = np.float32(np.where(random.random((count, LANES)) < 0.6, random.uniform(1.0, 2.0, (count, LANES)), -1.0))
+    rays = Buffers(device).struct("rays", RayData, count * LANES)
+    rays.origin.assign(origins.reshape(-1, 3))
+    rays.direction.assign(directions.reshape(-1, 3))
+    members = wp.zeros(count, dtype=probe_tree_kernels.Floats, device=device)
+    inputs = wp.array(waiting, dtype=probe_tree_kernels.Floats, device=device)
+    wp.launch(probe_tree_kernels.probe_gather, count, [rays, inputs, radius, members], device=device)
+    first = (waiting > 0.0).argmax(axis=1)[:, None]
+    apart, bend = (
+        np.linalg.norm(values - np.take_along_axis(values, first[..., None], axis=1), axis=-1)
+        for values in (origins.astype(np.float64), directions.astype(np.float64))
+    )
+    unsure = (np.abs(apart - radius) < 1e-6) | (np.abs(bend - COHERENT_SPREAD) < 1e-6)
+    expected = np.where((waiting > 0.0) & (apart <= radius) & (bend <= COHERENT_SPREAD), waiting, np.float32(-FAR))
+    assert 0.05 < (expected > 0.0).mean() < 0.5 and unsure.mean() < 0.01
+    np.testing.assert_array_equal(members.numpy()[~unsure], expected[~unsure])

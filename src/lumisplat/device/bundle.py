@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from lumisplat.constants import COHERENT_SPREAD
 from lumisplat.device.ray_structs import RayData
-from lumisplat.device.trace_structs import FAR, Particle, Shaft
-from lumisplat.device.traverse import larger
+from lumisplat.device.trace_structs import FAR, Particle, Slabs
+from lumisplat.device.traverse import larger, slabs_around
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -23,6 +24,8 @@ BUNDLE_OPTIONS = {
 }
 """Of the modules that follow bundles."""
 
+SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
+
 
 class Bundle(NamedTuple):
     """Types and functions for a number of rays."""
@@ -30,7 +33,8 @@ class Bundle(NamedTuple):
     floats: Any
     """Vector of a number a ray."""
     ints: Any
-    shaft_of: Any
+    gather: Any
+    slabs_of: Any
     meet_particle: Any
     pass_particle: Any
 
@@ -43,22 +47,43 @@ def bundle_of(lanes: int) -> Bundle:
     Ints = wp.types.vector(length=lanes, dtype=wp.int32)
 
     @wp.func
-    def shaft_of(rays: RayData, first: int, limit: Floats) -> Shaft:
-        """Bounds the rays whose limit is not negative."""
-        shaft = Shaft()
-        count = float(0.0)
+    def gather(rays: RayData, first: int, waiting: Floats, radius_max: float) -> Floats:
+        """The next bundle: of the rays whose number is positive, the first, and those that start and point as it does.
+
+        Nearly so, that is. Returns their numbers, and -FAR for the others.
+        """
+        origin = wp.vec3()
+        along = wp.vec3()
+        found = int(0)
+        members = Floats(-FAR)
+        for lane in range(LANES):
+            if waiting[lane] > 0.0:
+                if found == 0:
+                    origin = rays.origin[first + lane]
+                    along = rays.direction[first + lane]
+                apart = wp.length(rays.origin[first + lane] - origin)
+                bend = wp.length(rays.direction[first + lane] - along)
+                if found == 0 or (apart <= radius_max and bend <= SPREAD_MAX):
+                    members[lane] = waiting[lane]
+                found = int(1)
+        return members
+
+    @wp.func
+    def slabs_of(limit: Floats, ox: Floats, oy: Floats, oz: Floats, dx: Floats, dy: Floats, dz: Floats) -> Slabs:
+        """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes."""
+        low = wp.vec3(FAR)
+        high = wp.vec3(-FAR)
+        slow = wp.vec3(FAR)
+        fast = wp.vec3(-FAR)
         for lane in range(LANES):
             if limit[lane] > 0.0:
-                shaft.origin += rays.origin[first + lane]
-                shaft.axis += rays.direction[first + lane]
-                count += 1.0
-        shaft.origin = shaft.origin / count
-        shaft.axis = shaft.axis / count
-        for lane in range(LANES):
-            if limit[lane] > 0.0:
-                shaft.radius = wp.max(shaft.radius, wp.length(rays.origin[first + lane] - shaft.origin))
-                shaft.spread = wp.max(shaft.spread, wp.length(rays.direction[first + lane] - shaft.axis))
-        return shaft
+                origin = wp.vec3(ox[lane], oy[lane], oz[lane])
+                direction = wp.vec3(dx[lane], dy[lane], dz[lane])
+                low = wp.min(low, origin)
+                high = wp.max(high, origin)
+                slow = wp.min(slow, direction)
+                fast = wp.max(fast, direction)
+        return slabs_around(low, high, slow, fast)
 
     @wp.func
     def meet_particle(
@@ -152,4 +177,4 @@ def bundle_of(lanes: int) -> Bundle:
             along2[lane] = e2
         return met, across2, along2
 
-    return Bundle(Floats, Ints, shaft_of, meet_particle, pass_particle)
+    return Bundle(Floats, Ints, gather, slabs_of, meet_particle, pass_particle)

@@ -87,8 +87,6 @@ class TreeInstance:
     object_from_world_offset: wp.vec3
     world_from_object: wp.mat33
     """Rotation only."""
-    object_per_world: float
-    """Length in object space of a unit of the world."""
     kernel: KernelData
     first: int
     """Index of the instance's first Gaussian among all of the scene's."""
@@ -139,26 +137,16 @@ class TraceData:
 
 
 @struct
-class Shaft:
-    """Bound of a bundle of rays: at distance t, all are within ``radius + spread * t`` of ``origin + t * axis``."""
-
-    origin: wp.vec3
-    axis: wp.vec3
-    radius: float
-    spread: float
-
-
-@struct
 class Slabs:
-    """A shaft made ready to be cut with boxes.
+    """The bound of a bundle of rays, made ready to be cut with boxes.
 
-    Six planes, up and down along three axes. As the shaft widens, each bounds t by ``b * factor + term``, b being its
-    distance from the box's plane: from above (far) where the shaft leaves the slab through it, from below (near)
+    Six planes, up and down along three axes. As the bundle widens, each bounds t by ``b * factor + term``, b being its
+    distance from the box's plane: from above (far) where the bundle leaves the slab through it, from below (near)
     where it comes in. Factors and terms of the bound that a plane does not give make it void.
     """
 
     low: wp.vec3
-    """Lower end of the shaft's start."""
+    """Lower corner of a box around the origins."""
     high: wp.vec3
     up_far: wp.vec3
     up_far_void: wp.vec3

@@ -1,14 +1,14 @@
 """Where bundles of rays enter boxes.
 
-A bundle is bounded by a shaft: a ray that widens linearly. Seen from the shaft, a box's six planes move as it widens,
-and each bounds the distances at which the bundle can be inside by a linear inequality. A single ray is a shaft of no
-width.
+A bundle is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
+ray go. Seen from there, a box's six planes move, and each bounds the distances at which the bundle can be inside by a
+linear inequality. A single ray is a bundle of no width.
 """
 
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.trace_structs import FAR, Children, Node, Shaft, Slabs, TreeInstance
+from lumisplat.device.trace_structs import FAR, Children, Node, Slabs
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -30,22 +30,7 @@ def larger(a: float, b: float) -> float:
 
 
 @wp.func
-def shaft_in_object(shaft: Shaft, instance: TreeInstance) -> Shaft:
-    """A world-space shaft in the space of an instance's asset; distances along it stay the world's.
-
-    Far from the world's origin, rays are rounded on their way there by more than their own coordinates tell.
-    """
-    moved = Shaft()
-    moved.origin = instance.object_from_world * shaft.origin + instance.object_from_world_offset
-    moved.axis = instance.object_from_world * shaft.axis
-    rounding = MARGIN * wp.max(wp.abs(instance.object_from_world_offset))
-    moved.radius = shaft.radius * instance.object_per_world + rounding
-    moved.spread = shaft.spread * instance.object_per_world
-    return moved
-
-
-@wp.func
-def slabs_between(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3, speed: float) -> Slabs:
+def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
     """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s.
 
     Args:
@@ -53,17 +38,18 @@ def slabs_between(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3, spe
         high: Its upper corner.
         slow: Least components of their directions.
         fast: Largest components.
-        speed: Length of about all directions.
     """
     slabs = Slabs()
-    slabs.low = low
-    slabs.high = high
+    width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
+    slabs.low = low - width
+    slabs.high = high + width
+    speed = wp.max(wp.max(wp.abs(slow)), wp.max(wp.abs(fast)))
     least = SLOPE_MIN * speed
     for k in range(3):
-        up = slow[k]
+        up = slow[k] - MARGIN * speed
         if wp.abs(up) < least:
             up = -least
-        down = -fast[k]
+        down = -fast[k] - MARGIN * speed
         if wp.abs(down) < least:
             down = -least
         slabs.up_far[k] = wp.where(up > 0.0, 1.0 / up, 0.0)
@@ -78,28 +64,10 @@ def slabs_between(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3, spe
 
 
 @wp.func
-def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
-    """The same of the rays themselves, with room for rounding."""
-    width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
-    speed = wp.max(wp.max(wp.abs(slow)), wp.max(wp.abs(fast)))
-    spread = wp.vec3(MARGIN * speed)
-    return slabs_between(low - width, high + width, slow - spread, fast + spread, speed)
-
-
-@wp.func
-def slabs_of(shaft: Shaft) -> Slabs:
-    """A shaft, made ready."""
-    width = wp.vec3(shaft.radius + MARGIN * wp.max(wp.abs(shaft.origin)))
-    speed = wp.length(shaft.axis)
-    spread = wp.vec3(shaft.spread + MARGIN * speed)
-    return slabs_between(shaft.origin - width, shaft.origin + width, shaft.axis - spread, shaft.axis + spread, speed)
-
-
-@wp.func
 def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
-    """No ray of the shaft is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
+    """No ray of the bundle is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
 
-    -FAR where some may start inside: a shaft is no bound of what lies behind its rays.
+    -FAR where some may start inside: slabs are no bound of what lies behind rays.
 
     The loop over the children becomes vector instructions; hence one local vector per side of the boxes.
     """

@@ -9,13 +9,7 @@ import warp as wp
 
 from lumisplat.buffers import Buffers
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
-from lumisplat.constants import (
-    COHERENT_RADIUS,
-    PACKET_RAYS,
-    RAY_BANDS_PER_THREAD,
-    SHADOW_BUNDLE_RADIUS,
-    TILE_BANDS_PER_THREAD,
-)
+from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
 from lumisplat.device.ray_structs import RayData
 from lumisplat.device.trace_structs import ShadowData
 from lumisplat.launcher import Launcher
@@ -85,8 +79,8 @@ class ShadowRays:
         run(
             self._shade,
             count // self._lanes,
-            *(self._settings, trees.instances, assets, trees.top_nodes),
-            *(SHADOW_BUNDLE_RADIUS / COHERENT_RADIUS * trees.bundle_radius, rays, limits, skips, light),
+            *(self._settings, trees.instances, assets, trees.top_nodes, trees.bundle_radius),
+            *(rays, limits, skips, light),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return light

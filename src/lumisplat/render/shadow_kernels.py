@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_STACK
+from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.bundle import BUNDLE_OPTIONS, bundle_of
 from lumisplat.device.gaussian import alpha_from_log
 from lumisplat.device.particle import alpha_of_degree
@@ -20,12 +20,11 @@ from lumisplat.device.ray_structs import RayData
 from lumisplat.device.shade import shadow_key, shadow_of, tint_of
 from lumisplat.device.surface import instance_of
 from lumisplat.device.trace_structs import FAR, NO_CHILD, Node, ShadowData, Slabs, TreeAsset, TreeInstance
-from lumisplat.device.traverse import enter_children, larger, lesser, slabs_around
+from lumisplat.device.traverse import enter_children, larger, lesser
 
 wp.set_module_options(BUNDLE_OPTIONS)
 
 WIDTH = wp.constant(NODE_WIDTH)
-SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
 StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
 StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
@@ -39,7 +38,7 @@ def occluder(lanes: int, hits: int) -> Any:
     HITS = max(hits, 1)
     FIRST = hits > 0
     ORDER = 1.0 if hits > 0 else -1.0  # of the distances at which nodes are entered
-    Floats, Ints, _, meet_particle, pass_particle = bundle_of(lanes)
+    Floats, Ints, gather, slabs_of, meet_particle, pass_particle = bundle_of(lanes)
     HitFloats = wp.types.vector(length=LANES * HITS, dtype=wp.float32)
     HitInts = wp.types.vector(length=LANES * HITS, dtype=wp.int32)
 
@@ -70,23 +69,7 @@ def occluder(lanes: int, hits: int) -> Any:
                 waiting[lane] = wp.min(limits[first + lane], FAR)
                 live += 1
         while live > 0:
-            # Rays that part are no bundle: those near the first one go together.
-            limit = Floats(-FAR)  # negative: there is no ray
-            origin = wp.vec3()
-            along = wp.vec3()
-            members = int(0)
-            for lane in range(LANES):
-                if waiting[lane] > 0.0:
-                    if members == 0:
-                        origin = rays.origin[first + lane]
-                        along = rays.direction[first + lane]
-                    apart = wp.length(rays.origin[first + lane] - origin)
-                    bend = wp.length(rays.direction[first + lane] - along)
-                    if members == 0 or (apart <= radius_max and bend <= SPREAD_MAX):
-                        limit[lane] = waiting[lane]
-                        waiting[lane] = -FAR
-                        members += 1
-            live -= members
+            limit = gather(rays, first, waiting, radius_max)  # negative: there is no ray
             t_min = Floats()
             left = Floats()  # transmittances of the rays that there are
             begin = float(FAR)
@@ -94,6 +77,8 @@ def occluder(lanes: int, hits: int) -> Any:
             for lane in range(LANES):
                 t_min[lane] = rays.t_min[first + lane]
                 if limit[lane] > 0.0:
+                    waiting[lane] = -FAR
+                    live -= 1
                     begin = lesser(begin, t_min[lane])
                     reach = larger(reach, limit[lane])
                     left[lane] = 1.0
@@ -139,11 +124,6 @@ def occluder(lanes: int, hits: int) -> Any:
                         to_object = instance.object_from_world
                         offset = instance.object_from_world_offset
                         blind = instance.shadow_only
-                    # What bounds the rays there: a box around their origins, and the least and largest slopes.
-                    low = wp.vec3(FAR)
-                    high = wp.vec3(-FAR)
-                    slow = wp.vec3(FAR)
-                    fast = wp.vec3(-FAR)
                     for lane in range(LANES):
                         o = to_object * rays.origin[first + lane] + offset
                         d = to_object * rays.direction[first + lane]
@@ -154,14 +134,9 @@ def occluder(lanes: int, hits: int) -> Any:
                         dy[lane] = d[1]
                         dz[lane] = d[2]
                         end[lane] = limit[lane]
-                        if limit[lane] > 0.0:
-                            low = wp.min(low, o)
-                            high = wp.max(high, o)
-                            slow = wp.min(slow, d)
-                            fast = wp.max(fast, d)
                         if blind != 0 and skips[first + lane] != 0:
                             end[lane] = -FAR
-                    slabs = slabs_around(low, high, slow, fast)
+                    slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
                 node = Node()
                 if current < 0:
                     node = top_nodes[link[top]]

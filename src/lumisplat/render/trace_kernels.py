@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
+from lumisplat.constants import NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
 from lumisplat.device.bundle import BUNDLE_OPTIONS, bundle_of
 from lumisplat.device.gaussian import alpha_from_log
 from lumisplat.device.particle import alpha_of_degree
@@ -23,7 +23,7 @@ from lumisplat.device.random import draw_mixed, mix
 from lumisplat.device.ray_blend import blend_hit, empty_pixel, end_pass, load_pixel, store_pixel
 from lumisplat.device.ray_structs import Ray, RayData, RayRadiance
 from lumisplat.device.trace_structs import FAR, Node, Slabs, TraceData, TreeAsset, TreeInstance
-from lumisplat.device.traverse import enter_children, larger, lesser, shaft_in_object, slabs_of
+from lumisplat.device.traverse import enter_children, larger, lesser
 
 wp.set_module_options(BUNDLE_OPTIONS)
 
@@ -36,7 +36,6 @@ STRATEGY_PASS = wp.constant(PASS)
 WIDTH = wp.constant(NODE_WIDTH)
 NO_INDEX = wp.constant(2**31 - 1)
 REWIND = wp.constant(wp.float32(PASS_REWIND))
-SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
 StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
 StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
@@ -47,7 +46,7 @@ def integrator(lanes: int, hits: int) -> Any:
     """The kernel for packets of ``lanes`` rays that keep ``hits`` hits each."""
     LANES = lanes
     HITS = hits
-    Floats, Ints, shaft_of, meet_particle, _ = bundle_of(lanes)
+    Floats, Ints, gather, slabs_of, meet_particle, _ = bundle_of(lanes)
     HitFloats = wp.types.vector(length=lanes * hits, dtype=wp.float32)
     HitInts = wp.types.vector(length=lanes * hits, dtype=wp.int32)
 
@@ -69,34 +68,24 @@ def integrator(lanes: int, hits: int) -> Any:
         if view.strategy == STRATEGY_HIT:
             slots = int(1)
 
-        whole = Floats()
+        waiting = Floats(-FAR)  # ends of the rays that have not been followed yet
         live = int(0)
         for lane in range(LANES):
             store_pixel(radiance_out, first + lane, empty_pixel())
             radiance_out.depth[first + lane] = wp.inf
-            whole[lane] = -FAR
-            if rays.t_max[first + lane] > rays.t_min[first + lane]:
-                whole[lane] = wp.min(rays.t_max[first + lane], FAR)
+            if rays.t_max[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
+                waiting[lane] = wp.min(rays.t_max[first + lane], FAR)
                 live += 1
-        if live == 0:
-            return
-        # Rays that part are no bundle: each goes alone.
-        bundles = int(1)
-        shaft = shaft_of(rays, first, whole)
-        if shaft.spread > SPREAD_MAX or shaft.radius > radius_max:
-            bundles = int(LANES)
-        for bundle in range(bundles):
+        while live > 0:
+            whole = gather(rays, first, waiting, radius_max)
             t_min = Floats()
-            limit = Floats()  # hits at or behind it do not count; negative: the ray is done
+            limit = Floats()  # hits at or behind it do not count; negative: the ray is done, or there is none
             for lane in range(LANES):
                 limit[lane] = whole[lane]
-                if bundles > 1 and lane != bundle:
-                    limit[lane] = -FAR
                 t_min[lane] = rays.t_min[first + lane]
-            if bundles > 1:
-                if limit[bundle] < 0.0:
-                    continue
-                shaft = shaft_of(rays, first, limit)
+                if whole[lane] > 0.0:
+                    waiting[lane] = -FAR
+                    live -= 1
 
             taken = Ints()  # of the current stochastic pass
             last_t = Floats(-FAR)
@@ -153,21 +142,22 @@ def integrator(lanes: int, hits: int) -> Any:
                     if reach > -FAR and entry[top] <= reach:
                         if owner[top] != current:
                             current = owner[top]
-                            if current < 0:
-                                slabs = slabs_of(shaft)
-                            else:
+                            to_object = wp.identity(n=3, dtype=wp.float32)
+                            offset = wp.vec3(0.0)
+                            if current >= 0:
                                 instance = instances[current]
-                                slabs = slabs_of(shaft_in_object(shaft, instance))
-                                for lane in range(LANES):
-                                    o = instance.object_from_world * rays.origin[first + lane]
-                                    o += instance.object_from_world_offset
-                                    d = instance.object_from_world * rays.direction[first + lane]
-                                    ox[lane] = o[0]
-                                    oy[lane] = o[1]
-                                    oz[lane] = o[2]
-                                    dx[lane] = d[0]
-                                    dy[lane] = d[1]
-                                    dz[lane] = d[2]
+                                to_object = instance.object_from_world
+                                offset = instance.object_from_world_offset
+                            for lane in range(LANES):
+                                o = to_object * rays.origin[first + lane] + offset
+                                d = to_object * rays.direction[first + lane]
+                                ox[lane] = o[0]
+                                oy[lane] = o[1]
+                                oz[lane] = o[2]
+                                dx[lane] = d[0]
+                                dy[lane] = d[1]
+                                dz[lane] = d[2]
+                            slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
                         node = Node()
                         if current < 0:
                             node = top_nodes[link[top]]

@@ -54,7 +54,7 @@ class TreeScene:
 
         self._placed: bytes | None = None
         self.bundle_radius = 0.0
-        """Rays of a packet that start farther apart than this are traced one by one, world space."""
+        """Rays of a packet that start farther apart than this are not traced together, world space."""
 
     @property
     def bytes(self) -> int:
@@ -138,7 +138,6 @@ class TreeScene:
         table["object_from_world"] = object_from_world[:, :3, :3]
         table["object_from_world_offset"] = object_from_world[:, :3, 3]
         table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
-        table["object_per_world"] = np.linalg.norm(object_from_world[:, :3, :3], ord=2, axis=(1, 2))
         table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
         table["asset"] = places
         table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
