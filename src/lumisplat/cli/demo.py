@@ -10,7 +10,6 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.console import Report, progress_bars
-from lumisplat.cli.demo_light import lit_pictures
 from lumisplat.cli.options import DeviceCommand, Flag
 from lumisplat.cli.outputs import check_writable, make_folder, plan_shots
 
@@ -28,6 +27,8 @@ class Demo(DeviceCommand):
 
     def run(self) -> None:
         """Builds, renders, writes."""
+        from lumisplat.cli.demo_light import lit_pictures
+
         cameras = ls.demo_cameras()
         shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
         check_writable(self.output)
