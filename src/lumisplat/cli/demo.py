@@ -27,8 +27,6 @@ class Demo(DeviceCommand):
 
     def run(self) -> None:
         """Builds, renders, writes."""
-        from lumisplat.cli.demo_light import lit_pictures
-
         cameras = ls.demo_cameras()
         shots = plan_shots([camera.scaled(self.width) for camera in cameras], (), self.output, "png")
         check_writable(self.output)
@@ -47,6 +45,7 @@ class Demo(DeviceCommand):
 
     def _light(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
         """Writes the lit pictures, each as soon as it is there."""
+        from lumisplat.cli.demo_light import lit_pictures
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)
