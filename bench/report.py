@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bench.light_report import light_lines
+
 RASTER_STAGES = ("sync", "mesh", "project", "sort", "bin", "composite", "download")
 TRACE_STAGES = ("sync", "rays", "mesh", "gaussians", "bounce", "store", "download")
 MARK = "<!-- table: written by make bench -->"
@@ -43,8 +45,10 @@ def print_table(rows: list[dict]) -> None:
     print("\n".join(tables(rows)))
 
 
-def write_document(path: Path, machine: dict, rows: list[dict], quality: dict) -> None:
-    """Replaces what lies between the two marks of the document by the table and what it was measured with."""
+def write_document(
+    path: Path, machine: dict, rows: list[dict], *, lit: list[dict], shadows: dict, quality: dict
+) -> None:
+    """Replaces what lies between the two marks of the document by the tables and what they were measured with."""
     before, _, after = path.read_text().split(MARK)
     views = {(row["gaussians"], row["width"]): row for row in rows if "peer" in row}.values()
     psnr = ", ".join(
@@ -59,6 +63,8 @@ def write_document(path: Path, machine: dict, rows: list[dict], quality: dict) -
         "Command: `make bench`.",
         "",
         *tables(rows),
+        "",
+        *light_lines(lit, shadows),
         "",
         "Whole processes, interpreter included: "
         + ", ".join(f"`{name}` {value:.0f} ms" for name, value in machine["command_ms"].items())

@@ -1,7 +1,7 @@
-"""Runs the benchmarks: ``python -m bench.run [NAME...]``.
+"""Runs the benchmarks: ``python -m bench.run [NAME...]``, a NAME being a preset or a group: raster, trace, light.
 
 Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the
-table of docs/benchmarks.md is written anew when all presets ran.
+tables of docs/benchmarks.md are written anew when all presets ran.
 """
 
 from __future__ import annotations
@@ -13,40 +13,71 @@ import platform
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from importlib import metadata
 from pathlib import Path
 
-from bench.presets import BIKER, PRESETS, Preset
+from bench.light_presets import HEIGHT, LIGHT, WIDTH, LitPreset, store_demo
+from bench.light_report import print_light_table
+from bench.presets import BIKER, PRESETS, RASTER, TRACE, Preset
 from bench.report import print_table, write_document
 
 ROOT = Path(__file__).resolve().parents[1]
+GROUPS = {"raster": RASTER, "trace": TRACE, "light": LIGHT}
 
 
 def main(names: list[str]) -> None:
-    """Times the named presets, or all."""
-    unknown = set(names) - {preset.name for preset in PRESETS}
+    """Times the named presets and groups, or all."""
+    everything = [preset.name for group in GROUPS.values() for preset in group]
+    unknown = set(names) - set(everything) - set(GROUPS)
     if unknown:
-        sys.exit(f"no preset {', '.join(sorted(unknown))}: use {', '.join(preset.name for preset in PRESETS)}")
+        sys.exit(f"no preset {', '.join(sorted(unknown))}: use {', '.join([*GROUPS, *everything])}")
+    wanted = {preset.name for name in names or GROUPS for preset in GROUPS.get(name, ())} | set(names)
     subprocess.run([sys.executable, "-c", WARM_UP], check=True, cwd=ROOT)
     rows, peers = [], {}
     for preset in PRESETS:
-        if names and preset.name not in names:
+        if preset.name not in wanted:
             continue
         if not preset.available:
             print(f"{preset.name}: skipped, no capture (set LUMISPLAT_DATA)", flush=True)
             continue
         print(f"{preset.name} ...", flush=True)
         rows.append(run(preset, peers))
+    lit, shadows = run_light([preset for preset in LIGHT if preset.name in wanted])
     machine = describe_machine() | {"command_ms": command_times()}
     results = ROOT / "bench" / "results"
     results.mkdir(exist_ok=True)
     with (results / f"{machine['revision']}.jsonl").open("a") as file:
-        file.writelines(json.dumps(machine | row) + "\n" for row in rows)
-    print_table(rows)
-    if len(rows) == len(PRESETS):
+        file.writelines(json.dumps(machine | row) + "\n" for row in rows + lit)
+        if shadows:
+            file.write(json.dumps(machine | {"shadows": shadows}) + "\n")
+    if rows:
+        print_table(rows)
+    if lit:
+        print_light_table(lit, shadows)
+    if len(rows) + len(lit) == len(everything):
         quality = child("bench.trace_quality")
-        write_document(ROOT / "docs" / "benchmarks.md", machine, rows, quality)
+        write_document(ROOT / "docs" / "benchmarks.md", machine, rows, lit=lit, shadows=shadows, quality=quality)
+
+
+def run_light(presets: list[LitPreset]) -> tuple[list[dict], dict]:
+    """Rows of the lit presets, and if all of them run, the figures of stochastic shadows."""
+    if not presets:
+        return [], {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "demo.pickle"
+        print("the demo scene ...", flush=True)
+        store_demo(path)
+        rows = []
+        for preset in presets:
+            print(f"{preset.name} ...", flush=True)
+            row = {"preset": preset.name, "width": WIDTH, "height": HEIGHT}
+            rows.append(row | child("bench.light_case", preset.name, str(path)))
+        if len(presets) < len(LIGHT):
+            return rows, {}
+        print("stochastic shadows ...", flush=True)
+        return rows, child("bench.shadow_quality", str(path))
 
 
 WARM_UP = "import warp; warp.config.quiet = True; import lumisplat; lumisplat.create_renderer(device='cpu')"
