@@ -63,13 +63,7 @@ class ShadowRays:
         """
         count, run = rays.t_max.shape[0], self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
-        limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
-        run(
-            shadow_mesh_kernels.shade_by_meshes,
-            count,
-            *(int(opaque), scene.placements, scene.mesh_instances, scene.mesh_data, rays, light, limits),
-            bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
-        )
+        limits = self._past_meshes(scene, rays, light, opaque)
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.int32, count)
             skips.zero_()
@@ -84,6 +78,21 @@ class ShadowRays:
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return light
+
+    def _past_meshes(self, scene: DeviceScene, rays: RayData, light: Any, opaque: bool) -> Any:
+        """Writes what meshes let through; how far Gaussians have to be looked for."""
+        if scene.placements.shape[0] == 0:
+            light.fill_(1.0)
+            return rays.t_max
+        count = rays.t_max.shape[0]
+        limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
+        self._launcher.run_banded(
+            shadow_mesh_kernels.shade_by_meshes,
+            count,
+            *(int(opaque), scene.placements, scene.mesh_instances, scene.mesh_data, rays, light, limits),
+            bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
+        )
+        return limits
 
 
 def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
