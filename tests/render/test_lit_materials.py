@@ -200,3 +200,50 @@ def test_light_reaches_around_no_corner_of_a_shading_normal() -> None:
     leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
     below = ls.LightDirectional((0.0, 1.0, -0.1), intensity=10.0)
     assert middle(lit(ls.Scene(meshes=[leaning], lights=[below]), shadows=ls.Shadows.OFF)).max() == 0.0
+
+
+def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
+    """Lit samples of single Gaussians, over black and over white: their mean is the light of all, blended."""
+    capture = curtain(rows=5, opacity=0.35)
+    splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
+    scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
+    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT, jitter=False)
+    for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), None):
+        common = {"shadows": ls.Shadows.OFF, "background": background}
+        exact = lit(scene, trace=ls.TraceConfig(jitter=False), **common)
+        mean = lit(scene, trace=chance, samples=256, **common)
+        assert 0.6 < exact.alpha.mean() < 0.99
+        np.testing.assert_allclose(mean.color.mean(axis=(0, 1)), exact.color.mean(axis=(0, 1)), rtol=0.03)
+        np.testing.assert_allclose(mean.premultiplied().mean(), exact.premultiplied().mean(), rtol=0.03)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+@pytest.mark.parametrize("samples", [1, 32])
+def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.Pipeline) -> None:
+    """A capture of stripes narrower than pixels is darkened by what its lights lack, however many samples see it."""
+    x = np.linspace(-1.7, 1.7, 341)
+    means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
+    scales = np.tile([0.009, 3.0, 0.002], (341, 1))
+    colors = np.where(np.arange(341)[:, None] % 4 < 2, 0.95, 0.05) * np.ones(3)
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (341, 1))
+    stripes = ls.SplatInstance(
+        ls.Gaussians(means, wxyz, scales, np.full(341, 0.99), flat_sh(colors)),
+        material=ls.MaterialSimple(ambient=(0.5, 0.5, 0.5)),
+        shadow_only=True,
+    )
+    sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    screen = np.array([[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [9.0, 9.0, -3.0], [-9.0, 9.0, -3.0]])
+    blocker = ls.Mesh(screen, [[0, 2, 1], [0, 3, 2]])
+    settings = {"samples": samples, "trace": ls.TraceConfig(jitter=True)}
+    free = lit(ls.Scene(splats=[stripes], lights=[sun]), pipeline, **settings)
+    dark = lit(ls.Scene(splats=[stripes], meshes=[blocker], lights=[sun]), pipeline, **settings)
+    # Half of the light is ambient: 0.5 pi of 1.5 pi.
+    np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
+
+
+def test_rough_glass_keeps_its_light() -> None:
+    """What transmits but is rough scatters that share back, instead of losing it."""
+    frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
+    plain = replace(frosted, transmission=0.0)
+    seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[FACING]))) for m in (frosted, plain)]
+    np.testing.assert_allclose(seen[0], seen[1], rtol=1e-6)

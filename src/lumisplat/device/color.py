@@ -44,6 +44,12 @@ def decode_srgb_color(display: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def is_black(color: wp.vec3) -> bool:
+    """Whether nothing is left."""
+    return color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0
+
+
+@wp.func
 def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
     """Linear, premultiplied colour of what was captured."""
     if weight <= 0.0:

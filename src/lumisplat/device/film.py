@@ -35,10 +35,14 @@ def store_lit_sample(
     surface: SurfaceData,
     lit: LitPixels,
     nonfinite: wp.array(dtype=int),
+    kept: wp.vec3,
+    kept_inout: wp.array(dtype=wp.vec3),
 ):
     """Sample n moves the means by 1 / (n + 1) of the way; light that is not finite is left out, and counted.
 
-    After the ``last`` one, the colour is made of both.
+    After the ``last`` one, the colour is made of both, and what shadows take from the captured goes to the light. That
+    is a share of its mean, ``kept`` as a mean of its own in an array that may be empty: means of display colours and of
+    linear ones do not subtract.
     """
     if not wp.isfinite(light[0] + light[1] + light[2]):
         light = wp.vec3(0.0)
@@ -51,6 +55,15 @@ def store_lit_sample(
         share = 1.0 / float(sample + 1)
         lit.captured_weight[pixel] += share * (captured_weight - lit.captured_weight[pixel])
         lit.light[pixel] += share * (light - lit.light[pixel])
+    darkens = kept_inout.shape[0] > 0
+    if darkens:
+        if sample == 0:
+            kept_inout[pixel] = kept
+        else:
+            kept_inout[pixel] += (kept - kept_inout[pixel]) / float(sample + 1)
     if last:
-        color = captured_color(surface.color[pixel], lit.captured_weight[pixel]) + lit.light[pixel]
+        own = captured_color(surface.color[pixel], lit.captured_weight[pixel])
+        if darkens:
+            lit.light[pixel] += wp.cw_mul(own, kept_inout[pixel] - wp.vec3(1.0))
+        color = own + lit.light[pixel]
         lit.color[pixel] = wp.max(color, wp.vec3(0.0))

@@ -29,6 +29,8 @@ class MaterialData:
     """BSDF_SIMPLE or BSDF_PBR."""
     untouched: int
     """1: of splats that shine as captured and reflect nothing."""
+    keeps: int
+    """1: of splats that show all that was captured of them, and more where light adds to it."""
     shadow_only: int
     """1: of splats that are darkened where something blocks a light, and that is all."""
     emissive: wp.vec3
@@ -82,6 +84,8 @@ class ShadeData:
     light_count: int
     sample: int
     """Number of the sample of each pixel."""
+    darkens: int
+    """1: there are sets that are only darkened."""
     soft: int
     """1: lights are sampled over their extent."""
     shadow_offset: float
@@ -167,6 +171,8 @@ class RayColors:
     """Linear: what light adds or shadows take, and all that meshes and the environment give; may be negative."""
     alpha: wp.array(dtype=float)
     """What is not background."""
+    kept: wp.array(dtype=wp.vec3)
+    """Share of what was captured that shadows leave; where sets are only darkened."""
 
 
 @struct

@@ -1,4 +1,4 @@
-"""From what a ray met to points that light meets, and what each light adds there (seeds/000 sections 1, 3 and 4).
+"""From what a ray met to points that light meets (seeds/000 sections 1, 3 and 4).
 
 A ray meets up to two surfaces: that of the Gaussians, where they reach their iso-opacity, and the mesh behind them.
 """
@@ -6,18 +6,13 @@ A ray meets up to two surfaces: that of the Gaussians, where they reach their is
 import warp as wp
 
 from lumisplat.constants import LIT_WEIGHT_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
-from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
-from lumisplat.device.color import decode_srgb_color, over, sample_texture
-from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
-from lumisplat.device.light import sample_light
-from lumisplat.device.light_structs import BSDF_PBR, Bsdf, LightSample
+from lumisplat.device.color import decode_srgb_color, is_black, over, sample_texture
+from lumisplat.device.light_structs import BSDF_PBR, Bsdf
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
-from lumisplat.device.random import branch_stream, spread
 from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
 from lumisplat.device.scatter import spawn_point
 from lumisplat.device.shade_structs import (
     SEES_BACKGROUND,
-    Contribution,
     MaterialData,
     ShadeScene,
     ShadingPoint,
@@ -31,16 +26,14 @@ wp.set_module_options({"enable_backward": False})
 
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 WEIGHT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
+TINY = wp.constant(wp.float32(1.0e-30))
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
-
-LIGHT_BRANCHES = wp.constant(2)
-"""Streams of lights come after those of the reflected and the refracted ray."""
 
 
 @wp.func
-def is_black(color: wp.vec3) -> bool:
-    """Whether nothing is left."""
-    return color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0
+def has_ray(rays: RayData, i: int) -> bool:
+    """Whether there is a ray ``i``."""
+    return rays.t_max[i] > rays.t_min[i]
 
 
 @wp.func
@@ -71,7 +64,7 @@ def splat_look(
         i: The ray.
         hits: What it met.
         radiance: What the Gaussians give it.
-        scene: The lit scene[0].
+        scene: The lit scene.
         over_light: What is behind is light, not the background that colours were captured over.
     """
     look = SplatLook()
@@ -81,34 +74,33 @@ def splat_look(
     color = radiance.color[i]
     index = radiance.gaussian[i]
     untouched = int(1)
+    keeps = int(1)
     if index != -1:
         first_touched = wp.where(index >= 0, index, -2 - index)
         look.instance = instance_of(scene[0].splats, first_touched)
         untouched = scene[0].materials[look.instance].untouched
         if index >= 0:
             look.gaussian = index - scene[0].splats[look.instance].first
+            keeps = scene[0].materials[look.instance].keeps
         elif untouched == 0:
             color = wp.vec3(0.0)
             look.transmittance = 1.0
             look.instance = -1
     alpha = 1.0 - look.transmittance
-    look.weight = float(1.0)
-    behind = wp.vec3(0.0)
+    share = alpha
+    if keeps == 0:
+        # Nothing of it is as captured: light decides about all of it, and adds it up.
+        look.albedo = decode_srgb_color(color / wp.max(alpha, TINY))
+        color = wp.vec3(0.0)
+        share = float(0.0)
+    elif untouched == 0 and look.gaussian >= 0 and alpha > 0.0:
+        look.albedo = decode_srgb_color(color / alpha)
     if over_light:
         look.captured = color
-        look.weight = alpha
+        look.weight = share
     else:
-        behind = look.transmittance * scene[0].settings[0].background
         look.captured = over(color, look.transmittance, scene[0].settings[0].background)
-    if untouched == 0 and look.gaussian >= 0 and alpha > 0.0:
-        if over_light:
-            look.albedo = decode_srgb_color(color / alpha)
-        else:
-            # Captures blend with the background as display colours: light may only act on their share of the result.
-            shown = decode_srgb_color(look.captured)
-            if not is_black(behind):
-                shown -= decode_srgb_color(behind)
-            look.albedo = shown / alpha
+        look.weight = wp.where(keeps != 0, 1.0, look.transmittance)
     return look
 
 
@@ -274,7 +266,9 @@ def mesh_point(
         if material.occlusion_texture.width > 0:
             arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
             point.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
-    point.bsdf = bsdf_of(scene[0].materials, splat_count + number, color, roughness, metallic, material.transmission)
+    # What is rough does not let light through: all of it that is not reflected is scattered back.
+    through = wp.where(material.roughness == 0.0, material.transmission, 0.0)
+    point.bsdf = bsdf_of(scene[0].materials, splat_count + number, color, roughness, metallic, through)
     if is_black(point.bsdf.diffuse) and (is_black(point.bsdf.specular) or material.roughness == 0.0):
         return point
     point.exists = 1
@@ -316,84 +310,3 @@ def mesh_shine(hits: RayMeshHits, i: int, scene: wp.array(dtype=ShadeScene), spl
     if is_black(shine):
         return shine
     return wp.cw_mul(shine, surface_color(scene[0].mesh_instances[number], meshes, corners, weights))
-
-
-@wp.func
-def arriving(point: ShadingPoint, sample: LightSample) -> wp.vec3:
-    """Irradiance of a surface by a sample of a light, if nothing is in the way."""
-    cosine = wp.dot(point.normal, sample.direction)
-    if cosine <= 0.0 or wp.dot(point.side, sample.direction) <= 0.0:
-        return wp.vec3(0.0)
-    return cosine * sample.irradiance
-
-
-@wp.func
-def reflected(point: ShadingPoint, sample: LightSample, irradiance: wp.vec3) -> Contribution:
-    """What of that the surface adds to the ray's colour; of one that is only darkened, what arrives."""
-    result = Contribution()
-    result.direction = sample.direction
-    result.distance = sample.distance
-    result.color = irradiance
-    if point.shadow_only == 0:
-        reflectance = bsdf_eval(point.bsdf, point.normal, point.view, sample.direction)
-        result.color = point.scale * wp.cw_mul(reflectance, irradiance)
-    return result
-
-
-@wp.func
-def light_key(strand: wp.uint32, number: int) -> wp.uint32:
-    """Of the sequence that picks points of light ``number``."""
-    return branch_stream(strand, LIGHT_BRANCHES + number)
-
-
-@wp.func
-def from_center(number: int, point: ShadingPoint, scene: wp.array(dtype=ShadeScene)) -> Contribution:
-    """What light ``number``, which is not the environment, adds by way of a surface, all of it at its centre."""
-    sample = sample_light(scene[0].lights[number], point.position, 0, wp.vec2(0.5))
-    irradiance = arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)
-
-
-@wp.func
-def from_extent(number: int, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)) -> Contribution:
-    """The same, by a point that chance picks on it."""
-    u = spread(light_key(strand, number), scene[0].settings[0].sample)
-    sample = sample_light(scene[0].lights[number], point.position, 1, u)
-    irradiance = arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)
-
-
-@wp.func
-def from_environment(
-    number: int, picks_bsdf: bool, point: ShadingPoint, strand: wp.uint32, scene: wp.array(dtype=ShadeScene)
-) -> Contribution:
-    """What the environment, light ``number``, adds by way of a surface, where its brightness or the BSDF sends a look.
-
-    With the balance heuristic (Veach and Guibas 1995), both ways together see all of it once.
-    """
-    sample = LightSample()
-    environment = scene[0].environment
-    key = light_key(strand, number)
-    turn = scene[0].settings[0].sample
-    if picks_bsdf:
-        u = spread(branch_stream(key, 0), turn)
-        choice = spread(branch_stream(key, 1), turn)
-        picked = bsdf_sample(point.bsdf, point.normal, point.view, u, choice[0])
-        sample.direction = picked.direction
-        sample.distance = wp.inf
-        if picked.density > 0.0:
-            both = picked.density + environment_density(environment, picked.direction)
-            sample.irradiance = environment_radiance(environment, picked.direction) / both
-    else:
-        sample = sample_environment(environment, spread(key, turn))
-        if sample.density > 0.0:
-            other = bsdf_pdf(point.bsdf, point.normal, point.view, sample.direction)
-            sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
-    irradiance = point.occlusion * arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)

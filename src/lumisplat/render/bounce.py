@@ -75,6 +75,7 @@ class Bounces:
         bounces: int,
         light: Light | None = None,
         reflection: Any = None,
+        darkens: bool = False,
     ) -> Any:
         """The colour that each ray sees, over the mesh or the background behind the Gaussians.
 
@@ -87,6 +88,7 @@ class Bounces:
             bounces: How often a ray may go on; beyond, it sees the background.
             light: Lights what rays meet; None: surfaces show their own colour.
             reflection: If lit, receives what reflected and refracted rays bring, linear, beside what ``light`` wrote.
+            darkens: If lit, whether there are sets that are only darkened.
 
         Returns:
             Display-referred colours, or what ``light`` returned for these rays.
@@ -102,7 +104,9 @@ class Bounces:
                 self._launcher.run_banded(kernels.gather_branches, near.count, *links, near.colors)
             else:
                 kept = nothing if reflection is None or near is not waves[0] else reflection
-                self._launcher.run_banded(shade_kernels.gather_lit, near.count, *links, near.colors.light, kept)
+                self._launcher.run_banded(
+                    shade_kernels.gather_lit, near.count, darkens, *links, near.colors.light, kept
+                )
         return waves[0].colors
 
     def _scatter(self, scene: DeviceScene, wave: Wave, number: int, light: Light | None, *, may_branch: bool) -> int:

@@ -79,6 +79,7 @@ class Film:
         Colours are there after the ``last`` sample.
         """
         count = met.count
+        kept = self._buffers.get("film.kept", wp.vec3, camera.width * camera.height if lit.has_shadow_only else 0)
         with self._launcher.stage("store"):
             self._launcher.run_banded(
                 film_kernels.store_lit_rays,
@@ -93,7 +94,7 @@ class Film:
                     colors,
                     Surface.of(self._buffers, camera).data,
                 ),
-                *(self._lit(camera).data, self._nonfinite(camera)),
+                *(self._lit(camera).data, self._nonfinite(camera), kept),
             )
         images: dict[str, Any] = {}
         if {"albedo", "emission"} & set(self._config.aovs):

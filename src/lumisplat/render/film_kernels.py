@@ -37,6 +37,7 @@ def store_lit_rays(
     surface_inout: SurfaceData,
     lit_inout: LitPixels,
     nonfinite_inout: wp.array(dtype=int),
+    kept_inout: wp.array(dtype=wp.vec3),
 ):
     """Means of what was captured and of light, and the surface that the first sample met."""
     i = start + wp.tid()
@@ -50,6 +51,9 @@ def store_lit_rays(
     surface.instance = -1
     if lens.sample == 0 and rays.t_max[i] > rays.t_min[i]:
         surface = surface_of_ray(i, rays, radiance, hits, scene[0].splats, scene[0].mesh_instances, scene[0].meshes)
+    kept = wp.vec3(1.0)
+    if kept_inout.shape[0] > 0:
+        kept = colors.kept[i]
     store_lit_sample(
         pixel,
         lens.sample,
@@ -62,6 +66,8 @@ def store_lit_rays(
         surface_inout,
         lit_inout,
         nonfinite_inout,
+        kept,
+        kept_inout,
     )
 
 
@@ -109,9 +115,11 @@ def look_at_surfaces(
         return
     over_light = is_over_light(i, True, hits, scene)
     look = splat_look(i, hits, radiance, scene, over_light)
-    own = captured_color(look.captured, look.weight)
-    if not over_light:
-        own -= decode_srgb_color(look.transmittance * scene[0].settings[0].background)
+    own = (1.0 - look.transmittance) * look.albedo
+    if look.instance >= 0 and scene[0].materials[look.instance].untouched != 0:
+        own = captured_color(look.captured, look.weight)
+        if not over_light:
+            own -= decode_srgb_color(look.transmittance * scene[0].settings[0].background)
     albedo = own
     emission = own
     if look.instance >= 0 and scene[0].materials[look.instance].shadow_only == 0:

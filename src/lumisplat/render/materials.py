@@ -56,6 +56,9 @@ def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: An
     for row, splats in zip(rows, scene.splats, strict=False):
         _fill(row, splats.material or MaterialSimple())
         row["untouched"] = is_untouched(splats)
+        material = splats.material or MaterialSimple()
+        ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
+        row["keeps"] = splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
         if splats.shadow_only:
             row["shadow_only"] = 1
             row["emissive"] = 1.0

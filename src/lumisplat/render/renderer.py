@@ -101,7 +101,7 @@ class Renderer:
         check_scene(scene)
         check_camera(camera)
         lit = is_lit(self.config, scene)
-        first = 0 if resume is None else self._resumed(resume, camera, lit)
+        first = 0 if resume is None else self._resumed(resume, scene, camera, lit)
         self._launcher.stage_ms = {}
         if self.config.pipeline is not Pipeline.TRACE:
             refuse_lens(camera)
@@ -239,9 +239,11 @@ class Renderer:
             self._launcher.run_banded(ray_kernels.start_rays, rays.t_max.shape[0], self._film.lens, rays)
         return self._tracer.look(self._scene, trees, rays)
 
-    def _resumed(self, frame: Frame, camera: Camera, lit: bool) -> int:
+    def _resumed(self, frame: Frame, scene: Scene, camera: Camera, lit: bool) -> int:
         """Puts a frame back into the surface buffers; the number of the next sample."""
         check_resumable(frame, camera, self.config, lit=lit, samples=self._samples(lit))
+        if lit and any(instance.shadow_only for instance in scene.splats):
+            raise ConfigError("cannot resume a lit frame with shadow-only sets: how much is left of them is not kept")
         images: dict[str, Any] = {
             "color": frame.color if frame.captured is None else frame.captured,
             "alpha": frame.alpha,

@@ -12,6 +12,7 @@ from lumisplat.config import RenderConfig, Shadows
 from lumisplat.device.ray_structs import RayData
 from lumisplat.device.shade_structs import Arrivals
 from lumisplat.launcher import Launcher
+from lumisplat.render import lamp_kernels
 from lumisplat.render import shade_kernels as kernels
 from lumisplat.render.bounce import Wave
 from lumisplat.render.device_scene import DeviceScene
@@ -93,7 +94,9 @@ class Shader:
         lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + self._lit.has_headlight
         soft = self._config.shadows is Shadows.SOFT
         sampled = len(lights) > lamps or (soft and lamps)
-        return [kernels.add_hard_lights] * bool(lamps and not soft) + [kernels.add_sampled_lights] * bool(sampled)
+        return [lamp_kernels.add_hard_lights] * bool(lamps and not soft) + [lamp_kernels.add_sampled_lights] * bool(
+            sampled
+        )
 
     def images(self, count: int) -> LightImages | None:
         """What the lights gave the rays of pixels last, if the settings ask for it."""
@@ -159,5 +162,5 @@ class Shader:
             run(
                 kernels.darken_captured,
                 count,
-                *(from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance, arrivals, wave.colors.light),
+                *(from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance, arrivals, wave.colors.kept),
             )

@@ -1,15 +1,16 @@
 """Light where rays end. One item is one ray, or one ray towards a light.
 
 A ray has two surfaces that light may reach, numbered ``ray`` (that of the Gaussians) and ``stride + ray`` (the mesh
-behind them). ``start_shading`` writes what is there without lights; ``add_hard_lights`` and ``add_sampled_lights`` add
-those that nothing blocks; for every other light, ``spawn_shadow_rays`` and ``add_light`` go before and after the shadow
-rays. ``darken_captured`` ends what is only darkened, ``gather_lit`` brings back what reflected and refracted rays saw.
+behind them). ``start_shading`` writes what is there without lights; for every light that something may block,
+``spawn_shadow_rays`` and ``add_light`` go before and after the shadow rays. ``darken_captured`` ends what is only
+darkened, ``gather_lit`` brings back what reflected and refracted rays saw.
 """
 
 import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN
-from lumisplat.device.color import captured_color, decode_srgb_color
+from lumisplat.device.color import captured_color, decode_srgb_color, is_black
+from lumisplat.device.contribution import from_center, from_environment, from_extent, light_key
 from lumisplat.device.environment import environment_radiance
 from lumisplat.device.light_structs import LIGHT_ENVIRONMENT
 from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
@@ -26,14 +27,10 @@ from lumisplat.device.shade_structs import (
     ShadingPoint,
 )
 from lumisplat.device.shading import (
-    from_center,
-    from_environment,
-    from_extent,
     has_mesh,
+    has_ray,
     has_splats,
-    is_black,
     is_over_light,
-    light_key,
     mesh_point,
     mesh_shine,
     mesh_start,
@@ -52,12 +49,6 @@ wp.set_module_options(
 )
 
 WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
-
-
-@wp.func
-def has_ray(rays: RayData, i: int) -> bool:
-    """Whether there is a ray ``i``."""
-    return rays.t_max[i] > rays.t_min[i]
 
 
 @wp.func
@@ -113,6 +104,8 @@ def start_shading(
         colors_out.captured_weight[i] = wp.where(shows, 1.0, 0.0)
         colors_out.light[i] = wp.vec3(0.0)
         colors_out.alpha[i] = 0.0
+        if scene[0].settings[0].darkens != 0:
+            colors_out.kept[i] = wp.vec3(1.0)
         return
     over_light = is_over_light(i, from_camera, hits, scene)
     look = splat_look(i, hits, radiance, scene, over_light)
@@ -143,9 +136,11 @@ def start_shading(
     if has_splats(look, scene):
         material = scene[0].materials[look.instance]
         if material.shadow_only == 0:
-            light += (1.0 - look.transmittance) * wp.cw_mul(
-                material.emissive + material.ambient - wp.vec3(1.0), look.albedo
-            )
+            there = wp.where(material.keeps != 0, 1.0, 0.0)
+            change = material.emissive + material.ambient - wp.vec3(there)
+            light += (1.0 - look.transmittance) * wp.cw_mul(change, look.albedo)
+    if scene[0].settings[0].darkens != 0:
+        colors_out.kept[i] = wp.vec3(1.0)
     colors_out.captured[i] = look.captured
     colors_out.captured_weight[i] = look.weight
     colors_out.light[i] = light + beyond
@@ -153,97 +148,6 @@ def start_shading(
         reflection_out[i] = beyond
     sees_environment = from_camera and scene[0].settings[0].camera_sees == SEES_ENVIRONMENT
     colors_out.alpha[i] = wp.where(hits.face[i] >= 0 or sees_environment, 1.0, 1.0 - look.transmittance)
-
-
-@wp.func
-def is_unblocked(number: int, nothing_blocks: bool, scene: wp.array(dtype=ShadeScene)) -> bool:
-    """Whether light ``number`` goes through everything."""
-    return nothing_blocks or scene[0].lights[number].casts_shadow == 0
-
-
-@wp.func
-def by_centers(point: ShadingPoint, nothing_blocks: bool, scene: wp.array(dtype=ShadeScene)) -> wp.vec3:
-    """What the lights that nothing blocks add by way of a surface, but for the environment."""
-    total = wp.vec3(0.0)
-    for number in range(scene[0].settings[0].light_count):
-        if is_unblocked(number, nothing_blocks, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
-            total += from_center(number, point, scene).color
-    return total
-
-
-@wp.func
-def by_samples(
-    point: ShadingPoint, strand: wp.uint32, nothing_blocks: bool, scene: wp.array(dtype=ShadeScene)
-) -> wp.vec3:
-    """What those of them add that chance looks at: the environment, and soft lights."""
-    total = wp.vec3(0.0)
-    for number in range(scene[0].settings[0].light_count):
-        if is_unblocked(number, nothing_blocks, scene):
-            if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                total += from_environment(number, False, point, strand, scene).color
-                total += from_environment(number, True, point, strand, scene).color
-            elif scene[0].settings[0].soft != 0:
-                total += from_extent(number, point, strand, scene).color
-    return total
-
-
-@wp.kernel
-def add_hard_lights(
-    start: int,
-    from_camera: bool,
-    nothing_blocks: bool,
-    scene: wp.array(dtype=ShadeScene),
-    rays: RayData,
-    hits: RayMeshHits,
-    radiance: RayRadiance,
-    light_inout: wp.array(dtype=wp.vec3),
-):
-    """Adds the lights that nothing blocks, all of each at its centre.
-
-    Apart from ``add_sampled_lights``: together, they would cost a deferred frame a fifth more.
-    """
-    i = start + wp.tid()
-    if not has_ray(rays, i):
-        return
-    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
-    light = light_inout[i]
-    if has_splats(look, scene):
-        splats = splat_point(i, look, rays, radiance, scene)
-        if splats.shadow_only == 0:
-            light += by_centers(splats, nothing_blocks, scene)
-    if has_mesh(i, look, hits):
-        mesh = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
-        if mesh.exists != 0:
-            light += by_centers(mesh, nothing_blocks, scene)
-    light_inout[i] = light
-
-
-@wp.kernel
-def add_sampled_lights(
-    start: int,
-    from_camera: bool,
-    nothing_blocks: bool,
-    scene: wp.array(dtype=ShadeScene),
-    rays: RayData,
-    hits: RayMeshHits,
-    radiance: RayRadiance,
-    light_inout: wp.array(dtype=wp.vec3),
-):
-    """Adds those of the lights that nothing blocks at which chance looks."""
-    i = start + wp.tid()
-    if not has_ray(rays, i):
-        return
-    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
-    light = light_inout[i]
-    if has_splats(look, scene):
-        splats = splat_point(i, look, rays, radiance, scene)
-        if splats.shadow_only == 0:
-            light += by_samples(splats, rays.strand[i], nothing_blocks, scene)
-    if has_mesh(i, look, hits):
-        mesh = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
-        if mesh.exists != 0:
-            light += by_samples(mesh, rays.strand[i], nothing_blocks, scene)
-    light_inout[i] = light
 
 
 @wp.kernel
@@ -345,26 +249,33 @@ def darken_captured(
     hits: RayMeshHits,
     radiance: RayRadiance,
     arrivals: Arrivals,
-    light_inout: wp.array(dtype=wp.vec3),
+    kept_out: wp.array(dtype=wp.vec3),
 ):
-    """Takes from captured colours what of the lights does not arrive (Debevec 1998, differential rendering)."""
+    """The share of captured colours that is left where lights do not arrive (Debevec 1998, differential rendering)."""
     i = start + wp.tid()
     sent = arrivals.sent[i]
     if is_black(sent) or not has_ray(rays, i):
         return
-    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
+    over_light = is_over_light(i, from_camera, hits, scene)
+    look = splat_look(i, hits, radiance, scene, over_light)
     besides = wp.PI * scene[0].materials[look.instance].ambient
     missing = sent - arrivals.arrived[i]
-    share = wp.vec3(0.0)
+    shown = captured_color(look.captured, look.weight)
+    behind = wp.vec3(0.0)
+    if not over_light:
+        behind = decode_srgb_color(look.transmittance * scene[0].settings[0].background)
+    kept = wp.vec3(1.0)
     for k in range(3):
-        if missing[k] > 0.0:
-            share[k] = missing[k] / (besides[k] + sent[k])
-    light_inout[i] -= (1.0 - look.transmittance) * wp.cw_mul(share, look.albedo)
+        if missing[k] > 0.0 and shown[k] > 0.0:
+            share = wp.max(shown[k] - behind[k], 0.0) / shown[k]
+            kept[k] = 1.0 - share * missing[k] / (besides[k] + sent[k])
+    kept_out[i] = kept
 
 
 @wp.kernel
 def gather_lit(
     start: int,
+    darkens: bool,
     branches: wp.array(dtype=int),
     branch_ends: wp.array(dtype=int),
     weights: wp.array(dtype=wp.vec3),
@@ -380,7 +291,10 @@ def gather_lit(
         j = branch * stride + i
         if branches[j] == 1:
             child = branch_ends[j] - 1
-            seen = captured_color(colors.captured[child], colors.captured_weight[child]) + colors.light[child]
+            seen = captured_color(colors.captured[child], colors.captured_weight[child])
+            if darkens:
+                seen = wp.cw_mul(seen, colors.kept[child])
+            seen += colors.light[child]
             total += wp.cw_mul(weights[child], seen)
     light_inout[i] += total
     if reflection_inout.shape[0] > 0:

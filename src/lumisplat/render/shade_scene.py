@@ -81,6 +81,7 @@ class LitScene:
         placements = placement_table(scene, device_scene)
         self._row.splats = table("shade.splats", SplatPlacement, len(placements))
         self._row.settings = table("shade.settings", ShadeData, 1)
+        self.has_shadow_only = any(instance.shadow_only for instance in scene.splats)
         self._table = self._settings(for_camera)
         for array, rows in (
             (self._row.materials, materials),
@@ -95,7 +96,6 @@ class LitScene:
         self._row.lights = self._lights.lights
         self._row.environment = self._lights.environment
         self.data = upload_structs([self._row], ShadeScene, self._launcher.device)
-        self.has_shadow_only = any(instance.shadow_only for instance in scene.splats)
 
     def begin_sample(self, sample: int) -> None:
         """Before a sample is shaded."""
@@ -111,6 +111,7 @@ class LitScene:
             row["camera_sees"] = SEES_NOTHING
         elif self._lights.environment.exists and self._lights.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
+        row["darkens"] = self.has_shadow_only
         row["light_count"] = self._lights.count
         row["soft"] = config.shadows is Shadows.SOFT
         row["shadow_offset"] = config.shadow.offset

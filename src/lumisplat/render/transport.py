@@ -7,7 +7,7 @@ from typing import Any
 from lumisplat.buffers import Buffers
 from lumisplat.config import Pipeline, RenderConfig, Shadows
 from lumisplat.launcher import Launcher
-from lumisplat.render import bounce_kernels, film_kernels, shade_kernels
+from lumisplat.render import bounce_kernels, film_kernels, lamp_kernels, shade_kernels
 from lumisplat.render.bounce import Bounces, Wave
 from lumisplat.render.device_scene import DeviceScene
 from lumisplat.render.met import Met
@@ -76,6 +76,7 @@ class Transport:
             bounces=self._config.max_bounces if goes_on else 0,
             light=light if lit else None,
             reflection=reflection,
+            darkens=lit and self.lit.has_shadow_only,
         )
 
     def light_images(self, count: int) -> LightImages | None:
@@ -85,5 +86,5 @@ class Transport:
 
 def light_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that lit frames need besides those of their pipeline."""
-    own = [shade_kernels, film_kernels, bounce_kernels]
+    own = [shade_kernels, lamp_kernels, film_kernels, bounce_kernels]
     return own if config.shadows is Shadows.OFF else own + shadow_modules(launcher, config)
