@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,3 +87,23 @@ def test_out_of_memory_is_a_device_error(size: int) -> None:
     """An allocation that cannot succeed says which device and which buffer, before the system ends the process."""
     with pytest.raises(DeviceError, match=r"cpu.*'huge'"):
         Buffers("cpu").get("huge", wp.float64, size)
+
+
+def test_stages_within_a_stage_are_not_counted_twice() -> None:
+    """The outer one has what the inner ones leave."""
+    launcher = Launcher("cpu")
+    with launcher.stage("outer"):
+        time.sleep(0.02)
+        with launcher.stage("inner"):
+            time.sleep(0.2)
+    assert launcher.stage_ms["inner"] > launcher.stage_ms["outer"] > 0.0
+
+
+def test_kernels_compile_without_warnings(tmp_path: Path) -> None:
+    """Nobody who renders for the first time is to read a compiler's remarks."""
+    program = (
+        f"import warp as wp; wp.config.kernel_cache_dir = {str(tmp_path)!r}; wp.init();"
+        "from lumisplat.render import lamp_kernels as kernels; wp.load_module(kernels, device='cpu')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "warning:" not in done.stderr

@@ -112,16 +112,19 @@ class Launcher:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Times what runs inside under ``name``; on CUDA only when profiling, as it has to wait for the device."""
+        """Times what runs inside under ``name``; on CUDA only when profiling, as it has to wait for the device.
+
+        Stages within a stage are not counted twice: the outer one has what is left.
+        """
         timed = not self.is_cuda or self.profile
-        started = time.perf_counter()
+        started, before = time.perf_counter(), sum(self.stage_ms.values())
         try:
             yield
         finally:
             if timed:
                 if self.is_cuda:
                     self.synchronize()
-                elapsed = 1e3 * (time.perf_counter() - started)
+                elapsed = 1e3 * (time.perf_counter() - started) - (sum(self.stage_ms.values()) - before)
                 self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
 
     def replay(self, name: str, key: object, work: Callable[[], None]) -> None:

@@ -28,6 +28,11 @@ BITS_2 = wp.constant(wp.uint32(2))
 LOW_4 = wp.constant(wp.uint32(15))
 ONE = wp.constant(wp.uint32(1))
 UNIT = wp.constant(wp.float32(2.0**-24))
+FIRST_BIT = wp.constant(wp.uint32(0x80000000))
+KARRAS_1 = wp.constant(wp.uint32(0x6C50B47C))
+KARRAS_2 = wp.constant(wp.uint32(0xB82F1E52))
+KARRAS_3 = wp.constant(wp.uint32(0xC7AFE638))
+KARRAS_4 = wp.constant(wp.uint32(0x8D22F6E6))
 
 # Dimensions below 2^31 are the Gaussians', by their index among all of the scene's. Others count down from the last.
 LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
@@ -127,10 +132,10 @@ def reversed_bits(word: wp.uint32) -> wp.uint32:
 def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
     """Owen scrambling: whether a bit flips depends on those above it and on the key (Laine and Karras 2011)."""
     word = reversed_bits(word) + key
-    word = wp.bit_xor(word, word * wp.uint32(0x6C50B47C))
-    word = wp.bit_xor(word, word * wp.uint32(0xB82F1E52))
-    word = wp.bit_xor(word, word * wp.uint32(0xC7AFE638))
-    word = wp.bit_xor(word, word * wp.uint32(0x8D22F6E6))
+    word = wp.bit_xor(word, word * KARRAS_1)
+    word = wp.bit_xor(word, word * KARRAS_2)
+    word = wp.bit_xor(word, word * KARRAS_3)
+    word = wp.bit_xor(word, word * KARRAS_4)
     return reversed_bits(word)
 
 
@@ -145,7 +150,7 @@ def spread(key: wp.uint32, sample: int) -> wp.vec2:
     key = mix(key)
     index = scrambled(wp.uint32(sample), key)
     second = wp.uint32(0)
-    direction = wp.uint32(0x80000000)
+    direction = FIRST_BIT
     rest = index
     while rest != wp.uint32(0):
         if wp.bit_and(rest, wp.uint32(1)) != wp.uint32(0):

@@ -83,8 +83,9 @@ class Frame:
     """Settings it was rendered with, those of the last call where it was resumed; None: unknown."""
     stats: FrameStats | None = None
     captured: FloatArray | None = None
-    """Of a lit frame what was captured and is kept, the background included, as an unlit frame shows it: display-referred
-    sRGB, (H, W, 3), premultiplied by ``captured_weight``. Sets whose material does not shine in full are all ``light``."""
+    """Of a lit frame what was captured and is kept, the background included, as an unlit frame shows it:
+    display-referred sRGB, (H, W, 3), premultiplied by ``captured_weight``. Sets whose material does not shine in full
+    are all ``light``."""
     captured_weight: FloatArray | None = None
     """Share of the pixel that ``captured`` is the colour of, 0..1, (H, W): 1 where only captures and the background
     are seen."""
@@ -100,8 +101,8 @@ class Frame:
     hits: FloatArray | None = None
     """Gaussians that a ray, or the pixel of a raster, blends, the mean over samples, (H, W)."""
     light_direct: FloatArray | None = None
-    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); of sets that are only darkened, the
-    irradiance instead."""
+    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); of sets that are only darkened,
+    the irradiance instead."""
     light_shadow: FloatArray | None = None
     """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
     light_names: tuple[str, ...] = ()

@@ -49,6 +49,18 @@ class SplatRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
         self._launcher, self._buffers, self._order = launcher, buffers, order
         self._warned_of_degrees: set[int] = set()
+        self._warned_of_mirrors = False
+
+    def warn_of_mirrors(self, scene: Scene) -> None:
+        """Logs once that smooth meshes show no more than the environment, or the background, in lit frames."""
+        count = sum(instance.mesh.material.is_smooth for instance in scene.meshes)
+        if count and not self._warned_of_mirrors:
+            self._warned_of_mirrors = True
+            _log.warning(
+                "%d smooth meshes (mirrors, glass) show the environment alone in the raster pipeline: "
+                "Pipeline.HYBRID follows what they reflect and let through",
+                count,
+            )
 
     def warn_of_degree(self, scene: Scene) -> None:
         """Logs once for each kernel degree that is not the raster's own, which is Gaussian."""

@@ -108,6 +108,8 @@ class Renderer:
             self._splats.warn_of_degree(scene)
         if lit:
             self._load(self._light_modules(), progress)
+            if self.config.pipeline is Pipeline.RASTER:
+                self._splats.warn_of_mirrors(scene)
         if self._samples(lit):
             return self._sampled(scene, camera, lit, first, progress)
         return self._raster(scene, camera)

@@ -74,8 +74,9 @@ def _lights() -> tuple[Light, ...]:
 
 
 def _evening_sky(rows: int = 64) -> FloatArray:
-    """Linear radiance from everywhere, shape (rows, 2 rows, 3): blue above, pale at the horizon, dark ground, and
-    brighter clouds over where the room is open, from where light comes in.
+    """Linear radiance from everywhere, shape (rows, 2 rows, 3).
+
+    Blue above, pale at the horizon, dark ground, and brighter clouds where light comes into the room.
     """
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     phi = (np.arange(2 * rows) + 0.5 - rows) * np.pi / rows

@@ -216,6 +216,8 @@ class LightEnvironment(_Light):
     def __post_init__(self) -> None:
         self._check()
         if self.image is not None:
+            if np.asarray(self.image).dtype.kind in "bui":
+                raise SceneError(f"environment image is {np.asarray(self.image).dtype}, expected linear float radiance")
             image = float_array("environment image", self.image)
             if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
                 raise SceneError(f"environment image has shape {image.shape}, expected (H, W, 3)")

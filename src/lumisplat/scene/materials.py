@@ -46,7 +46,8 @@ class MaterialPbr:
     transmission: float = 0.0
     """Share of the light that is not reflected that goes on through the dielectric, refracted, and tinted by the base
     colour at each crossing, 0..1. The mesh should be closed, its triangles counter-clockwise from outside: that is how
-    a ray knows whether it enters or leaves. Splats do not transmit, nor does what is rough: it scatters that share back."""
+    a ray knows whether it enters or leaves. Splats do not transmit, nor does what is rough: it scatters that share
+    back."""
     emissive: Color = (0.0, 0.0, 0.0)
     """What it shines by itself: linear radiance, at least 0; on a splat set, times the captured colour."""
     base_color_texture: Texture | None = None
