@@ -106,4 +106,4 @@ def test_kernels_compile_without_warnings(tmp_path: Path) -> None:
         "from lumisplat.render import lamp_kernels as kernels; wp.load_module(kernels, device='cpu')"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "warning:" not in done.stderr
+    assert "warning generated" not in done.stderr and "warnings generated" not in done.stderr
