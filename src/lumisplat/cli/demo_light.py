@@ -15,7 +15,7 @@ _SAMPLES = 16
 """Of each picture: noise is still seen in dark corners, and a frame takes seconds."""
 _SWING_FRAMES = 24
 """Of the animation: one swing, there and back."""
-_SWING_SAMPLES = 6
+_SWING_SAMPLES = 8
 _SWING_FPS = 12.0
 _SWING_MIDDLE = 0.2
 """x of the plane through the room about which the spot swings, metres."""
