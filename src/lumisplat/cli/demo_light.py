@@ -23,7 +23,7 @@ _SWING_MIDDLE = 0.2
 _LOOK = ls.RenderConfig(
     pipeline=ls.Pipeline.HYBRID,
     shadows=ls.Shadows.SOFT,
-    # As bright as exact shadows on average and twice as fast: with this many samples, nobody sees the difference.
+    # On average as bright as exact shadows, and twice as fast: with this many samples, nobody sees the difference.
     shadow=ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
     tone_map=ls.ToneMap.NEUTRAL,
     samples=_SAMPLES,
