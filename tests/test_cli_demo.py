@@ -52,4 +52,5 @@ def test_demo(work, monkeypatch):
     pipelines = [read_image(work.path(f"demo/lit-{name}.png"))["srgb"] for name in ("raster", "trace", "hybrid")]
     assert read_image(work.path("demo/lit-aovs.png"))["srgb"].shape == (48, 64, 3)
     np.testing.assert_array_equal(pipelines[0], pipelines[2])  # nothing here reflects
-    assert np.abs(pipelines[1].astype(int) - pipelines[2]).mean() < 10
+    assert pipelines[1].mean() > 10.0
+    assert not np.array_equal(pipelines[1], pipelines[2])  # thick Gaussians look different along rays
