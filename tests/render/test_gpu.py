@@ -8,6 +8,7 @@ import warp as wp
 
 import lumisplat as ls
 import scenes
+import test_lit_frames
 import trace_scenes
 
 pytestmark = [
@@ -38,6 +39,18 @@ def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
         difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
         assert np.quantile(difference, 0.99) < 1e-3, name
         assert difference.mean() < 1e-3, name
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_cuda_lights_what_the_cpu_lights(pipeline: ls.Pipeline) -> None:
+    """A lit CUDA frame, with soft shadows, mirrors and glass, equals the CPU's but where a decision is rounding's."""
+    config = test_lit_frames.config(pipeline, shadows=ls.Shadows.SOFT, samples=2)
+    scene, camera = test_lit_frames.scene(*test_lit_frames.LAMPS, test_lit_frames.SKY), test_lit_frames.camera()
+    cpu, cuda = (ls.render(scene, camera, config, device=device) for device in ("cpu", "cuda"))
+    for name in ("color", "captured", "light", "alpha"):
+        difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
+        assert np.quantile(difference, 0.98) < 1e-3, name
+        assert difference.mean() < 2e-3, name
 
 
 def test_graph_repeats_the_direct_frame() -> None:
