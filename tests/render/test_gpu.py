@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import test_lit_frames
 import warp as wp
 
 import lumisplat as ls
 import scenes
-import test_lit_frames
 import trace_scenes
 
 pytestmark = [
