@@ -10,7 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.framing import bulk_bounds, framing_camera
 from lumisplat.cli.outputs import file_stems, plan_shots
-from lumisplat.render.pictures import layer_picture
+from lumisplat.render.pictures import layer_pictures
 from scenes import front_camera, joined, one_gaussian, quad, random_gaussians
 
 
@@ -95,6 +95,6 @@ def test_frames_are_picked_by_their_own_names_too():
 def test_depth_pictures_are_red_near_and_blue_far():
     """What the guide says of the colours."""
     frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
-    picture = layer_picture(frame, "depth")
+    picture = layer_pictures(frame, "depth")["depth"]
     near, far = picture[16, 16], picture[2, 2]
     assert near[0] > near[2] and far[2] > far[0]
