@@ -56,7 +56,7 @@ tone_map = "agx"
 min_response = 0.0113
 
 [render.shadow]
-offset = 3
+offset = 4
 """
 
 
@@ -101,7 +101,7 @@ FILE_CONFIG = ls.RenderConfig(
     shadows=ls.Shadows.SOFT,
     tone_map=ls.ToneMap.AGX,
     trace=ls.TraceConfig(min_response=0.0113),
-    shadow=ls.ShadowConfig(offset=3),
+    shadow=ls.ShadowConfig(offset=4),
 )
 
 
@@ -119,7 +119,7 @@ def test_options_win_over_the_file(work, monkeypatch):
     """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "1", "--shadows", "hard", "--tone-map", "none")
-    options += ("--background", "black", "--shadow-offset", "1", "--min-response", "0", "--exposure", "-2")
+    options += ("--background", "black", "--shadow-offset", "3", "--min-response", "0", "--exposure", "-2")
     assert work.run("render", "@scene.toml", "-o", "@a.png", "--frame", "near", *options).status == 0
     assert stage.config == ls.RenderConfig()
     assert [camera.exposure for camera in stage.cameras] == [-2.0]
@@ -368,7 +368,7 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown
     assert "environment 1 x image 4 x 2" in shown
     assert "names near, far" in shown
-    assert "pipeline trace background None trace.min_response 0.0113 shadows soft shadow.offset 3" in shown
+    assert "pipeline trace background None trace.min_response 0.0113 shadows soft shadow.offset 4" in shown
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 

@@ -215,8 +215,8 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
 
 
 def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
-    """Albedo below the highlight, shape (3,)."""
-    return (1.0 - material.metallic) * (1.0 - material.transmission) * np.array(material.base_color)
+    """Albedo below the highlight, shape (3,): what is rough scatters what it would transmit."""
+    return (1.0 - material.metallic) * np.array(material.base_color)
 
 
 MATERIALS = {
