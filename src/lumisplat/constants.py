@@ -108,7 +108,7 @@ EXPOSURE_MAX = 100
 
 SHADOW_OFFSET = 3.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface, which ends three standard
-deviations off. On the biker, lit from the front, 1 leaves a third of the surface speckled by its own Gaussians, 2 some
+deviations off. On the biker, lit from the front, 1 leaves much of the surface speckled by its own Gaussians, 2 some
 patches, 4 nothing, but no contact shadows either. seeds/000 section 4 has the offset in world units, which no two
 captures share."""
 

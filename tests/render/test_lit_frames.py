@@ -243,6 +243,7 @@ def test_light_that_is_too_bright_is_counted() -> None:
     frame = ls.render(ls.Scene([], [ball, ball], [lamp]), camera(), config(), device="cpu")
     checked(frame.color)
     assert frame.stats is not None
+    assert frame.stats.nonfinite_count > 20
 
 
 def test_moving_a_lamp_needs_no_upload() -> None:

@@ -26,9 +26,12 @@ def arriving(point: ShadingPoint, sample: LightSample) -> wp.vec3:
 
 
 @wp.func
-def reflected(point: ShadingPoint, sample: LightSample, irradiance: wp.vec3) -> Contribution:
-    """What of that the surface adds to the ray's colour; of one that is only darkened, what arrives."""
+def by_way_of(point: ShadingPoint, sample: LightSample, share: float) -> Contribution:
+    """What ``share`` of a sample adds to the ray's colour; of a surface that is only darkened, what arrives there."""
+    irradiance = share * arriving(point, sample)
     result = Contribution()
+    if is_black(irradiance):
+        return result
     result.direction = sample.direction
     result.distance = sample.distance
     result.color = irradiance
@@ -48,10 +51,7 @@ def light_key(strand: wp.uint32, number: int) -> wp.uint32:
 def from_center(number: int, point: ShadingPoint, scene: wp.array(dtype=ShadeScene)) -> Contribution:
     """What light ``number``, which is not the environment, adds by way of a surface, all of it at its centre."""
     sample = sample_light(scene[0].lights[number], point.position, 0, wp.vec2(0.5))
-    irradiance = arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)
+    return by_way_of(point, sample, 1.0)
 
 
 @wp.func
@@ -59,10 +59,7 @@ def from_extent(number: int, point: ShadingPoint, strand: wp.uint32, scene: wp.a
     """The same, by a point that chance picks on it."""
     u = spread(light_key(strand, number), scene[0].settings[0].sample)
     sample = sample_light(scene[0].lights[number], point.position, 1, u)
-    irradiance = arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)
+    return by_way_of(point, sample, 1.0)
 
 
 @wp.func
@@ -91,7 +88,4 @@ def from_environment(
         if sample.density > 0.0:
             other = bsdf_pdf(point.bsdf, point.normal, point.view, sample.direction)
             sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
-    irradiance = point.occlusion * arriving(point, sample)
-    if is_black(irradiance):
-        return Contribution()
-    return reflected(point, sample, irradiance)
+    return by_way_of(point, sample, point.occlusion)

@@ -1,16 +1,18 @@
 """What a mesh does with a ray that meets it: what it shows of itself, and the rays that go on from it.
 
-Weights apply to display-referred colours, as captures hold them. Shares of energy (Fresnel's) are plain numbers there,
-so that what is reflected and what is let through add up to one; tints are encoded like any other colour.
+In unlit frames, weights apply to display-referred colours, as captures hold them, else to linear light. Shares of
+energy (Fresnel's) are plain numbers there, so that what is reflected and what is let through add up to one; there,
+tints are encoded like any other colour.
 """
 
 import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.color import encode_srgb_color
-from lumisplat.device.ray_structs import Bounce, MeshPlacement, SmoothData
+from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.ray_structs import Bounce, MeshPlacement, RayData, RayMeshHits, SmoothData
 from lumisplat.device.specular import cosine2_beyond, fresnel, reflect, refract, schlick
-from lumisplat.device.structs import MeshData
+from lumisplat.device.structs import MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,6 +86,31 @@ def bounce_of(
     bounce.refracted = material.transmission * let_through
     bounce.color = (1.0 - material.transmission) * let_through
     return bounce
+
+
+@wp.func
+def bounce_of_ray(
+    i: int,
+    rays: RayData,
+    hits: RayMeshHits,
+    instances: wp.array(dtype=MeshInstanceData),
+    placements: wp.array(dtype=MeshPlacement),
+    meshes: MeshData,
+    lit: bool,
+) -> Bounce:
+    """What the mesh that a ray met does with it."""
+    number = hits.instance[i]
+    instance = instances[number]
+    corners = meshes.indices[hits.face[i]]
+    weights = hit_weights(hits.weights[i])
+    return bounce_of(
+        placements[number].material,
+        surface_color(instance, meshes, corners, weights),
+        face_normal(instance, meshes, corners),
+        surface_normal(instance, meshes, corners, weights),
+        rays.direction[i],
+        lit,
+    )
 
 
 @wp.func

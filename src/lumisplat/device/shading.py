@@ -24,9 +24,15 @@ from lumisplat.device.surface import instance_of
 
 wp.set_module_options({"enable_backward": False})
 
+SHADE_OPTIONS = {
+    "enable_backward": False,
+    "fuse_fp": False,
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000",
+}
+"""Of the kernels that light surfaces: structs passed by value cost more than what is done with them, unless inlined."""
+
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 WEIGHT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
-TINY = wp.constant(wp.float32(1.0e-30))
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
@@ -87,17 +93,14 @@ def splat_look(
             look.transmittance = 1.0
             look.instance = -1
     alpha = 1.0 - look.transmittance
-    share = alpha
+    if untouched == 0 and look.gaussian >= 0:
+        look.albedo = decode_srgb_color(color / alpha)
     if keeps == 0:
         # Nothing of it is as captured: light decides about all of it, and adds it up.
-        look.albedo = decode_srgb_color(color / wp.max(alpha, TINY))
         color = wp.vec3(0.0)
-        share = float(0.0)
-    elif untouched == 0 and look.gaussian >= 0 and alpha > 0.0:
-        look.albedo = decode_srgb_color(color / alpha)
     if over_light:
         look.captured = color
-        look.weight = share
+        look.weight = wp.where(keeps != 0, alpha, 0.0)
     else:
         look.captured = over(color, look.transmittance, scene[0].settings[0].background)
         look.weight = wp.where(keeps != 0, 1.0, look.transmittance)

@@ -9,41 +9,16 @@ import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN
 from lumisplat.device.color import over
-from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.mesh_surface import hit_weights
 from lumisplat.device.random import branch_stream
-from lumisplat.device.ray_structs import Bounce, MeshPlacement, RayData, RayMeshHits, RayRadiance
-from lumisplat.device.scatter import bounce_of, spawn_point
+from lumisplat.device.ray_structs import MeshPlacement, RayData, RayMeshHits, RayRadiance
+from lumisplat.device.scatter import bounce_of_ray, spawn_point
 from lumisplat.device.specular import reflect, refract
 from lumisplat.device.structs import CameraData, MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
-
-
-@wp.func
-def bounce_of_ray(
-    i: int,
-    rays: RayData,
-    hits: RayMeshHits,
-    instances: wp.array(dtype=MeshInstanceData),
-    placements: wp.array(dtype=MeshPlacement),
-    meshes: MeshData,
-    lit: bool,
-) -> Bounce:
-    """What the mesh that a ray met does with it."""
-    number = hits.instance[i]
-    instance = instances[number]
-    corners = meshes.indices[hits.face[i]]
-    weights = hit_weights(hits.weights[i])
-    return bounce_of(
-        placements[number].material,
-        surface_color(instance, meshes, corners, weights),
-        face_normal(instance, meshes, corners),
-        surface_normal(instance, meshes, corners, weights),
-        rays.direction[i],
-        lit,
-    )
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ from lumisplat.device.ray_blocks import pixel_of_ray
 from lumisplat.device.ray_structs import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
 from lumisplat.device.ray_surface import surface_of_ray
 from lumisplat.device.shade_structs import RayColors, ShadeScene
-from lumisplat.device.shading import is_over_light, mesh_shine, splat_look
+from lumisplat.device.shading import has_ray, is_over_light, mesh_shine, splat_look
 from lumisplat.device.structs import SurfaceData
 
 wp.set_module_options({"enable_backward": False})
@@ -49,7 +49,7 @@ def store_lit_rays(
     surface.depth = wp.inf
     surface.gaussian = -1
     surface.instance = -1
-    if lens.sample == 0 and rays.t_max[i] > rays.t_min[i]:
+    if lens.sample == 0 and has_ray(rays, i):
         surface = surface_of_ray(i, rays, radiance, hits, scene[0].splats, scene[0].mesh_instances, scene[0].meshes)
     kept = wp.vec3(1.0)
     if kept_inout.shape[0] > 0:
@@ -111,7 +111,7 @@ def look_at_surfaces(
     i = start + wp.tid()
     albedo_out[i] = wp.vec3(0.0)
     emission_out[i] = wp.vec3(0.0)
-    if not rays.t_max[i] > rays.t_min[i]:
+    if not has_ray(rays, i):
         return
     over_light = is_over_light(i, True, hits, scene)
     look = splat_look(i, hits, radiance, scene, over_light)
@@ -140,5 +140,5 @@ def count_hits(start: int, rays: RayData, radiance: RayRadiance, count_out: wp.a
     """How many Gaussians each ray blended, in all channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
-    if rays.t_max[i] > rays.t_min[i]:
+    if has_ray(rays, i):
         count_out[i] = wp.vec3(float(radiance.hits[i]))

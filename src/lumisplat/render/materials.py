@@ -18,14 +18,15 @@ _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture"
 
 def is_untouched(instance: SplatInstance) -> bool:
     """Whether a splat set shines as captured, whatever the lights."""
-    material = instance.material
-    if instance.shadow_only:
+    material = material_of(instance)
+    if instance.shadow_only or isinstance(material, MaterialPbr):
         return False
-    if isinstance(material, MaterialPbr):
-        return False
-    return material is None or (
-        material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
-    )
+    return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
+
+
+def material_of(instance: SplatInstance) -> Material:
+    """The material of a splat set, or the one it has without."""
+    return instance.material or MaterialSimple()
 
 
 def own_looks(scene: Scene, lit: bool) -> dict[str, list[bool]]:
@@ -37,7 +38,7 @@ def own_looks(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     return {
         "own_normals": [t and i.gaussians.normals is not None for t, i in zip(takes, scene.splats, strict=True)],
         "own_colors": [
-            t and i.gaussians.albedo is not None and not i.shadow_only and not any(_emissive(i.material))
+            t and i.gaussians.albedo is not None and not i.shadow_only and not any(material_of(i).emissive)
             for t, i in zip(takes, scene.splats, strict=True)
         ],
     }
@@ -54,25 +55,19 @@ def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: An
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=dtype)
     rows: list[Any] = list(table)
     for row, splats in zip(rows, scene.splats, strict=False):
-        _fill(row, splats.material or MaterialSimple())
-        row["untouched"] = is_untouched(splats)
-        material = splats.material or MaterialSimple()
+        material = material_of(splats)
         ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
+        _fill(row, material)
+        row["untouched"] = is_untouched(splats)
         row["keeps"] = splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
         if splats.shadow_only:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
-            row["ambient"] = SHADOW_ONLY_AMBIENT
-            if isinstance(splats.material, MaterialSimple):
-                row["ambient"] = splats.material.ambient
+            row["ambient"] = ambient if isinstance(splats.material, MaterialSimple) else SHADOW_ONLY_AMBIENT
     for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
         _fill(row, meshes.mesh.material)
         _fill_textures(row, meshes.mesh, texture_first)
     return table
-
-
-def _emissive(material: Material | None) -> tuple[float, float, float]:
-    return (material or MaterialSimple()).emissive
 
 
 def _fill(row: Any, material: Material) -> None:

@@ -94,9 +94,8 @@ class Shader:
         lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + self._lit.has_headlight
         soft = self._config.shadows is Shadows.SOFT
         sampled = len(lights) > lamps or (soft and lamps)
-        return [lamp_kernels.add_hard_lights] * bool(lamps and not soft) + [lamp_kernels.add_sampled_lights] * bool(
-            sampled
-        )
+        needed = [lamp_kernels.add_hard_lights] if lamps and not soft else []
+        return [*needed, lamp_kernels.add_sampled_lights] if sampled else needed
 
     def images(self, count: int) -> LightImages | None:
         """What the lights gave the rays of pixels last, if the settings ask for it."""

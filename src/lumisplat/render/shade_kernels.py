@@ -13,10 +13,9 @@ from lumisplat.device.color import captured_color, decode_srgb_color, is_black
 from lumisplat.device.contribution import from_center, from_environment, from_extent, light_key
 from lumisplat.device.environment import environment_radiance
 from lumisplat.device.light_structs import LIGHT_ENVIRONMENT
-from lumisplat.device.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.random import branch_stream
-from lumisplat.device.ray_structs import Bounce, RayData, RayMeshHits, RayRadiance
-from lumisplat.device.scatter import bounce_of
+from lumisplat.device.ray_structs import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.scatter import bounce_of_ray
 from lumisplat.device.shade_structs import (
     SEES_ENVIRONMENT,
     SEES_NOTHING,
@@ -27,6 +26,7 @@ from lumisplat.device.shade_structs import (
     ShadingPoint,
 )
 from lumisplat.device.shading import (
+    SHADE_OPTIONS,
     has_mesh,
     has_ray,
     has_splats,
@@ -40,13 +40,7 @@ from lumisplat.device.shading import (
 )
 from lumisplat.device.specular import reflect, refract
 
-wp.set_module_options(
-    {
-        "enable_backward": False,
-        "fuse_fp": False,
-        "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000",
-    }
-)
+wp.set_module_options(SHADE_OPTIONS)
 
 WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
 
@@ -57,23 +51,6 @@ def far_radiance(direction: wp.vec3, scene: wp.array(dtype=ShadeScene)) -> wp.ve
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
     return decode_srgb_color(scene[0].settings[0].background)
-
-
-@wp.func
-def lit_bounce(i: int, rays: RayData, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> Bounce:
-    """What the mesh that a ray met does with it, in linear light."""
-    number = hits.instance[i]
-    instance = scene[0].mesh_instances[number]
-    corners = scene[0].meshes.indices[hits.face[i]]
-    weights = hit_weights(hits.weights[i])
-    return bounce_of(
-        scene[0].placements[number].material,
-        surface_color(instance, scene[0].meshes, corners, weights),
-        face_normal(instance, scene[0].meshes, corners),
-        surface_normal(instance, scene[0].meshes, corners, weights),
-        rays.direction[i],
-        True,
-    )
 
 
 @wp.kernel
@@ -115,7 +92,8 @@ def start_shading(
     if hits.face[i] >= 0:
         light = look.transmittance * mesh_shine(hits, i, scene, splat_count)
         if scene[0].placements[hits.instance[i]].material.smooth != 0:
-            bounce = lit_bounce(i, rays, hits, scene)
+            instances = scene[0].mesh_instances
+            bounce = bounce_of_ray(i, rays, hits, instances, scene[0].placements, scene[0].meshes, True)
             reflects = int(0)
             refracts = int(0)
             if may_branch:
