@@ -20,20 +20,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Light:
-    def _check(self) -> None:
-        color = _vector("color", getattr(self, "color"))  # noqa: B009
-        if min(color) < 0.0:
-            raise SceneError(f"color is {color}, expected no negative number")
-        object.__setattr__(self, "color", color)
-        _check_number("intensity", getattr(self, "intensity"), 0.0)  # noqa: B009
-        for name in ("enabled", "casts_shadow"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise SceneError(f"{name} is {getattr(self, name)}, expected True or False")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LightPoint(_Light):
+class LightPoint:
     """A light that shines alike in all directions.
 
     Irradiance at distance d is ``intensity / d^2``, faded out towards ``range`` by the window that glTF recommends,
@@ -56,14 +43,14 @@ class LightPoint(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         object.__setattr__(self, "position", _vector("position", self.position))
         _check_number("range", self.range, 0.0, above=True, finite=False)
         _check_number("radius", self.radius, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightSpot(_Light):
+class LightSpot:
     """A point light that shines into a cone, as bright inside ``inner_angle`` and fading out to ``outer_angle``.
 
     Raises:
@@ -90,7 +77,7 @@ class LightSpot(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         object.__setattr__(self, "position", _vector("position", self.position))
         object.__setattr__(self, "direction", _direction("direction", self.direction))
         _check_number("range", self.range, 0.0, above=True, finite=False)
@@ -105,7 +92,7 @@ class LightSpot(_Light):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightDirectional(_Light):
+class LightDirectional:
     """Parallel light from infinitely far away: the sun.
 
     Raises:
@@ -125,7 +112,7 @@ class LightDirectional(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         object.__setattr__(self, "direction", _direction("direction", self.direction))
         _check_number("angle", self.angle, 0.0)
         if self.angle > math.pi / 2.0:
@@ -133,7 +120,7 @@ class LightDirectional(_Light):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightSphere(_Light):
+class LightSphere:
     """A sphere whose surface shines alike in all directions. It lights, but is not itself seen.
 
     From outside, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
@@ -153,13 +140,13 @@ class LightSphere(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         object.__setattr__(self, "position", _vector("position", self.position))
         _check_number("radius", self.radius, 0.0, above=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightRect(_Light):
+class LightRect:
     """A rectangle (or parallelogram) that shines on one side. It lights, but is not itself seen.
 
     Raises:
@@ -180,7 +167,7 @@ class LightRect(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         for name in ("position", "edge_u", "edge_v"):
             object.__setattr__(self, name, _vector(name, getattr(self, name)))
         area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
@@ -189,7 +176,7 @@ class LightRect(_Light):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LightEnvironment(_Light):
+class LightEnvironment:
     """Light from everywhere around, infinitely far away, by a latitude-longitude image or of one colour.
 
     The image's upper edge is the environment's +y, its middle column -z, and +x is right of the middle:
@@ -214,7 +201,7 @@ class LightEnvironment(_Light):
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        self._check()
+        _check_shared(self)
         if self.image is not None:
             if np.asarray(self.image).dtype.kind in "bui":
                 raise SceneError(f"environment image is {np.asarray(self.image).dtype}, expected linear float radiance")
@@ -237,6 +224,18 @@ class LightEnvironment(_Light):
 
 Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment
 """Any light."""
+
+
+def _check_shared(light: Light) -> None:
+    """Checks what all lights have, and keeps the colour as a tuple."""
+    color = _vector("color", light.color)
+    if min(color) < 0.0:
+        raise SceneError(f"color is {color}, expected no negative number")
+    object.__setattr__(light, "color", color)
+    _check_number("intensity", light.intensity, 0.0)
+    for name in ("enabled", "casts_shadow"):
+        if not isinstance(getattr(light, name), bool | np.bool_):
+            raise SceneError(f"{name} is {getattr(light, name)}, expected True or False")
 
 
 def _vector(name: str, values: Any) -> Vector:
