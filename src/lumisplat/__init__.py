@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lumisplat.config import (
+        Absorption,
         Antialiasing,
+        AtlasLayout,
+        DeepShadowConfig,
         HitDistance,
         NormalMethod,
         Pipeline,
         RasterConfig,
         RasterStrategy,
+        ReceiverSampling,
         RenderConfig,
         ShadowConfig,
         ShadowMethod,
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
         DeviceError,
         FormatError,
         LumisplatError,
+        MissingExtraError,
         SceneError,
     )
     from lumisplat.io import (
@@ -58,15 +63,20 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+    from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
 
 __version__ = "0.1.0"
 
 # Public name -> module, imported on first use: `lumisplat --help` must not pay for Warp, and io not for a GPU.
 _HOME = {
+    "Absorption": "config",
     "Antialiasing": "config",
+    "AtlasLayout": "config",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
     "ConfigError": "errors",
+    "DeepShadowConfig": "config",
+    "DeepShadowMap": "shadowmaps.deep_shadow_map",
     "DeviceError": "errors",
     "FormatError": "errors",
     "Frame": "render.frame",
@@ -83,11 +93,13 @@ _HOME = {
     "MaterialSimple": "scene.materials",
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
+    "MissingExtraError": "errors",
     "NormalMethod": "config",
     "Pipeline": "config",
     "RasterConfig": "config",
     "RasterStrategy": "config",
     "RayHits": "render.rays",
+    "ReceiverSampling": "config",
     "RenderConfig": "config",
     "Renderer": "render.renderer",
     "Scene": "scene.scene",
@@ -118,10 +130,14 @@ _HOME = {
 }
 
 __all__ = [
+    "Absorption",
     "Antialiasing",
+    "AtlasLayout",
     "Camera",
     "CameraModel",
     "ConfigError",
+    "DeepShadowConfig",
+    "DeepShadowMap",
     "DeviceError",
     "FormatError",
     "Frame",
@@ -138,11 +154,13 @@ __all__ = [
     "MaterialSimple",
     "Mesh",
     "MeshInstance",
+    "MissingExtraError",
     "NormalMethod",
     "Pipeline",
     "RasterConfig",
     "RasterStrategy",
     "RayHits",
+    "ReceiverSampling",
     "RenderConfig",
     "Renderer",
     "Scene",

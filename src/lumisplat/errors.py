@@ -2,6 +2,7 @@
 
 LumisplatError
 ├── ConfigError        a bad setting (also a ValueError)
+├── MissingExtraError  an optional package is not installed (also an ImportError)
 ├── SceneError         bad data: shape, NaN, empty (also a ValueError)
 │   └── FormatError    a file we cannot read or write: names the path
 └── DeviceError        a missing device, out of memory, a failed launch
@@ -22,6 +23,18 @@ class LumisplatError(Exception):
 
 class ConfigError(LumisplatError, ValueError):
     """A setting is out of its range."""
+
+
+class MissingExtraError(LumisplatError, ImportError):
+    """A feature needs a package that is not installed.
+
+    Args:
+        what: What needs it, as the beginning of a sentence.
+        extra: The extra of ours that brings it.
+    """
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(f"{what} needs a package that is not installed: pip install 'lumisplat[{extra}]'")
 
 
 class SceneError(LumisplatError, ValueError):

@@ -1,0 +1,1 @@
+"""Light of a captured scene on what is put into it: lights found, probes, transfer to avatars (seeds/001)."""
