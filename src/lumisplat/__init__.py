@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     )
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.recolor import scale_light
     from lumisplat.scene.sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
@@ -125,6 +126,7 @@ _HOME = {
     "save_animation": "io",
     "save_cameras": "io",
     "save_config": "io",
+    "scale_light": "scene.recolor",
     "trace_rays": "render.calls",
     "transmittance": "render.calls",
 }
@@ -186,6 +188,7 @@ __all__ = [
     "save_animation",
     "save_cameras",
     "save_config",
+    "scale_light",
     "trace_rays",
     "transmittance",
 ]

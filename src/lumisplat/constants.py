@@ -172,6 +172,10 @@ SH_DEGREE_MAX = 3
 SH_C0 = 0.28209479177387814
 """Y_00 = 1 / (2 sqrt(pi))."""
 
+RECOLOR_DARK = 1e-4
+"""Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB curve
+(0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
+
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300

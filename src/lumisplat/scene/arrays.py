@@ -99,7 +99,7 @@ def normalised(name: str, vectors: FloatArray) -> FloatArray:
     length = np.linalg.norm(scaled, axis=1, keepdims=True)
     # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.
     already = np.abs(length * largest.astype(np.float64) - 1.0) < 1e-6
-    unit = np.where(already, vectors, scaled / length)
+    unit = vectors if already.all() else np.where(already, vectors, scaled / length)
     unit.flags.writeable = False
     return unit
 
