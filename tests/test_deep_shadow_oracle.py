@@ -178,16 +178,21 @@ def test_the_fold_is_continuous(vector, turn):
 
 
 def test_texels_past_the_edge_are_neighbours_on_the_sphere():
-    """One out of the square on any side or corner is next to where it was left."""
+    """An edge of the square is an arc in the plane y = 0 or x = 0: the next texel is the mirror image of the last."""
     size = 16
     centers = oracle.decode_octahedral(oracle.texel_centers(size))
-    steps = [(x, y) for x in range(-1, size + 1) for y in range(-1, size + 1)]
-    outside = np.array([(x, y) for x, y in steps if not (0 <= x < size and 0 <= y < size)])
-    inside = np.clip(outside, 0, size - 1)
-    x, y = oracle.wrapped(outside[:, 0], outside[:, 1], size)
-    assert ((x >= 0) & (x < size) & (y >= 0) & (y < size)).all()
-    gap = np.linalg.norm(centers[y, x] - centers[inside[:, 1], inside[:, 0]], axis=1)
-    assert gap.max() < 3.0 * 2.0 / size
+    along = np.arange(size)
+    for inside, outside in ((0, -1), (size - 1, size)):
+        x, y = oracle.wrapped(np.full(size, outside), along, size)
+        assert centers[y, x] == pytest.approx(centers[along, inside] * [1.0, -1.0, 1.0])
+        x, y = oracle.wrapped(along, np.full(size, outside), size)
+        assert centers[y, x] == pytest.approx(centers[inside, along] * [-1.0, 1.0, 1.0])
+
+
+def test_texels_past_a_corner_are_at_the_pole():
+    """All four corners are -z: out over one, the opposite one comes."""
+    x, y = oracle.wrapped(np.array([-1, 8, -1, 8]), np.array([-1, -1, 8, 8]), 8)
+    assert list(zip(x, y, strict=True)) == [(7, 7), (0, 7), (7, 0), (0, 0)]
 
 
 @given(vectors)
