@@ -150,6 +150,80 @@ ENVIRONMENT_SHARE_MIN = 4
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear Rec.709."""
 
+# --- Deep Gaussian shadow maps (seeds/001) ---
+
+SHADOW_TILE = 8
+"""Side of the tiles of an atlas for which casters are looked up, texels: the paper's."""
+
+SHADOW_BLOCK_TILES = 8
+"""Side of the blocks of tiles for which they are looked up first: 256 of them at 1024 texels."""
+
+SHADOW_BOUND_STEP = 4
+"""Texels between the points that bound a tile: atlas edges fold at multiples of it, as sizes are multiples of 8."""
+
+SHADOW_BOUND_MARGIN = 1e-4
+"""Share by which bounds of tiles and casters grow: rounding must not lose a caster."""
+
+SHADOW_DEPTH_MIN = 1e-6
+"""Optical depth of a whole Gaussian along a ray below which it is left out, when casters are culled: a thousand such
+tails change the transmittance by 0.001."""
+
+SHADOW_ERF_MAX = 4.0
+"""Argument from which on the error function is one: erfc(4) is 1.5e-8, below float32's last digit."""
+
+SHADOW_FOOTPRINT = 3.0
+"""Standard deviations at which the points end that a receiver looks at: where splats end, too."""
+
+SHADOW_STENCIL_WEIGHT = 0.6065306597126334
+"""Weight of the stencil's outer points, one standard deviation off, against the middle's 1: exp(-1/2)."""
+
+# --- Metrics (seeds/001, sections 4.1 and 4.2) ---
+
+IRRADIANCE_SH_DEGREE = 3
+"""Order L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
+
+NEIGHBOURHOOD_RADIUS = 1.5
+"""Metres around an avatar's centre within which the scene is compared with it: the middle of section 4.1's 1 to 2."""
+
+TRIMMED_SHARE = 0.05
+"""Share of the largest residuals that a fit leaves out. Section 4.1."""
+
+HUBER_WIDTH = 1.345
+"""Standard deviations beyond which residuals count linearly: 95 % as efficient as least squares where errors are
+normal (Huber 1981; Holland and Welsch 1977)."""
+
+MAD_PER_DEVIATION = 0.6745
+"""Median of the absolute values of normal errors, standard deviations."""
+
+FIT_STEPS_MAX = 100
+"""Reweightings of a fit; it ends where the coefficients change by less than FIT_TOLERANCE. Some ten do."""
+
+FIT_TOLERANCE = 1e-9
+"""Relative to the largest coefficient."""
+
+IRRADIANCE_SMOOTHNESS = 1e-4
+"""Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: where no normals look, irradiance goes on
+smoothly. Where they look everywhere, a band shrinks by 4 pi l (l + 1) times this: 0.25 %, 0.75 % and 1.5 %."""
+
+CHROMATICITY_SAMPLES_MAX = 2000
+"""Gaussians of each side in NCM-ab, drawn at random beyond: optimal transport between so many takes half a second,
+four times as many half a minute."""
+
+SHADOW_MASK_THRESHOLD = 0.1
+"""tau: shadow strength above which a pixel is in shadow. Section 4.2."""
+
+BOUNDARY_TOLERANCE_PX = 2.0
+"""Distance, pixels, within which boundaries of shadows agree. Section 4.2, table 3."""
+
+SSIM_SIGMA_PX = 1.5
+"""Standard deviation of SSIM's window. Wang et al. 2004."""
+
+SSIM_WINDOW_PX = 11
+"""Side of SSIM's window. Wang et al. 2004."""
+
+FLIP_PIXELS_PER_DEGREE = 67.02064514160156
+"""FLIP's own default: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m. Andersson et al. 2020."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3

@@ -1,0 +1,99 @@
+"""How near a picture is to its reference: PSNR, SSIM and FLIP, of display-referred pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
+from lumisplat.errors import ConfigError, MissingExtraError, SceneError
+from lumisplat.metrics.arguments import same_images
+
+
+def psnr(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Peak signal-to-noise ratio: ``10 log10(1 / MSE)`` over all pixels and channels.
+
+    Args:
+        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3).
+        reference: What it should be, of the same shape.
+
+    Returns:
+        Decibels, 0 and more, the higher the better; infinite where both are the same.
+
+    Raises:
+        SceneError: These are no two pictures of one size and range.
+    """
+    tested, wanted = same_images(image, reference)
+    error = float(np.mean((tested - wanted) ** 2))
+    return float("inf") if error == 0.0 else -10.0 * np.log10(error).item()
+
+
+def ssim(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
+    """Structural similarity (Wang et al. 2004), the mean over pixels and channels.
+
+    Means, variances and covariance are weighted by a Gaussian of 1.5 pixels in windows of 11 x 11, those that lie whole
+    inside; K1 = 0.01, K2 = 0.03, as in the paper, and computed by scikit-image.
+
+    Args:
+        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), at least 11 pixels each way.
+        reference: What it should be, of the same shape.
+
+    Returns:
+        -1..1, the higher the better; 1 where both are the same.
+
+    Raises:
+        SceneError: These are no two pictures of one size and range, or they are smaller than the window.
+        MissingExtraError: scikit-image is not installed.
+    """
+    tested, wanted = same_images(image, reference)
+    if min(tested.shape[:2]) < SSIM_WINDOW_PX:
+        height, width = tested.shape[:2]
+        raise SceneError(f"ssim looks at {SSIM_WINDOW_PX} x {SSIM_WINDOW_PX} pixels, the images are {width} x {height}")
+    try:
+        from skimage.metrics import structural_similarity
+    except ImportError:
+        raise MissingExtraError("ssim", "metrics") from None
+    similarity = structural_similarity(
+        tested,
+        wanted,
+        data_range=1.0,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=SSIM_SIGMA_PX,
+        use_sample_covariance=False,
+    )
+    return float(np.asarray(similarity))
+
+
+def flip(
+    image: npt.ArrayLike, reference: npt.ArrayLike, *, pixels_per_degree: float = FLIP_PIXELS_PER_DEGREE
+) -> float:
+    """LDR-FLIP (Andersson et al. 2020), the mean over pixels: what is seen when flipping between both.
+
+    Computed by NVIDIA's own implementation.
+
+    Args:
+        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3).
+        reference: What it should be, of the same shape.
+        pixels_per_degree: How fine the display is for the eye, pixels per degree of the visual angle, 1 to 1000. FLIP's
+            own default is a 4K screen, 0.7 m wide, seen from 0.7 m.
+
+    Returns:
+        0..1, the lower the better; 0 where both are the same.
+
+    Raises:
+        ConfigError: ``pixels_per_degree`` is out of range.
+        SceneError: These are no two pictures of one size and range.
+        MissingExtraError: flip-evaluator is not installed.
+    """
+    tested, wanted = same_images(image, reference)
+    if not 1.0 <= pixels_per_degree <= 1000.0:
+        raise ConfigError(f"pixels_per_degree is {pixels_per_degree}, expected 1 to 1000")
+    try:
+        import flip_evaluator
+    except ImportError:
+        raise MissingExtraError("flip", "metrics") from None
+    pair = [np.ascontiguousarray(pixels, np.float32) for pixels in (wanted, tested)]
+    settings = {"ppd": float(pixels_per_degree)}
+    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", True, False, True, settings)
+    return float(mean)
