@@ -12,11 +12,13 @@ if TYPE_CHECKING:
         AtlasLayout,
         DeepShadowConfig,
         HitDistance,
+        NormalEstimate,
         NormalMethod,
         Pipeline,
         RasterConfig,
         RasterStrategy,
         ReceiverSampling,
+        RelightConfig,
         RenderConfig,
         ShadowConfig,
         ShadowMethod,
@@ -35,22 +37,30 @@ if TYPE_CHECKING:
     )
     from lumisplat.io import (
         load,
+        load_animation,
         load_cameras,
         load_config,
         load_radiance,
+        load_rig,
+        load_sequence,
         save,
         save_animation,
         save_cameras,
         save_config,
     )
+    from lumisplat.relight.normals import estimate_normals
+    from lumisplat.relight.probe import EnvironmentProbe
+    from lumisplat.relight.transfer import relight
     from lumisplat.render.calls import render, trace_rays, transmittance
     from lumisplat.render.frame import Frame
     from lumisplat.render.rays import RayHits
     from lumisplat.render.renderer import Renderer, create_renderer
+    from lumisplat.scene.actors import Actor, Animation
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.demo import demo_cameras, demo_scene
     from lumisplat.scene.demo_lit import demo_scene_lit
     from lumisplat.scene.gaussians import Gaussians
+    from lumisplat.scene.keyframes import Keyframes
     from lumisplat.scene.lights import (
         LightDirectional,
         LightEnvironment,
@@ -62,8 +72,11 @@ if TYPE_CHECKING:
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.recolor import scale_light
+    from lumisplat.scene.rig import Rig
+    from lumisplat.scene.rigged import RiggedGaussians, bind_gaussians
     from lumisplat.scene.sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+    from lumisplat.scene.sequence import GaussianSequence
     from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
 
 __version__ = "0.1.0"
@@ -71,6 +84,8 @@ __version__ = "0.1.0"
 # Public name -> module, imported on first use: `lumisplat --help` must not pay for Warp, and io not for a GPU.
 _HOME = {
     "Absorption": "config",
+    "Actor": "scene.actors",
+    "Animation": "scene.actors",
     "Antialiasing": "config",
     "AtlasLayout": "config",
     "Camera": "scene.camera",
@@ -79,10 +94,13 @@ _HOME = {
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadowmaps.deep_shadow_map",
     "DeviceError": "errors",
+    "EnvironmentProbe": "relight.probe",
     "FormatError": "errors",
     "Frame": "render.frame",
+    "GaussianSequence": "scene.sequence",
     "Gaussians": "scene.gaussians",
     "HitDistance": "config",
+    "Keyframes": "scene.keyframes",
     "LightDirectional": "scene.lights",
     "LightEnvironment": "scene.lights",
     "LightPoint": "scene.lights",
@@ -95,14 +113,18 @@ _HOME = {
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
     "MissingExtraError": "errors",
+    "NormalEstimate": "config",
     "NormalMethod": "config",
     "Pipeline": "config",
     "RasterConfig": "config",
     "RasterStrategy": "config",
     "RayHits": "render.rays",
     "ReceiverSampling": "config",
+    "RelightConfig": "config",
     "RenderConfig": "config",
     "Renderer": "render.renderer",
+    "Rig": "scene.rig",
+    "RiggedGaussians": "scene.rigged",
     "Scene": "scene.scene",
     "SceneError": "errors",
     "ShadowConfig": "config",
@@ -112,15 +134,21 @@ _HOME = {
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",
+    "bind_gaussians": "scene.rigged",
     "create_renderer": "render.renderer",
     "demo_cameras": "scene.demo",
     "demo_scene": "scene.demo",
     "demo_scene_lit": "scene.demo_lit",
+    "estimate_normals": "relight.normals",
     "gaussians_from_mesh": "scene.sampling",
     "load": "io",
+    "load_animation": "io",
     "load_cameras": "io",
     "load_config": "io",
     "load_radiance": "io",
+    "load_rig": "io",
+    "load_sequence": "io",
+    "relight": "relight.transfer",
     "render": "render.calls",
     "save": "io",
     "save_animation": "io",
@@ -133,6 +161,8 @@ _HOME = {
 
 __all__ = [
     "Absorption",
+    "Actor",
+    "Animation",
     "Antialiasing",
     "AtlasLayout",
     "Camera",
@@ -141,10 +171,13 @@ __all__ = [
     "DeepShadowConfig",
     "DeepShadowMap",
     "DeviceError",
+    "EnvironmentProbe",
     "FormatError",
     "Frame",
+    "GaussianSequence",
     "Gaussians",
     "HitDistance",
+    "Keyframes",
     "LightDirectional",
     "LightEnvironment",
     "LightPoint",
@@ -157,14 +190,18 @@ __all__ = [
     "Mesh",
     "MeshInstance",
     "MissingExtraError",
+    "NormalEstimate",
     "NormalMethod",
     "Pipeline",
     "RasterConfig",
     "RasterStrategy",
     "RayHits",
     "ReceiverSampling",
+    "RelightConfig",
     "RenderConfig",
     "Renderer",
+    "Rig",
+    "RiggedGaussians",
     "Scene",
     "SceneError",
     "ShadowConfig",
@@ -174,15 +211,21 @@ __all__ = [
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
+    "bind_gaussians",
     "create_renderer",
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",
+    "estimate_normals",
     "gaussians_from_mesh",
     "load",
+    "load_animation",
     "load_cameras",
     "load_config",
     "load_radiance",
+    "load_rig",
+    "load_sequence",
+    "relight",
     "render",
     "save",
     "save_animation",

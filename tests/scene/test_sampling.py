@@ -15,7 +15,8 @@ from lumisplat.scene import shapes, shapes_swept
 from lumisplat.scene.blue_noise import cross_pairs, neighbour_pairs
 from lumisplat.scene.color import decode_srgb, encode_srgb
 from lumisplat.scene.creases import crease_points
-from lumisplat.scene.sampling import _quaternions, gaussians_from_mesh
+from lumisplat.scene.rotations import quaternions_from_matrices
+from lumisplat.scene.sampling import gaussians_from_mesh
 from lumisplat.scene.textures import marble
 
 COUNT = 3000
@@ -282,7 +283,7 @@ def test_quaternions_turn_back_into_their_matrices(seed: int) -> None:
     half_turns = np.stack([np.diag(d) for d in ([1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1])]).astype(float)
     axes = np.concatenate([frames, half_turns])
     one = np.ones(len(axes))
-    quaternions = _quaternions(axes)
+    quaternions = quaternions_from_matrices(axes)
     gaussians = ls.Gaussians(np.zeros((len(axes), 3)), quaternions, np.ones((len(axes), 3)), one, np.zeros((12, 1, 3)))  # type: ignore[arg-type]
     np.testing.assert_allclose(rotations(gaussians), axes, atol=1e-5)
 

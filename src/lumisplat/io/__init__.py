@@ -17,17 +17,23 @@ if TYPE_CHECKING:
 
     from lumisplat.config import RenderConfig
     from lumisplat.io.columns import SplatColumns
+    from lumisplat.scene.actors import Animation
     from lumisplat.scene.arrays import FloatArray
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
+    from lumisplat.scene.rig import Rig
     from lumisplat.scene.scene import Scene
+    from lumisplat.scene.sequence import GaussianSequence
 
 __all__ = [
     "load",
+    "load_animation",
     "load_cameras",
     "load_config",
     "load_radiance",
+    "load_rig",
+    "load_sequence",
     "save",
     "save_animation",
     "save_cameras",
@@ -243,6 +249,59 @@ def load_radiance(path: PathLike) -> FloatArray:
     from lumisplat.io.environment import read_radiance
 
     return read_radiance(path)
+
+
+def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
+    """Loads a rigged glTF: its meshes, the joints that move them, and its animations.
+
+    Translation, rotation, scale and weights of morph targets are animated, linearly, in steps or by cubic splines;
+    meshes that are moved by their node alone count as well. Meshes of one material become one.
+
+    Args:
+        path: A ``.glb`` or ``.gltf`` file.
+        vertex_colors: Multiply the base colour by COLOR_0, as the format says; False for files that keep something
+            else there, such as masks, which make them nearly black (a log line tells).
+
+    Raises:
+        FormatError: The file is malformed, has neither skin nor animation, is skinned without weights or with weights
+            that sum to 0, or has keys that are not finite or not in order.
+    """
+    from lumisplat.io.gltf_rig import read_rig
+
+    return read_rig(path, vertex_colors)
+
+
+def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -> GaussianSequence:
+    """Finds the frames of a Gaussian sequence; each is loaded when it is shown.
+
+    Args:
+        folder: Holds a capture a frame, all with the same extension (.ply, .compressed.ply, .spz, .sog), in the
+            natural order of their names: ``frame_2`` before ``frame_10``. Files of other kinds are ignored.
+        fps: Frames a second, above 0.
+        drop_invalid: As of `load`, for each frame.
+
+    Raises:
+        FormatError: There is no such folder, no frame in it, frames of two kinds, or the first one cannot be read.
+        SceneError: ``fps`` is out of range.
+    """
+    from lumisplat.io.sequence import read_sequence
+
+    return read_sequence(folder, fps, drop_invalid)
+
+
+def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
+    """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``.
+
+    Args:
+        path: The scene file.
+        drop_invalid: As of `load`, for each capture.
+
+    Raises:
+        FormatError: The file or one that it names cannot be read, or an entry is bad; names the line and the key.
+    """
+    from lumisplat.io.scene_actors import read_animation
+
+    return read_animation(path)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

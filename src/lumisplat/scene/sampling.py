@@ -35,6 +35,7 @@ from lumisplat.scene.creases import CreasePoints, crease_points
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.rotations import quaternions_from_matrices
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.surface_color import base_colors, interpolated
 
@@ -105,7 +106,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     physical = isinstance(material, MaterialPbr)
     return Gaussians(
         means=points.positions.astype(np.float32),
-        rotations_wxyz=_quaternions(axes),
+        rotations_wxyz=quaternions_from_matrices(axes),
         scales=np.concatenate([wide, thin], axis=1),
         opacities=np.full(count, SAMPLING_OPACITY),
         sh=(encode_srgb(albedo)[:, None, :] - 0.5) / SH_C0,
@@ -250,26 +251,3 @@ def _covering_pairs(
     gaussians = gaussian_of[np.concatenate([pairs.first, pairs.second])]
     wanted = (gaussians >= 0) & (inner & (gaussian_of < 0))[points]
     return points[wanted], gaussians[wanted]
-
-
-def _quaternions(axes: _Floats) -> _Floats:
-    """Unit quaternions wxyz of rotation matrices, shape (N, 4) from (N, 3, 3).
-
-    Of the four ways to write one (Shepperd 1978), each row takes the one with the largest divisor.
-    """
-    m = axes
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    yz, xz, xy = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    yz_sum, xz_sum, xy_sum = m[:, 2, 1] + m[:, 1, 2], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 0] + m[:, 0, 1]
-    ways = np.stack(
-        [
-            np.stack([1.0 + xx + yy + zz, yz, xz, xy], axis=1),
-            np.stack([yz, 1.0 + xx - yy - zz, xy_sum, xz_sum], axis=1),
-            np.stack([xz, xy_sum, 1.0 - xx + yy - zz, yz_sum], axis=1),
-            np.stack([xy, xz_sum, yz_sum, 1.0 - xx - yy + zz], axis=1),
-        ],
-        axis=1,
-    )
-    best = np.argmax(np.diagonal(ways, axis1=1, axis2=2), axis=1)
-    picked = ways[np.arange(best.size), best]
-    return picked / np.linalg.norm(picked, axis=1, keepdims=True)
