@@ -33,8 +33,8 @@ MAY_IMPORT = {
 }
 """Layer -> the layers of ours that its modules may import. ``public`` is ``import lumisplat`` and its names."""
 
-LAZY = {"render.frame": {"io"}}
-"""Modules that write files, and import the writers inside the functions that do."""
+LAZY = {"render.frame": {"io"}, "metrics.lit_points": {"relight"}}
+"""What modules import inside the functions that need it: the writers of files, and how normals are estimated."""
 
 
 def module_name(path: Path) -> str:

@@ -224,6 +224,31 @@ SSIM_WINDOW_PX = 11
 FLIP_PIXELS_PER_DEGREE = 67.02064514160156
 """FLIP's own default: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m. Andersson et al. 2020."""
 
+# --- Light found in captures (seeds/001, section 3.1, which gives no figures; docs/adr/0014) ---
+
+LIGHT_SEARCH_STRAYS = 0.02
+"""Share of the Gaussians, the farthest from the character, that do not count for the scene's size: captures have strays
+far outside."""
+
+LIGHT_SEARCH_VIEWPOINTS = 0.1
+"""Distance of the viewpoints from the character, in radii of the region: of a room's 3 m, a person's width."""
+
+LIGHT_SEARCH_EMITTER = 1.0 / 12.0
+"""Size of a compact emitter, in radii of the region: of a room's 3 m, a lamp of 25 cm."""
+
+LIGHT_SEARCH_SEPARATION = 3.0
+"""Distance of two lights, in sizes of an emitter: beyond the surroundings that a candidate is compared with."""
+
+LIGHT_SEARCH_CLIP = 0.99
+"""Quantile of luminance above which it counts by its logarithm: single Gaussians of captures are a hundred times too
+bright."""
+
+LIGHT_SEARCH_PRIOR = 4.0
+"""Gaussians of mean score that are added to each direction's surroundings: one stray neighbour decides nothing."""
+
+LIGHT_SEARCH_BROAD = 0.05
+"""Share of its score that a light keeps which does not stand out, where such are wanted at all."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3
@@ -249,6 +274,21 @@ SH_C0 = 0.28209479177387814
 RECOLOR_DARK = 1e-4
 """Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB curve
 (0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
+
+# --- Probes of environment light, and what is relit by them (seeds/001, sections 3.4 and 3.5) ---
+
+PROBE_DEGREE_MAX = 8
+"""Highest SH degree of a probe: 81 coefficients, lobes of some 20 degrees. Beyond, an image serves better."""
+
+PROBE_FACE_PX = 64
+"""Pixels along a face of a probe's cube: about 1.4 degrees, where harmonics of degree 8 change over 20."""
+
+PROBE_RIDGE = 1e-9
+"""Ridge of the fit where weights sum to 4 pi: below float32's rounding, so that what harmonics can hold comes out
+exactly, and enough for a solution where directions are too few."""
+
+PROBE_IMAGE_ROWS = 64
+"""Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 

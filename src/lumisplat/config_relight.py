@@ -1,0 +1,48 @@
+"""Settings of relighting: what a probe's light does to Gaussians. As config.py, which would grow too long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from lumisplat.config import check_enum, check_range, check_whole
+
+
+class NormalEstimate(Enum):
+    """Where normals of Gaussians come from."""
+
+    AUTO = "auto"
+    """The set's own ``normals``, or without any, `SMALLEST_AXIS`."""
+    SMALLEST_AXIS = "smallest-axis"
+    """Each Gaussian's thinnest axis: sharp, and noisy where Gaussians are round."""
+    PCA = "pca"
+    """Of the plane through the means around, weighted by opacity and distance: smooth, and blunt at edges."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelightConfig:
+    """Settings of the transfer of a probe's light to Gaussians (seeds/001, section 3.5).
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    exponent: float = 1.0
+    """Of the cosine lobe about the normal that gathers light, q of equation 9, 0.1..64: 1 is matt, more is glossier."""
+    scale_max: float = 4.0
+    """Factor at which a Gaussian's light is clipped before ``gamma``, t_max of equation 10, 0..1000."""
+    gamma: float = 1.0
+    """Global intensity, a linear factor of all light, 0..1000. At 1, surroundings of radiance 1 (display white) leave
+    colours as they are."""
+    normals: NormalEstimate = NormalEstimate.AUTO
+    """Where normals come from if none are given."""
+    rows: int = 16
+    """Of the latitude-longitude grid, twice as wide, over which light is summed, 8..128. 16 do for exponents up to 8,
+    larger ones need more."""
+
+    def __post_init__(self) -> None:
+        check_range("exponent", self.exponent, 0.1, 64.0)
+        check_range("scale_max", self.scale_max, 0.0, 1000.0)
+        check_range("gamma", self.gamma, 0.0, 1000.0)
+        check_enum("normals", self.normals, NormalEstimate)
+        check_whole("rows", self.rows, 8, 128)
