@@ -17,7 +17,7 @@ BASE = {"constants", "errors", "config"}
 MAY_IMPORT = {
     "constants": set(),
     "errors": set(),
-    "config": {"constants", "errors"},
+    "config": {"constants", "errors", "config"},
     "scene": BASE | {"scene"},
     "io": BASE | {"scene", "io"},
     "metrics": BASE | {"scene", "metrics"},
@@ -33,7 +33,7 @@ MAY_IMPORT = {
 }
 """Layer -> the layers of ours that its modules may import. ``public`` is ``import lumisplat`` and its names."""
 
-LAZY = {"render.frame": {"io"}, "metrics.lit_points": {"relight"}}
+LAZY = {"render.frame": {"io"}, "relight.probe": {"io"}, "metrics.lit_points": {"relight"}}
 """What modules import inside the functions that need it: the writers of files, and how normals are estimated."""
 
 
@@ -45,6 +45,8 @@ def module_name(path: Path) -> str:
 
 def layer(name: str) -> str:
     """The layer that a module belongs to: its kind of file, or its top folder."""
+    if name.startswith("config_"):
+        return "config"
     return "kernels" if name.endswith("_kernels") else name.partition(".")[0] or "public"
 
 

@@ -1,1 +1,1 @@
-"""How well lighting fits and images agree: each metric by its definition, unit and source. Nothing here imports Warp."""
+"""How well lighting fits and images agree: each metric by its definition, unit and source. None of it needs Warp."""

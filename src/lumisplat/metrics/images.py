@@ -65,9 +65,7 @@ def ssim(image: npt.ArrayLike, reference: npt.ArrayLike) -> float:
     return float(np.asarray(similarity))
 
 
-def flip(
-    image: npt.ArrayLike, reference: npt.ArrayLike, *, pixels_per_degree: float = FLIP_PIXELS_PER_DEGREE
-) -> float:
+def flip(image: npt.ArrayLike, reference: npt.ArrayLike, *, pixels_per_degree: float = FLIP_PIXELS_PER_DEGREE) -> float:
     """LDR-FLIP (Andersson et al. 2020), the mean over pixels: what is seen when flipping between both.
 
     Computed by NVIDIA's own implementation.
