@@ -290,6 +290,27 @@ exactly, and enough for a solution where directions are too few."""
 PROBE_IMAGE_ROWS = 64
 """Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
+NORMAL_NEIGHBOURS = 16
+"""Others in the median around a Gaussian whose plane is its normal: two rings of them on a surface."""
+
+NORMAL_NEIGHBOURS_MIN = 4
+"""Below this many a plane says nothing."""
+
+OUTSIDE_CELLS = 1_500_000
+"""Cells of the voxels that tell a set's outside, at most: about a centimetre for a person; half a second."""
+
+OUTSIDE_OPACITY_MIN = 0.1
+"""Gaussians fainter than this are no wall: haze around an object must not enclose it."""
+
+OUTSIDE_REACH = 1.5
+"""Scales of a Gaussian up to which its disc is solid: neighbours on a surface meet there."""
+
+OUTSIDE_STEPS_MAX = 12
+"""Cells from a disc's middle to its rim at most: a few huge Gaussians may leak, not cost all the time."""
+
+OUTSIDE_CONTRAST = 0.25
+"""One side is outside where its share is larger than the other's by this: an eighth is what blurring can add."""
+
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
@@ -430,3 +451,18 @@ DECODED_BYTES_FREE = 256 * 2**20
 
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
+
+# --- Rigs ---
+
+RIG_BLACK_COLOR = 0.5 / 255.0
+"""Vertex colour below which a vertex is black: 8 bits round it to 0."""
+
+RIG_BLACK_SHARE = 0.5
+"""Share of black vertices above which a file is said to hold something else than colours in COLOR_0."""
+
+RIG_HIDDEN_AREA = 1e-8
+"""Area of a posed triangle, in its areas at rest, below which its Gaussians vanish: lengths shrink to 1e-4."""
+
+RIG_SHEAR_MIN = 1e-6
+"""Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: float32's rounding. Round discs
+would else turn by chance."""

@@ -11,8 +11,9 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_lights import read_lights
 from lumisplat.io.gltf_material import GltfMaterials, warn_unread
-from lumisplat.io.gltf_mesh import Skin, read_primitives
+from lumisplat.io.gltf_mesh import read_primitives
 from lumisplat.io.gltf_nodes import Matrix, node_label, scene_nodes, world_transforms
+from lumisplat.io.gltf_skin import read_skin
 from lumisplat.io.mesh_arrays import TriangleSieve
 from lumisplat.io.source import PathLike, parsing
 from lumisplat.scene.mesh import Mesh
@@ -36,7 +37,7 @@ def read_gltf(path: PathLike) -> Scene:
     path = Path(path)
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
-        _check_extensions(file)
+        check_extensions(file)
         warn_unread(file)
         world_from_node, nodes = world_transforms(file), list(scene_nodes(file))
         sieve = TriangleSieve(path)
@@ -49,7 +50,12 @@ def read_gltf(path: PathLike) -> Scene:
         return Scene(meshes=meshes, lights=lights)
 
 
-def _check_extensions(file: GltfFile) -> None:
+def check_extensions(file: GltfFile) -> None:
+    """Refuses files that cannot be read without what is not supported.
+
+    Raises:
+        FormatError: Names the extensions.
+    """
     required = file.model.extensionsRequired or []
     unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
     unknown += [name for name in required if name == "KHR_materials_pbrSpecularGlossiness"]
@@ -72,7 +78,8 @@ def _placed_meshes(
         if node.skin is not None:
             # The joints pose it in the world, whatever its own node says (section 3.7.3.3).
             world_from_object = np.eye(4)
-            meshes = read_primitives(file, node.mesh, materials, sieve, _read_skin(file, node.skin, world_from_node))
+            skin = read_skin(file, node.skin)
+            meshes = read_primitives(file, node.mesh, materials, sieve, skin.world_from_bind(world_from_node))
         else:
             if node.mesh not in unskinned:
                 unskinned[node.mesh] = read_primitives(file, node.mesh, materials, sieve)
@@ -82,18 +89,3 @@ def _placed_meshes(
                 yield MeshInstance(mesh, world_from_object, name=node.name or mesh.name)
             except SceneError as error:
                 raise FormatError(file.path, f"{node_label(file, index)}: {error}") from None
-
-
-def _read_skin(file: GltfFile, index: int, world_from_node: list[Matrix]) -> Skin:
-    skin = file.item("skins", index, "a node")
-    where = f"skins[{index}]"
-    for joint in skin.joints:
-        file.item("nodes", joint, where)
-    world_from_joint = np.stack([world_from_node[joint] for joint in skin.joints])
-    if skin.inverseBindMatrices is None:
-        return Skin(world_from_joint)
-    joint_from_bind = file.floats(skin.inverseBindMatrices, "MAT4", where).astype(np.float64)
-    if len(joint_from_bind) < len(skin.joints):
-        raise FormatError(file.path, f"{where} has {len(joint_from_bind)} matrices for {len(skin.joints)} joints")
-    columns = joint_from_bind[: len(skin.joints)].reshape(-1, 4, 4)
-    return Skin(world_from_joint @ columns.transpose(0, 2, 1))

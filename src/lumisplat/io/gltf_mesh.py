@@ -1,7 +1,8 @@
-"""glTF primitives: triangles, attributes, morph targets at their default weights, skins in their rest pose."""
+"""glTF primitives: triangles, attributes, morph targets, skins; as stored, or as meshes in their rest pose."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,21 +12,40 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_material import GltfMaterials, texture_uvs
+from lumisplat.io.gltf_skin import Influences, read_influences
 from lumisplat.io.mesh_arrays import TriangleSieve, unit_normals, without_loose_textures
+from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.skinning import blended, mirrors, moved_normals, moved_points
 
 if TYPE_CHECKING:
     import pygltflib
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
+_Floats = npt.NDArray[np.float32]
+
 
 @dataclass(frozen=True, slots=True)
-class Skin:
-    """Where a skin's joints take the mesh."""
+class RawPrimitive:
+    """A triangle primitive as stored, V vertices."""
 
-    world_from_bind: npt.NDArray[np.float64]
-    """Joint pose times inverse bind matrix, shape (J, 4, 4)."""
+    positions: _Floats
+    """Shape (V, 3)."""
+    normals: _Floats | None
+    """Of any length, shape (V, 3)."""
+    uvs: _Floats | None
+    colors: _Floats | None
+    """Clipped to 0..1, shape (V, 3)."""
+    triangles: npt.NDArray[np.int64]
+    """Shape (F, 3); corners may be no vertex."""
+    material: Material
+    influences: Influences | None
+    """Of a skinned node."""
+    morph_positions: dict[int, _Floats]
+    """Offsets by the number of the morph target, shape (V, 3) each; targets may have none."""
+    morph_normals: dict[int, _Floats]
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +56,7 @@ class _Primitive:
     item: pygltflib.Primitive
     where: str
 
-    def floats(self, name: str, kind: str) -> npt.NDArray[np.float32] | None:
+    def floats(self, name: str, kind: str) -> _Floats | None:
         """An attribute by name, None where the primitive has none."""
         accessor = getattr(self.item.attributes, name, None)
         return None if accessor is None else self.file.floats(accessor, kind, f"{self.where} {name}")
@@ -46,62 +66,116 @@ class _Primitive:
 
 
 def read_primitives(
-    file: GltfFile, mesh_index: int, materials: GltfMaterials, sieve: TriangleSieve, skin: Skin | None = None
+    file: GltfFile,
+    mesh_index: int,
+    materials: GltfMaterials,
+    sieve: TriangleSieve,
+    world_from_bind: npt.NDArray[np.float64] | None = None,
 ) -> list[Mesh]:
-    """The triangle primitives of a mesh; points and lines are left out, and what has no usable triangle.
+    """The triangle primitives of a mesh, morph targets at their default weights.
+
+    Points and lines are left out, and what has no usable triangle.
 
     Args:
         file: The file.
         mesh_index: Which mesh.
         materials: Of the same file.
         sieve: Of the same file.
-        skin: Poses the vertices in the world; None leaves them in mesh space.
+        world_from_bind: Where the joints of its skin take it, shape (J, 4, 4); None leaves it in mesh space.
+
+    Raises:
+        FormatError: An attribute is missing, malformed or out of range.
+    """
+    joint_count = None if world_from_bind is None else len(world_from_bind)
+    weights = dict(enumerate(file.item("meshes", mesh_index, "a node").weights or ()))
+    used = {target for target, weight in weights.items() if weight != 0.0}
+    meshes = []
+    for raw in read_raw(file, mesh_index, materials, joint_count=joint_count, targets=used):
+        positions, normals, triangles = raw.positions, raw.normals, raw.triangles
+        for target, offsets in raw.morph_positions.items():
+            positions = (positions + weights[target] * offsets).astype(np.float32)
+        for target, offsets in raw.morph_normals.items():
+            normals = None if normals is None else (normals + weights[target] * offsets).astype(np.float32)
+        if raw.influences is not None:
+            matrices = blended(world_from_bind, raw.influences.joints, raw.influences.weights)
+            positions = moved_points(matrices, positions).astype(np.float32)
+            normals = None if normals is None else moved_normals(matrices, normals)
+            triangles = triangles[:, ::-1] if mirrors(matrices) else triangles
+        indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
+        if indices.size:
+            textured = Mesh(
+                positions,
+                indices,
+                normals=None if normals is None else unit_normals(normals, positions, indices),
+                uvs=raw.uvs,
+                material=raw.material,
+                colors=raw.colors,
+                name=raw.name,
+            )
+            meshes.append(without_loose_textures(file.path, textured))
+    return meshes
+
+
+def read_raw(
+    file: GltfFile,
+    mesh_index: int,
+    materials: GltfMaterials,
+    *,
+    joint_count: int | None = None,
+    targets: set[int] | None = None,
+) -> Iterator[RawPrimitive]:
+    """The triangle primitives of a mesh as they are stored; points and lines are left out.
+
+    Args:
+        file: The file.
+        mesh_index: Which mesh.
+        materials: Of the same file.
+        joint_count: Of the skin of its node; None for a node without one.
+        targets: Which morph targets to read; None: all.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
     """
     mesh = file.item("meshes", mesh_index, "a node")
-    meshes = [
-        _mesh(_Primitive(file, item, f"meshes[{mesh_index}].primitives[{k}]"), mesh, materials, sieve, skin)
-        for k, item in enumerate(mesh.primitives)
-        if item.mode in (None, _TRIANGLES, _STRIP, _FAN)
-    ]
-    return [mesh for mesh in meshes if mesh is not None]
+    for k, item in enumerate(mesh.primitives):
+        if item.mode in (None, _TRIANGLES, _STRIP, _FAN):
+            primitive = _Primitive(file, item, f"meshes[{mesh_index}].primitives[{k}]")
+            yield _raw(primitive, mesh.name or "", materials, joint_count, targets)
 
 
-def _mesh(
-    primitive: _Primitive, mesh: pygltflib.Mesh, materials: GltfMaterials, sieve: TriangleSieve, skin: Skin | None
-) -> Mesh | None:
+def _raw(
+    primitive: _Primitive, name: str, materials: GltfMaterials, joint_count: int | None, targets: set[int] | None
+) -> RawPrimitive:
     positions = primitive.floats("POSITION", "VEC3")
     if positions is None:
         raise primitive.error("has no POSITION")
     normals = primitive.floats("NORMAL", "VEC3")
     colors = primitive.floats("COLOR_0", "VEC3 VEC4")
     uvs = texture_uvs(primitive.file, primitive.item, primitive.where)
-    for name, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
+    for attribute, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
         if array is not None and len(array) != len(positions):
-            raise primitive.error(f"has {len(array):,} {name} for {len(positions):,} POSITION")
-    for weight, target in zip(mesh.weights or (), primitive.item.targets or (), strict=False):
-        positions = _morphed(primitive, target, "POSITION", positions, weight)
-        normals = None if normals is None else _morphed(primitive, target, "NORMAL", normals, weight)
-    if skin is not None:
-        matrices = _skin_matrices(primitive, skin, len(positions))
-        positions = _transformed(matrices, positions)
-        normals = None if normals is None else _transformed_normals(matrices, normals)
-    triangles = _triangles(primitive, len(positions))
-    indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
-    if not indices.size:
-        return None
-    textured = Mesh(
+            raise primitive.error(f"has {len(array):,} {attribute} for {len(positions):,} POSITION")
+    influences = None
+    if joint_count is not None:
+        influences = read_influences(
+            primitive.file,
+            primitive.item,
+            primitive.where,
+            vertex_count=len(positions),
+            joint_count=joint_count,
+        )
+    return RawPrimitive(
         positions,
-        indices,
-        normals=None if normals is None else unit_normals(normals, positions, indices),
-        uvs=uvs,
-        material=materials.get(primitive.item.material, primitive.where),
-        colors=None if colors is None else np.clip(colors[:, :3], 0.0, 1.0),
-        name=mesh.name or "",
+        normals,
+        uvs,
+        None if colors is None else np.clip(colors[:, :3], 0.0, 1.0),
+        _triangles(primitive, len(positions)),
+        materials.get(primitive.item.material, primitive.where),
+        influences,
+        _morphs(primitive, "POSITION", positions, targets),
+        {} if normals is None else _morphs(primitive, "NORMAL", normals, targets),
+        name,
     )
-    return without_loose_textures(primitive.file.path, textured)
 
 
 def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64]:
@@ -124,48 +198,14 @@ def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64
     return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
-def _morphed(
-    primitive: _Primitive, target: Any, name: str, base: npt.NDArray[np.float32], weight: float
-) -> npt.NDArray[np.float32]:
-    """``base`` plus the weighted offsets of a morph target (accessors by attribute name), shape (V, 3)."""
-    if name not in target or weight == 0.0:
-        return base
-    offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")
-    if offsets.shape != base.shape:
-        raise primitive.error(f"has a target of {len(offsets):,} {name} for {len(base):,} vertices")
-    return (base + weight * offsets).astype(np.float32)
-
-
-def _skin_matrices(primitive: _Primitive, skin: Skin, vertex_count: int) -> npt.NDArray[np.float64]:
-    """Linear blend skinning (glTF 2.0 section 3.7.3): the weighted mean of the joints' matrices, shape (V, 4, 4)."""
-    matrices = np.zeros((vertex_count, 4, 4))
-    weight_sum = np.zeros(vertex_count)
-    influence_set = 0
-    while (accessor := getattr(primitive.item.attributes, f"JOINTS_{influence_set}", None)) is not None:
-        joints = primitive.file.integers(accessor, "VEC4", f"{primitive.where} JOINTS_{influence_set}")
-        weights = primitive.floats(f"WEIGHTS_{influence_set}", "VEC4")
-        if weights is None or not len(joints) == len(weights) == vertex_count:
-            raise primitive.error(f"needs JOINTS_{influence_set} and WEIGHTS_{influence_set} for each vertex")
-        if joints.max() >= len(skin.world_from_bind):
-            raise primitive.error(f"uses joint {joints.max()}, but its skin has {len(skin.world_from_bind)}")
-        for k in range(4):
-            matrices += weights[:, k, None, None] * skin.world_from_bind[joints[:, k]]
-        weight_sum += weights.sum(axis=1)
-        influence_set += 1
-    unweighted = np.count_nonzero(~(weight_sum > 0.0))
-    if unweighted:
-        raise primitive.error(f"is skinned, but {unweighted:,} vertices have no weight")
-    return matrices / weight_sum[:, None, None]
-
-
-def _transformed(matrices: npt.NDArray[np.float64], points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    return (np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]).astype(np.float32)
-
-
-def _transformed_normals(
-    matrices: npt.NDArray[np.float64], normals: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
-    # Cofactors carry normals as the inverse transpose does, up to length, and exist for a singular matrix too.
-    a, b, c = matrices[:, :3, 0], matrices[:, :3, 1], matrices[:, :3, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return np.einsum("vij,vj->vi", cofactors, normals).astype(np.float32)
+def _morphs(primitive: _Primitive, name: str, base: _Floats, wanted: set[int] | None) -> dict[int, _Floats]:
+    """Offsets of an attribute by the number of the morph target, of those that have some."""
+    found = {}
+    targets: list[dict[str, Any]] = primitive.item.targets or []
+    for number, target in enumerate(targets):
+        if name in target and (wanted is None or number in wanted):
+            offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")
+            if offsets.shape != base.shape:
+                raise primitive.error(f"has a target of {len(offsets):,} {name} for {len(base):,} vertices")
+            found[number] = offsets
+    return found

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.source import PathLike
+from lumisplat.scene.arrays import FloatArray
+from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import check_triangles, problems
 
@@ -104,11 +106,24 @@ def unit_normals(
 
 def without_loose_textures(path: PathLike, mesh: Mesh) -> Mesh:
     """The mesh; without its textures, and a log line that says so, if it has no texture coordinates to place them."""
-    names = [field.name for field in fields(mesh.material) if field.name.endswith("_texture")]
-    loose = [name for name in names if getattr(mesh.material, name) is not None]
-    if not loose or mesh.uvs is not None:
-        return mesh
-    name = mesh.material.name or mesh.name
-    said = f"the texture of {name!r} is" if len(loose) == 1 else f"the {len(loose)} textures of {name!r} are"
+    material = placed_material(path, mesh.material, mesh.uvs, mesh.name)
+    return mesh if material is mesh.material else replace(mesh, material=material)
+
+
+def placed_material(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
+    """The material of a mesh, as `without_loose_textures`.
+
+    Args:
+        path: For the log line.
+        material: As the file has it.
+        uvs: The mesh's texture coordinates.
+        name: The mesh's.
+    """
+    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
+    loose = [texture for texture in names if getattr(material, texture) is not None]
+    if not loose or uvs is not None:
+        return material
+    called = material.name or name
+    said = f"the texture of {called!r} is" if len(loose) == 1 else f"the {len(loose)} textures of {called!r} are"
     _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), said)
-    return replace(mesh, material=replace(mesh.material, **dict.fromkeys(loose)))
+    return replace(material, **dict.fromkeys(loose))
