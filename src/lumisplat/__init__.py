@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         TraceConfig,
         TraceStrategy,
     )
+    from lumisplat.config_lighting import AvatarLightingConfig, LightEstimationConfig
     from lumisplat.config_relight import NormalEstimate, RelightConfig
     from lumisplat.errors import (
         ConfigError,
@@ -51,8 +52,11 @@ if TYPE_CHECKING:
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
+    from lumisplat.relight.light_estimation import LightEstimate, estimate_lights
+    from lumisplat.relight.lighting import AvatarLighter
     from lumisplat.relight.normals import estimate_normals
     from lumisplat.relight.probe import EnvironmentProbe
+    from lumisplat.relight.shadowed import shadowed
     from lumisplat.relight.transfer import relight
     from lumisplat.render.calls import render, trace_rays, transmittance
     from lumisplat.render.frame import Frame
@@ -91,6 +95,8 @@ _HOME = {
     "Animation": "scene.actors",
     "Antialiasing": "config",
     "AtlasLayout": "config",
+    "AvatarLighter": "relight.lighting",
+    "AvatarLightingConfig": "config_lighting",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
     "ConfigError": "errors",
@@ -106,6 +112,8 @@ _HOME = {
     "Keyframes": "scene.keyframes",
     "LightDirectional": "scene.lights",
     "LightEnvironment": "scene.lights",
+    "LightEstimate": "relight.light_estimation",
+    "LightEstimationConfig": "config_lighting",
     "LightPoint": "scene.lights",
     "LightRect": "scene.lights",
     "LightSphere": "scene.lights",
@@ -145,6 +153,7 @@ _HOME = {
     "demo_cameras": "scene.demo",
     "demo_scene": "scene.demo",
     "demo_scene_lit": "scene.demo_lit",
+    "estimate_lights": "relight.light_estimation",
     "estimate_normals": "relight.normals",
     "flip": "metrics.images",
     "gaussians_from_mesh": "scene.sampling",
@@ -166,6 +175,7 @@ _HOME = {
     "save_cameras": "io",
     "save_config": "io",
     "scale_light": "scene.recolor",
+    "shadowed": "relight.shadowed",
     "sm_iou": "metrics.shadows",
     "ssim": "metrics.images",
     "trace_rays": "render.calls",
@@ -178,6 +188,8 @@ __all__ = [
     "Animation",
     "Antialiasing",
     "AtlasLayout",
+    "AvatarLighter",
+    "AvatarLightingConfig",
     "Camera",
     "CameraModel",
     "ConfigError",
@@ -193,6 +205,8 @@ __all__ = [
     "Keyframes",
     "LightDirectional",
     "LightEnvironment",
+    "LightEstimate",
+    "LightEstimationConfig",
     "LightPoint",
     "LightRect",
     "LightSphere",
@@ -232,6 +246,7 @@ __all__ = [
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",
+    "estimate_lights",
     "estimate_normals",
     "flip",
     "gaussians_from_mesh",
@@ -253,6 +268,7 @@ __all__ = [
     "save_cameras",
     "save_config",
     "scale_light",
+    "shadowed",
     "sm_iou",
     "ssim",
     "trace_rays",

@@ -1,0 +1,57 @@
+"""How bright the surroundings of a Gaussian are."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import LIGHT_SEARCH_PRIOR
+
+_RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
+"""The cells around the 3x3x3 in which a candidate's own emitter lies."""
+
+_CELL_BITS = 21
+
+
+def surroundings(
+    means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
+) -> npt.NDArray[np.float64]:
+    """Mean score around some Gaussians, in the direction where it is highest.
+
+    Space is cut into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if that
+    is no larger than ``size``; the ring of cells around these is its surroundings, taken by octants. The largest of
+    the eight means counts: even the corner of a bright wall has more of the wall in one of them.
+
+    Args:
+        means: Shape (N, 3).
+        scores: Shape (N,).
+        rows: The Gaussians that are asked about, shape (R,).
+        size: Scene units, > 0.
+
+    Returns:
+        Shape (R,), above 0 where any score is.
+    """
+    cells = np.floor((means - means.min(axis=0)) / size).astype(np.int64) + 2
+    keys, inverse = np.unique(_keys(cells), return_inverse=True)
+    counts = np.bincount(inverse, minlength=keys.size).astype(np.float64)
+    sums = np.bincount(inverse, weights=scores, minlength=keys.size)
+    asked, back = np.unique(cells[rows], axis=0, return_inverse=True)
+    # One direction starts from Gaussians of mean score, so that a single neighbour does not decide it.
+    octant_counts = np.full((8, len(asked)), LIGHT_SEARCH_PRIOR)
+    octant_sums = octant_counts * scores.mean(dtype=np.float64)
+    for offset in _RING:
+        wanted = _keys(asked + np.array(offset))
+        slots = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
+        met = keys[slots] == wanted
+        for octant, signs in enumerate(itertools.product((-1, 1), repeat=3)):
+            if all(step * sign >= 0 for step, sign in zip(offset, signs, strict=True)):
+                octant_counts[octant] += np.where(met, counts[slots], 0.0)
+                octant_sums[octant] += np.where(met, sums[slots], 0.0)
+    return (octant_sums / octant_counts).max(axis=0)[back.reshape(-1)]
+
+
+def _keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    x, y, z = cells.T
+    return (x << 2 * _CELL_BITS) | (y << _CELL_BITS) | z
