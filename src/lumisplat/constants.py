@@ -201,9 +201,13 @@ FIT_STEPS_MAX = 100
 FIT_TOLERANCE = 1e-9
 """Relative to the largest coefficient."""
 
-IRRADIANCE_SMOOTHNESS = 1e-4
+IRRADIANCE_SMOOTHNESS = 1e-5
 """Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: where no normals look, irradiance goes on
-smoothly. Where they look everywhere, a band shrinks by 4 pi l (l + 1) times this: 0.25 %, 0.75 % and 1.5 %."""
+smoothly. Where they look everywhere, a band shrinks by 4 pi l (l + 1) times this: 0.03 %, 0.08 % and 0.15 %."""
+
+IRRADIANCE_FLOOR = 0.1
+"""Irradiance, of the mean luminance, below which residuals of a fit are no longer taken relative to it: what is darker
+is told by noise and by the black of a camera."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
 """Gaussians of each side in NCM-ab, drawn at random beyond: optimal transport between so many takes half a second,
@@ -308,8 +312,11 @@ OUTSIDE_REACH = 1.5
 OUTSIDE_STEPS_MAX = 12
 """Cells from a disc's middle to its rim at most: a few huge Gaussians may leak, not cost all the time."""
 
-OUTSIDE_CONTRAST = 0.25
-"""One side is outside where its share is larger than the other's by this: an eighth is what blurring can add."""
+OUTSIDE_CONNECTED = 0.25
+"""What a cell that is connected to the outside, around corners, counts for; the rest is for open directions."""
+
+OUTSIDE_CONTRAST = 0.1
+"""One side is outside where its share is larger than the other's by this: two or three of 26 directions."""
 
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 
@@ -460,8 +467,9 @@ RIG_BLACK_COLOR = 0.5 / 255.0
 RIG_BLACK_SHARE = 0.5
 """Share of black vertices above which a file is said to hold something else than colours in COLOR_0."""
 
-RIG_HIDDEN_AREA = 1e-8
-"""Area of a posed triangle, in its areas at rest, below which its Gaussians vanish: lengths shrink to 1e-4."""
+RIG_HIDDEN_AREA = 1e-4
+"""Area of a posed triangle, in its areas at rest, below which its Gaussians vanish: scaled to a hundredth, or so flat
+that float32 no longer knows where it faces."""
 
 RIG_SHEAR_MIN = 1e-6
 """Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: float32's rounding. Round discs

@@ -24,8 +24,8 @@ from lumisplat.scene.scene import SplatInstance
 _Subject = TypeVar("_Subject", Gaussians, SplatInstance)
 _Doubles = npt.NDArray[np.float64]
 
-_NORMALS_AT_ONCE = 2048
-"""Normals whose lobes are in memory at once: 4 MB over 16 rows, which stays in the cache."""
+_NORMALS_AT_ONCE = 1024
+"""Normals whose lobes are in memory at once: 2 MB over 16 rows, which stays in the cache."""
 
 _NO_LIGHT = 1e-12
 """Epsilon of equation 10, sr, where the weights sum to 4 pi: no lobe that the grid resolves comes near it."""
@@ -113,12 +113,13 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
     # Light and weight in one product: columns r, g, b, and the lobe's own sum.
     table = (grid.weights[:, None] * np.column_stack([around, np.ones(len(around))])).astype(np.float32)
     directions = np.ascontiguousarray(grid.directions.T, np.float32)
-    scales = np.empty_like(unit)
+    scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(around)), np.float32)
     for first in range(0, len(unit), _NORMALS_AT_ONCE):
         rows = slice(first, first + _NORMALS_AT_ONCE)
-        lobes = np.maximum(unit[rows] @ directions, np.float32(0.0))
+        lobes = np.matmul(unit[rows], directions, out=space[: len(unit[rows])])
+        np.maximum(lobes, np.float32(0.0), out=lobes)
         if config.exponent != 1.0:
-            lobes **= np.float32(config.exponent)
+            np.power(lobes, np.float32(config.exponent), out=lobes)
         gathered = (lobes @ table).astype(np.float64)
         scales[rows] = mean + gathered[:, :3] / (gathered[:, 3:] + _NO_LIGHT)
     return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))
