@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -76,12 +77,27 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     Raises:
         SceneError: This is no mesh, or ``count`` is not a whole number of 1 to 50,000,000.
     """
+    return sample_surface(mesh, count, seed).gaussians
+
+
+class SurfaceSamples(NamedTuple):
+    """Gaussians of a mesh, and where on it their centres are."""
+
+    gaussians: Gaussians
+    faces: npt.NDArray[np.integer]
+    """Triangle of each, shape (N,)."""
+    weights: npt.NDArray[np.float64]
+    """Barycentric coordinates in it, shape (N, 3)."""
+
+
+def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:
+    """As `gaussians_from_mesh`, with the triangles that the Gaussians lie on."""
     if not isinstance(mesh, Mesh):
         hint = ": give scene.meshes[0].mesh, for example" if isinstance(mesh, Scene) else ""
         raise SceneError(f"gaussians_from_mesh takes a Mesh, got a {type(mesh).__name__}{hint}")
     areas, face_normals = _face_areas_and_normals(mesh)
     if count is None:
-        count = _default_count(mesh, areas)
+        count = default_count([mesh])
     if not isinstance(count, int | np.integer) or not 1 <= count <= SAMPLING_COUNT_MAX:
         raise SceneError(f"count is {count}, expected a whole number from 1 to {SAMPLING_COUNT_MAX:,}")
     spacing = math.sqrt(float(areas.sum()) / count)
@@ -104,7 +120,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
     albedo = base_colors(mesh, points.faces, points.weights, 0.5 * spacing)
     material = mesh.material
     physical = isinstance(material, MaterialPbr)
-    return Gaussians(
+    gaussians = Gaussians(
         means=points.positions.astype(np.float32),
         rotations_wxyz=quaternions_from_matrices(axes),
         scales=np.concatenate([wide, thin], axis=1),
@@ -115,6 +131,7 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
         roughness=np.full(count, material.roughness) if physical else None,
         metallic=np.full(count, material.metallic) if physical else None,
     )
+    return SurfaceSamples(gaussians, points.faces, points.weights)
 
 
 def _face_areas_and_normals(mesh: Mesh) -> tuple[_Floats, _Floats]:
@@ -125,10 +142,17 @@ def _face_areas_and_normals(mesh: Mesh) -> tuple[_Floats, _Floats]:
     return 0.5 * doubled, normals
 
 
-def _default_count(mesh: Mesh, areas: _Floats) -> int:
-    corners = mesh.positions[mesh.indices[areas > 0.0]].reshape(-1, 3).astype(np.float64)
-    diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
-    ideal = float(areas.sum()) / (diagonal / SAMPLING_SPACINGS_PER_DIAGONAL) ** 2
+def surface_area(mesh: Mesh) -> float:
+    """Of all triangles, square scene units."""
+    return float(_face_areas_and_normals(mesh)[0].sum())
+
+
+def default_count(meshes: Sequence[Mesh]) -> int:
+    """How many Gaussians put neighbours 1/300 of the diagonal of the meshes' bounding box apart."""
+    corners = [mesh.positions[mesh.indices].reshape(-1, 3).astype(np.float64) for mesh in meshes]
+    highest, lowest = (np.array([extreme(c, axis=0) for c in corners]) for extreme in (np.max, np.min))
+    diagonal = float(np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0)))
+    ideal = sum(map(surface_area, meshes)) / (diagonal / SAMPLING_SPACINGS_PER_DIAGONAL) ** 2
     return int(np.clip(math.ceil(ideal), *SAMPLING_DEFAULT_COUNTS))
 
 
