@@ -1,7 +1,361 @@
-"""The deep Gaussian shadow map of a light."""
+"""The deep Gaussian shadow map of a light (seeds/001, sections 3.2 and 3.3)."""
 
 from __future__ import annotations
 
+import logging
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.buffers import Buffers
+from lumisplat.config import Absorption, DeepShadowConfig, ReceiverSampling, check_kind
+from lumisplat.device.atlas import Atlas
+from lumisplat.device.deep_shadow import AVERAGE, MASS, SIMPLE
+from lumisplat.device.deep_shadow_look import CENTER, RANDOM, STENCIL
+from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Look, Occluder, Receivers
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.launcher import Launcher, Progress
+from lumisplat.scene.arrays import FloatArray, float_array
+from lumisplat.scene.placed import PlacedGaussians
+from lumisplat.shadowmaps import deep_shadow_kernels as kernels
+from lumisplat.shadowmaps.atlases import Source, atlas_of, source_of
+from lumisplat.shadowmaps.casters import Content, MeshesAsGaussians
+from lumisplat.shadowmaps.culling import BANDS_PER_THREAD, OneList, TileLists
+from lumisplat.shadowmaps.region import (
+    Region,
+    all_tiles,
+    region_of_casters,
+    region_of_receivers,
+    texel_count,
+    whole_region,
+)
+from lumisplat.shadowmaps.storage import read_map, write_map
+
+_log = logging.getLogger("lumisplat")
+
+_MAPPING = {
+    Absorption.SIMPLE: int(SIMPLE),
+    Absorption.AVERAGE: int(AVERAGE),
+    Absorption.MASS: int(MASS),
+    Absorption.DIAGONAL: int(MASS),
+}
+_PATTERN = {
+    ReceiverSampling.CENTER: int(CENTER),
+    ReceiverSampling.STENCIL: int(STENCIL),
+    ReceiverSampling.MONTE_CARLO: int(RANDOM),
+}
+STENCIL_POINTS = 7
+TINY = 1e-9
+"""Added to weights, which may all be zero."""
+
+Receiving = Content | Iterable[Content] | npt.ArrayLike
+"""What looks at a map: Gaussians, or what can be turned into them, or points."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeepShadowStats:
+    """What the last build took."""
+
+    casters: int
+    """Gaussians that block light."""
+    texels: int
+    """Of the atlas, that are tabulated."""
+    voxels: int
+    """Bins over all of them."""
+    pairs: int
+    """Casters and texels whose rays were followed through them."""
+    stage_ms: dict[str, float]
+    """Wall time of each stage, milliseconds."""
+
 
 class DeepShadowMap:
-    """How much of a light passes casters, tabulated by direction and distance."""
+    """How much of a light passes casters: transmittance by direction and distance, in closed form.
+
+    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)`` (equation 1), so that shadows are
+    soft at their edges, tinted by nothing, and fall on whatever is behind, to the right degree for each distance. Made
+    by `build`.
+
+    Transmittance is tabulated at the centres of texels and bins and interpolated; with ``receivers``, only where they
+    look. Elsewhere it is 1.
+    """
+
+    def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
+        self.config = config
+        """Settings."""
+        self._source, self._launcher = source, launcher
+        self._buffers = Buffers(launcher.device)
+        self._turned = MeshesAsGaussians()
+        self._atlas = Atlas()
+        self._region: Region | None = None
+        """The same for all builds; None: it follows the casters."""
+        self._lists: TileLists | None = None
+        """Of that region."""
+        self._laid_out: Region | None = None
+        """What the arrays are of that follow."""
+        self._columns: Any = None
+        self._texels: Any = None
+        self._own_lists: Any = None
+        self._table: Any = None
+        self.stats = DeepShadowStats(0, 0, 0, 0, {})
+        """Of the last build."""
+
+    @classmethod
+    def build(
+        cls,
+        casters: Content | Iterable[Content],
+        light_position: object,
+        receivers: Receiving | None = None,
+        config: DeepShadowConfig | None = None,
+        *,
+        device: str = "auto",
+        progress: Progress | None = None,
+    ) -> DeepShadowMap:
+        """Tabulates what casters leave of a light.
+
+        Args:
+            casters: Gaussians, meshes (which are turned into Gaussians), instances, a scene, or several of these.
+            light_position: Where the light is, world space, shape (3,), or a light: of one with a radius, its
+                centre; of a `LightDirectional`, light is parallel.
+            receivers: What will look at the map, likewise, or points, shape (N, 3). None: anything might, behind
+                the casters.
+            config: Settings; None: the defaults.
+            device: As for `create_renderer`.
+            progress: Called with a label and a fraction 0..1 while kernels compile.
+
+        Raises:
+            ConfigError: ``config`` is no DeepShadowConfig.
+            DeviceError: There is no such device, or it is out of memory.
+            SceneError: There are no casters, something is of another kind, or a value is not finite.
+        """
+        config = DeepShadowConfig() if config is None else config
+        check_kind("config", config, DeepShadowConfig)
+        source = source_of(light_position)
+        launcher = Launcher(device)
+        launcher.load([kernels], progress)
+        shadow = cls(config, source, launcher)
+        blockers = shadow._blockers(casters)
+        if receivers is not None:
+            shadow._place_receivers(receivers, blockers)
+        shadow._tabulate(blockers)
+        return shadow
+
+    def rebuild(self, casters: Content | Iterable[Content]) -> None:
+        """Tabulates other casters, for the same light and receivers; memory is kept, and grows only if they need more.
+
+        Args:
+            casters: As for `build`.
+
+        Raises:
+            DeviceError: The device is out of memory.
+            SceneError: As for `build`.
+        """
+        self._launcher.stage_ms.clear()
+        self._tabulate(self._blockers(casters))
+
+    def transmittance(self, points: npt.ArrayLike) -> FloatArray:
+        """How much of the light reaches points.
+
+        Args:
+            points: World space, shape (N, 3). Of a map that was built for receivers, only theirs are tabulated:
+                others may get 1.
+
+        Returns:
+            0..1, shape (N,).
+
+        Raises:
+            SceneError: The shape does not fit, or values are not finite.
+        """
+        return self._look_up(_points(points))
+
+    def transmittance_of(self, receivers: Receiving) -> FloatArray:
+        """How much of the light reaches Gaussians, as ``config.sampling`` says (section 4.4 A).
+
+        Args:
+            receivers: As for `build`: those that the map was built for, in the same order, or any others.
+
+        Returns:
+            0..1, shape (N,), in order.
+
+        Raises:
+            SceneError: Something is of another kind, or a value is not finite.
+        """
+        return self._look_up(_placed_receivers(receivers))
+
+    @property
+    def bytes(self) -> int:
+        """Memory that the map holds on its device, bytes."""
+        return self._buffers.bytes
+
+    @property
+    def device(self) -> str:
+        """Warp name of the device, e.g. ``cpu`` or ``cuda:0``."""
+        return self._launcher.device
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the map to an ``.npz`` file, without its casters.
+
+        Raises:
+            FormatError: The file cannot be written.
+        """
+        assert self._laid_out is not None
+        write_map(path, self.config, self._source, self._atlas, region=self._laid_out, table=self._table.numpy())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
+        """Reads a map that `save` wrote; `rebuild` works as if it had been built here.
+
+        Args:
+            path: The ``.npz`` file.
+            device: As for `create_renderer`.
+
+        Raises:
+            DeviceError: There is no such device, or it is out of memory.
+            FormatError: The file is missing, or is none of these.
+        """
+        config, source, atlas, region, table = read_map(path)
+        launcher = Launcher(device)
+        launcher.load([kernels])
+        shadow = cls(config, source, launcher)
+        shadow._atlas, shadow._region = atlas, region
+        shadow._lay_out(region, shadow._caster_lists())
+        shadow._table = shadow._buffers.get("table", wp.float32, region.voxel_count)
+        shadow._table.assign(table)
+        return shadow
+
+    def _blockers(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
+        placed = self._turned.placed("casters", casters)
+        if not placed.count:
+            raise SceneError("casters have no Gaussians: there is nothing to cast a shadow")
+        return placed
+
+    def _place_receivers(self, receivers: Receiving, blockers: PlacedGaussians) -> None:
+        """Sets atlas and region by what will look at the map."""
+        placed = _placed_receivers(receivers)
+        if self.config.region_radius is not None:
+            center = np.average(blockers.means, axis=0, weights=blockers.opacities + TINY)
+            near = np.abs(placed.means - center).max(axis=1, initial=0.0) <= self.config.region_radius
+            placed = PlacedGaussians(*(column[near] for column in placed))
+        if not placed.count:
+            _log.warning("there are no receivers near the casters: nothing is shadowed")
+        self._atlas = atlas_of(self._source, placed, self.config)
+        if not self.config.region:
+            self._region = whole_region(self._atlas)
+            return
+        with self._launcher.stage("region"):
+            data, look = self._looking(placed)
+            self._region = region_of_receivers(self._launcher, self._buffers, self._atlas, data, look)
+
+    def _tabulate(self, blockers: PlacedGaussians) -> None:
+        """Writes the table for casters, and the rest that follows them where nothing else says it."""
+        launcher, buffers = self._launcher, self._buffers
+        if self._region is None:
+            self._atlas = atlas_of(self._source, blockers, self.config)
+        with launcher.stage("casters"):
+            occluders, footprints = self._occluders(blockers)
+        with launcher.stage("cull"):
+            lists = self._caster_lists()
+            lists.update(footprints)
+        with launcher.stage("tabulate"):
+            region = self._region or region_of_casters(self._atlas, blockers, lists)
+            if region is not self._laid_out:
+                self._lay_out(region, lists)
+            table = buffers.get("table", wp.float32, region.voxel_count)
+            launcher.run_banded(
+                kernels.tabulate,
+                *(len(region.texels), self._atlas, int(self.config.culling), self._texels, self._own_lists),
+                *(lists.ends, lists.items, occluders, self._columns, table),
+                bands=BANDS_PER_THREAD * launcher.threads,
+            )
+            self._table = table
+            launcher.synchronize()
+        pairs = int(lists.counts[lists.of_texels(region.texels)].sum(dtype=np.int64))
+        self.stats = DeepShadowStats(
+            blockers.count, len(region.texels), region.voxel_count, pairs, dict(launcher.stage_ms)
+        )
+
+    def _occluders(self, blockers: PlacedGaussians) -> tuple[Any, Any]:
+        """Casters as tables need them, and what they cover."""
+        launcher, buffers, count = self._launcher, self._buffers, blockers.count
+        casters = buffers.struct("casters", Casters, count)
+        casters.means.assign(blockers.means)
+        casters.rotations.assign(blockers.rotations_wxyz[:, [1, 2, 3, 0]])
+        casters.scales.assign(blockers.scales)
+        casters.opacities.assign(blockers.opacities)
+        occluders = buffers.get("occluders", Occluder, count)
+        footprints = buffers.get("footprints", Footprint, count)
+        mapping = _MAPPING[self.config.absorption]
+        launcher.run_banded(
+            kernels.prepare_occluders,
+            *(count, self._atlas, casters, mapping, self.config.strength, occluders, footprints),
+        )
+        return occluders, footprints
+
+    def _caster_lists(self) -> TileLists | OneList:
+        """The lists of what may be in the way, by tiles or for all."""
+        if not self.config.culling:
+            return OneList(self._buffers)
+        if self._region is None:
+            return TileLists(self._launcher, self._buffers, self._atlas, all_tiles(self._atlas))
+        if self._lists is None:
+            self._lists = TileLists(self._launcher, self._buffers, self._atlas, self._region.tiles)
+        return self._lists
+
+    def _lay_out(self, region: Region, lists: TileLists | OneList) -> None:
+        """Uploads where the columns of a region are."""
+        self._columns = self._buffers.get("columns", Column, texel_count(self._atlas))
+        self._columns.assign(region.columns(self._atlas))
+        self._texels = self._buffers.get("texels", wp.int32, len(region.texels))
+        self._texels.assign(region.texels)
+        self._own_lists = self._buffers.get("own_lists", wp.int32, len(region.texels))
+        self._own_lists.assign(lists.of_texels(region.texels))
+        self._laid_out = region
+
+    def _looking(self, placed: PlacedGaussians) -> tuple[Receivers, Look]:
+        """Receivers on the device, and where they look; those without extent, at their means."""
+        look = Look()
+        look.pattern, look.count, look.seed = _PATTERN[self.config.sampling], self.config.samples, self.config.seed
+        if self.config.sampling is ReceiverSampling.STENCIL:
+            look.count = STENCIL_POINTS
+        if self.config.sampling is ReceiverSampling.CENTER or not placed.scales.any():
+            look.pattern, look.count = int(CENTER), 1
+        receivers = self._buffers.struct("receivers", Receivers, placed.count)
+        receivers.means.assign(placed.means)
+        receivers.rotations.assign(placed.rotations_wxyz[:, [1, 2, 3, 0]])
+        receivers.scales.assign(placed.scales)
+        return receivers, look
+
+    def _look_up(self, placed: PlacedGaussians) -> FloatArray:
+        receivers, look = self._looking(placed)
+        found = self._buffers.get("found", wp.float32, placed.count)
+        self._launcher.run_banded(
+            kernels.look_up,
+            *(placed.count, self._atlas, self._columns, self._table, receivers, look, found),
+            bands=BANDS_PER_THREAD * self._launcher.threads,
+        )
+        return found.numpy().copy()  # on the CPU, the buffer itself
+
+
+def _placed_receivers(receivers: Receiving) -> PlacedGaussians:
+    """What looks at a map; points are Gaussians without extent."""
+    if isinstance(receivers, Content):
+        return MeshesAsGaussians().placed("receivers", receivers)
+    if not isinstance(receivers, np.ndarray):
+        items = list(receivers) if isinstance(receivers, Iterable) else receivers
+        if not isinstance(items, list) or (items and isinstance(items[0], Content)):
+            return MeshesAsGaussians().placed("receivers", items)  # type: ignore[arg-type]
+        receivers = items  # type: ignore[assignment]
+    return _points(receivers)
+
+
+def _points(values: npt.ArrayLike) -> PlacedGaussians:
+    points = float_array("points", values)
+    if points.size == 0:
+        points = points.reshape(0, 3)
+    check_shapes(points=(points, "N 3"))
+    turns = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(points), 1))
+    return PlacedGaussians(points, turns, np.zeros_like(points), np.zeros(len(points), np.float32))

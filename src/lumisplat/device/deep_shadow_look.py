@@ -1,0 +1,99 @@
+"""Looking a deep shadow map up: at a point, and at the points where a receiver looks (seeds/001, section 3.3)."""
+
+import math
+
+import warp as wp
+
+from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT
+from lumisplat.device.atlas import Atlas, place_of_point, texel_number
+from lumisplat.device.deep_shadow_structs import Column, Look, Receivers
+from lumisplat.device.random import mix, spread, strand_of
+
+wp.set_module_options({"enable_backward": False})
+
+CENTER = wp.constant(0)
+STENCIL = wp.constant(1)
+RANDOM = wp.constant(2)
+
+FOOTPRINT = wp.constant(wp.float32(SHADOW_FOOTPRINT))
+OUTER_WEIGHT = wp.constant(wp.float32(SHADOW_STENCIL_WEIGHT))
+SQRT_2 = wp.constant(wp.float32(math.sqrt(2.0)))
+ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
+
+
+@wp.func
+def normal_from_unit(u: float) -> float:
+    """The standard normal number that a share ``u`` of all is below, cut at the footprint's end."""
+    argument = wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX)
+    return wp.clamp(SQRT_2 * wp.erfinv(argument), -FOOTPRINT, FOOTPRINT)
+
+
+@wp.func
+def look_offset(look: Look, receiver: int, sample: int) -> wp.vec3:
+    """Where a receiver looks, in standard deviations along its axes."""
+    offset = wp.vec3(0.0)
+    if look.pattern == STENCIL and sample > 0:
+        offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
+    if look.pattern == RANDOM:
+        key = strand_of(receiver, look.seed)
+        u = spread(key, sample)
+        w = spread(mix(key), sample)
+        offset = wp.vec3(normal_from_unit(u[0]), normal_from_unit(u[1]), normal_from_unit(w[0]))
+    return offset
+
+
+@wp.func
+def look_weight(look: Look, sample: int) -> float:
+    """What a point counts, before weights are divided by their sum."""
+    return wp.where(look.pattern == STENCIL and sample > 0, OUTER_WEIGHT, 1.0)
+
+
+@wp.func
+def look_point(receivers: Receivers, look: Look, receiver: int, sample: int) -> wp.vec3:
+    """Where a receiver looks, world space: x = mu + R (s * z) of section 4.4 A."""
+    mean = receivers.means[receiver]
+    if look.pattern == CENTER:
+        return mean
+    offset = wp.cw_mul(receivers.scales[receiver], look_offset(look, receiver, sample))
+    return mean + wp.quat_rotate(receivers.rotations[receiver], offset)
+
+
+@wp.func
+def bin_below(atlas: Atlas, t: float) -> float:
+    """Where a distance is among the bins, whose centres are whole numbers; none is below -1 or above the last."""
+    return wp.clamp(t / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
+
+
+@wp.func
+def tabulated(columns: wp.array(dtype=Column), table: wp.array(dtype=float), texel: int, number: int) -> float:
+    """Transmittance at a bin's centre. Nothing is in the way before a column begins, or without one.
+
+    Behind its last bin it is as there: light that was lost does not come back.
+    """
+    if texel < 0 or columns[texel].count == 0 or number < columns[texel].first:
+        return 1.0
+    last = columns[texel].count - 1
+    return table[columns[texel].offset + wp.min(number - columns[texel].first, last)]
+
+
+@wp.func
+def transmittance_at(
+    atlas: Atlas, columns: wp.array(dtype=Column), table: wp.array(dtype=float), point: wp.vec3
+) -> float:
+    """Trilinear between the nearest texels and bins."""
+    place = place_of_point(atlas, point)
+    at = bin_below(atlas, place.t)
+    number = int(wp.floor(at))
+    left = wp.floor(place.x)
+    top = wp.floor(place.y)
+    light = float(0.0)
+    for corner in range(4):
+        x = corner % 2
+        y = corner // 2
+        texel = texel_number(atlas, place.face, int(left) + x, int(top) + y)
+        near = tabulated(columns, table, texel, number)
+        far = tabulated(columns, table, texel, wp.min(number + 1, atlas.bins - 1))
+        across = wp.where(x == 1, place.x - left, 1.0 - (place.x - left))
+        down = wp.where(y == 1, place.y - top, 1.0 - (place.y - top))
+        light += across * down * wp.lerp(near, far, at - float(number))
+    return light

@@ -1,0 +1,216 @@
+"""Building and sampling deep shadow maps."""
+
+import warp as wp
+
+from lumisplat.constants import SHADOW_BOUND_MARGIN, SHADOW_BOUND_STEP
+from lumisplat.device.atlas import PARALLEL, Atlas, place_of_point, ray_at, texel_number, texel_place
+from lumisplat.device.deep_shadow import (
+    DEPTH_MIN,
+    ERF_MAX,
+    depth_until,
+    footprint_of,
+    meets,
+    occluder_of,
+    passage_of,
+    start_of,
+)
+from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, transmittance_at
+from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers
+
+wp.set_module_options({"enable_backward": False})
+
+STEP = wp.constant(SHADOW_BOUND_STEP)
+MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
+
+
+@wp.kernel
+def prepare_occluders(
+    start: int,
+    atlas: Atlas,
+    casters: Casters,
+    mapping: int,
+    strength: float,
+    occluders_out: wp.array(dtype=Occluder),
+    footprints_out: wp.array(dtype=Footprint),
+):
+    """One item is one caster."""
+    i = start + wp.tid()
+    occluder = occluder_of(atlas, casters, i, mapping, strength)
+    occluders_out[i] = occluder
+    footprints_out[i] = footprint_of(atlas, casters, i, occluder.absorption)
+
+
+@wp.kernel
+def bound_cells(start: int, atlas: Atlas, corners: wp.array(dtype=wp.vec3i), side: int, cells: wp.array(dtype=Cell)):
+    """Cones around squares of ``side`` texels, by points of their edges. One item is one cell.
+
+    ``corners`` are face, x and y of their first texels. What lies between two points of an edge that does not fold is
+    on a great circle, and nearer to the axis than one of them.
+    """
+    i = start + wp.tid()
+    face = corners[i][0]
+    x = float(corners[i][1]) - 0.5
+    y = float(corners[i][2]) - 0.5
+    middle = ray_at(atlas, face, x + 0.5 * float(side), y + 0.5 * float(side))
+    if atlas.layout == PARALLEL:
+        cells[i].axis = middle.origin - atlas.origin
+        cells[i].radius = 0.70710678 * float(side) * atlas.texel_length * (1.0 + MARGIN)
+        return
+    farthest = float(0.0)
+    steps = side // STEP
+    for k in range(4 * steps):
+        along = float((k % steps) * STEP)
+        edge = k // steps
+        px = along
+        py = float(0.0)
+        if edge == 1:
+            px = float(side)
+            py = along
+        if edge == 2:
+            px = float(side) - along
+            py = float(side)
+        if edge == 3:
+            px = float(0.0)
+            py = float(side) - along
+        direction = ray_at(atlas, face, x + px, y + py).direction
+        farthest = wp.max(farthest, wp.length(direction - middle.direction))
+    cells[i].axis = middle.direction
+    cells[i].radius = 2.0 * wp.asin(wp.min(0.5 * farthest, 1.0)) * (1.0 + MARGIN) + MARGIN
+
+
+@wp.func
+def span(ends: wp.array(dtype=int), i: int) -> wp.vec2i:
+    """From where to where list ``i`` goes, by the ends of all lists."""
+    return wp.vec2i(wp.where(i > 0, ends[wp.max(i - 1, 0)], 0), ends[i])
+
+
+@wp.kernel
+def count_met(
+    start: int,
+    atlas: Atlas,
+    footprints: wp.array(dtype=Footprint),
+    cells: wp.array(dtype=Cell),
+    ends: wp.array(dtype=int),
+    items: wp.array(dtype=int),
+    counts_out: wp.array(dtype=int),
+):
+    """How many occluders of its parent's list a cell meets. One item is one cell."""
+    i = start + wp.tid()
+    cell = cells[i]
+    among = span(ends, cell.parent)
+    count = int(0)
+    for k in range(among[0], among[1]):
+        if meets(atlas, footprints[items[k]], cell):
+            count += 1
+    counts_out[i] = count
+
+
+@wp.kernel
+def list_met(
+    start: int,
+    atlas: Atlas,
+    footprints: wp.array(dtype=Footprint),
+    cells: wp.array(dtype=Cell),
+    ends: wp.array(dtype=int),
+    items: wp.array(dtype=int),
+    ends_out: wp.array(dtype=int),
+    items_out: wp.array(dtype=int),
+):
+    """Which ones, in order. One item is one cell."""
+    i = start + wp.tid()
+    cell = cells[i]
+    among = span(ends, cell.parent)
+    place = span(ends_out, i)[0]
+    for k in range(among[0], among[1]):
+        if meets(atlas, footprints[items[k]], cell):
+            items_out[place] = items[k]
+            place += 1
+
+
+@wp.kernel
+def tabulate(
+    start: int,
+    atlas: Atlas,
+    culling: int,
+    texels: wp.array(dtype=int),
+    lists: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    items: wp.array(dtype=int),
+    occluders: wp.array(dtype=Occluder),
+    columns: wp.array(dtype=Column),
+    table_out: wp.array(dtype=float),
+):
+    """Transmittances of a texel's column (equations 2-4). One item is one of the ``texels`` that have one.
+
+    The table first takes what each bin adds to the one before: a Gaussian that is passed costs nothing from there on.
+    """
+    i = start + wp.tid()
+    column = columns[texels[i]]
+    place = texel_place(atlas, texels[i])
+    ray = ray_at(atlas, place[0], float(place[1]), float(place[2]))
+    for k in range(column.count):
+        table_out[column.offset + k] = 0.0
+    among = span(ends, lists[i])
+    for k in range(among[0], among[1]):
+        passage = passage_of(occluders[items[k]], ray, atlas.origin)
+        if culling == 0 or (passage.distance2 <= occluders[items[k]].radius2 and passage.depth >= DEPTH_MIN):
+            begin = start_of(atlas, passage)
+            width = ERF_MAX / passage.sharpness
+            number = wp.max(int(wp.floor(bin_below(atlas, passage.peak - width))) + 1, column.first)
+            before = float(0.0)
+            passed = begin >= ERF_MAX
+            while number < column.first + column.count and not passed:
+                distance = (float(number) + 0.5) * atlas.bin_length
+                depth = depth_until(passage, begin, distance)
+                table_out[column.offset + number - column.first] += depth - before
+                before = depth
+                passed = distance >= passage.peak + width
+                number += 1
+    depth = float(0.0)
+    for k in range(column.count):
+        depth += table_out[column.offset + k]
+        table_out[column.offset + k] = wp.exp(-depth)
+
+
+@wp.kernel
+def mark_looks(
+    atlas: Atlas,
+    receivers: Receivers,
+    look: Look,
+    firsts: wp.array(dtype=int),
+    lasts: wp.array(dtype=int),
+):
+    """Widens the columns of texels to what a receiver looks up. One item is one receiver; not to be banded."""
+    i = wp.tid()
+    for sample in range(look.count):
+        place = place_of_point(atlas, look_point(receivers, look, i, sample))
+        number = int(wp.floor(bin_below(atlas, place.t)))
+        for corner in range(4):
+            x = int(wp.floor(place.x)) + corner % 2
+            y = int(wp.floor(place.y)) + corner // 2
+            texel = texel_number(atlas, place.face, x, y)
+            if texel >= 0:
+                wp.atomic_min(firsts, texel, wp.max(number, 0))
+                wp.atomic_max(lasts, texel, wp.min(number + 1, atlas.bins - 1))
+
+
+@wp.kernel
+def look_up(
+    start: int,
+    atlas: Atlas,
+    columns: wp.array(dtype=Column),
+    table: wp.array(dtype=float),
+    receivers: Receivers,
+    look: Look,
+    transmittance_out: wp.array(dtype=float),
+):
+    """What of the light reaches a receiver, averaged over the points where it looks. One item is one receiver."""
+    i = start + wp.tid()
+    total = float(0.0)
+    weights = float(0.0)
+    for sample in range(look.count):
+        weight = look_weight(look, sample)
+        point = look_point(receivers, look, i, sample)
+        total += weight * transmittance_at(atlas, columns, table, point)
+        weights += weight
+    transmittance_out[i] = total / weights
