@@ -26,13 +26,11 @@ class LightEstimationConfig:
     the character is no light."""
     separation: float | None = None
     """Least distance of two lights, scene units; None: three times ``emitter_size``."""
-    tail: float = 0.05
-    """Share of the Gaussians, those of the highest scores, that can become lights, 0.0001..1."""
-    compactness: float = 0.3
+    compactness: float = 0.5
     """Share of its score by which a light must stand out from what surrounds it, 0..1; at 0, bright walls and windows
     count, too."""
-    weakest: float = 0.1
-    """Lights whose score is less than this share of the first one's are left out, 0..1."""
+    weakest: float = 0.05
+    """What scores less than this share of the best is no light, 0..1."""
     irradiance: float = math.pi
     """What all lights together give a surface at the character's centre that faces each of them, 1e-6..1e6: with pi,
     white paper is white."""
@@ -41,7 +39,6 @@ class LightEstimationConfig:
         for name in ("radius", "viewpoint_distance", "emitter_size", "separation"):
             if getattr(self, name) is not None:
                 check_range(name, getattr(self, name), 1e-6, 1e9)
-        check_range("tail", self.tail, 1e-4, 1.0)
         check_range("compactness", self.compactness, 0.0, 1.0)
         check_range("weakest", self.weakest, 0.0, 1.0)
         check_range("irradiance", self.irradiance, 1e-6, 1e6)

@@ -192,6 +192,9 @@ HUBER_WIDTH = 1.345
 """Standard deviations beyond which residuals count linearly: 95 % as efficient as least squares where errors are
 normal (Huber 1981; Holland and Welsch 1977)."""
 
+HUBER_WIDTH_MIN = 0.05
+"""Relative residual below which no point is an outlier, however well the others fit: 8-bit colours are no better."""
+
 MAD_PER_DEVIATION = 0.6745
 """Median of the absolute values of normal errors, standard deviations."""
 
@@ -250,7 +253,7 @@ LIGHT_SEARCH_CLIP = 0.99
 bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Gaussians of mean score that are added to each direction's surroundings: one stray neighbour decides nothing."""
+"""Gaussians of median score that are added to each direction's surroundings: one stray neighbour decides nothing."""
 
 LIGHT_SEARCH_BROAD = 0.05
 """Share of its score that a light keeps which does not stand out, where such are wanted at all."""
@@ -296,8 +299,8 @@ exactly, and enough for a solution where directions are too few."""
 PROBE_IMAGE_ROWS = 64
 """Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
-NORMAL_NEIGHBOURS = 16
-"""Others in the median around a Gaussian whose plane is its normal: two rings of them on a surface."""
+NORMAL_NEIGHBOURS = 24
+"""Others in the median around a Gaussian whose plane is its normal: more than two rings of them on a surface."""
 
 NORMAL_NEIGHBOURS_MIN = 4
 """Below this many a plane says nothing."""
@@ -476,3 +479,11 @@ that float32 no longer knows where it faces."""
 RIG_SHEAR_MIN = 1e-5
 """Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: above float32's rounding, by
 which round discs would else turn."""
+
+# --- Sequences of frames ---
+
+SEQUENCE_FRAMES_KEPT = 2
+"""Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""
+
+SEQUENCE_TIME_SLACK = 1e-6
+"""Frames by which a time may lie before the frame that it means: k / fps * fps is below k for some k."""

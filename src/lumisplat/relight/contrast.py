@@ -18,11 +18,12 @@ _CELL_BITS = 21
 def surroundings(
     means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
 ) -> npt.NDArray[np.float64]:
-    """Mean score around some Gaussians, in the direction where it is highest.
+    """Root mean square score around some Gaussians, in the direction where it is highest.
 
     Space is cut into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if that
     is no larger than ``size``; the ring of cells around these is its surroundings, taken by octants. The largest of
-    the eight means counts: even the corner of a bright wall has more of the wall in one of them.
+    the eight counts: even the corner of a bright wall has more of the wall in one of them. Squares let a wall count
+    through what is dark on it.
 
     Args:
         means: Shape (N, 3).
@@ -36,11 +37,13 @@ def surroundings(
     cells = np.floor((means - means.min(axis=0)) / size).astype(np.int64) + 2
     keys, inverse = np.unique(_keys(cells), return_inverse=True)
     counts = np.bincount(inverse, minlength=keys.size).astype(np.float64)
-    sums = np.bincount(inverse, weights=scores, minlength=keys.size)
-    asked, back = np.unique(cells[rows], axis=0, return_inverse=True)
-    # One direction starts from Gaussians of mean score, so that a single neighbour does not decide it.
+    squares = np.asarray(scores, dtype=np.float64) ** 2
+    sums = np.bincount(inverse, weights=squares, minlength=keys.size)
+    _, firsts, back = np.unique(inverse[rows], return_index=True, return_inverse=True)
+    asked = cells[rows[firsts]]
+    # Each direction starts from Gaussians of median score, so that a single neighbour does not decide it.
     octant_counts = np.full((8, len(asked)), LIGHT_SEARCH_PRIOR)
-    octant_sums = octant_counts * scores.mean(dtype=np.float64)
+    octant_sums = octant_counts * np.median(squares)
     for offset in _RING:
         wanted = _keys(asked + np.array(offset))
         slots = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
@@ -49,7 +52,7 @@ def surroundings(
             if all(step * sign >= 0 for step, sign in zip(offset, signs, strict=True)):
                 octant_counts[octant] += np.where(met, counts[slots], 0.0)
                 octant_sums[octant] += np.where(met, sums[slots], 0.0)
-    return (octant_sums / octant_counts).max(axis=0)[back.reshape(-1)]
+    return np.sqrt((octant_sums / octant_counts).max(axis=0))[back]
 
 
 def _keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

@@ -79,9 +79,9 @@ def estimate_lights(
 
     Each Gaussian around the character is seen from five viewpoints near it. Its base score is its opacity, times the
     mean of mean and maximum luminance (linear; outliers by their logarithm), times how little that luminance depends on
-    the viewpoint, times the share that the constant harmonic has in its colour; its size does not count. Of those with
-    the highest scores, each is weighted by how much it stands out from the brightest side of its surroundings, and the
-    best are taken, one at a place.
+    the viewpoint, times the share that the constant harmonic has in its colour; its size does not count. Of those that
+    are bright, each is weighted by how much it stands out from the brightest side of its surroundings, and the best are
+    taken, one at a place.
 
     A light's position is its Gaussian's mean, its colour that Gaussian's towards the character, linear, the brightest
     channel 1. Intensities, candela, are proportional to the base scores and scaled together: the irradiances that the
@@ -114,7 +114,7 @@ def estimate_lights(
     size = settings.emitter_size or LIGHT_SEARCH_EMITTER * radius
     found = _evidence(splats, middle, radius, settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * radius)
 
-    rows = _tail(found, settings.tail, size)
+    rows = _tail(found, settings.weakest, size)
     around = surroundings(found.means, found.scores, rows, size)
     standing_out = 1.0 - around / found.scores[rows]
     weights = found.scores[rows] * np.maximum(standing_out, LIGHT_SEARCH_BROAD)
@@ -131,7 +131,7 @@ def estimate_lights(
     return LightEstimate(
         lights=_lights(found, picked, settings.irradiance),
         scores=weights[chosen].astype(np.float32),
-        peakness=(found.scores[picked] / around[chosen]).astype(np.float32),
+        peakness=(found.scores[picked] / np.maximum(around[chosen], 1e-12)).astype(np.float32),
         instances=found.instances[picked],
         indices=found.indices[picked],
     )
@@ -218,11 +218,13 @@ def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
     return np.where(values <= level, values, level * (1.0 + np.log(np.maximum(values, level) / level)))
 
 
-def _tail(found: _Evidence, share: float, size: float) -> npt.NDArray[np.int64]:
-    """Rows that can become lights: of the highest scores, above 0, and not inside the character."""
-    wanted = max(int(np.ceil(share * found.scores.size)), 1)
-    least = np.partition(found.scores, -wanted)[-wanted]
-    return np.flatnonzero((found.scores >= least) & (found.scores > 0.0) & (found.distances > size))
+def _tail(found: _Evidence, weakest: float, size: float) -> npt.NDArray[np.int64]:
+    """Rows that can become lights: bright enough, and not inside the character.
+
+    By score, not by number: a bright wall of many Gaussians must not crowd out a lamp that is a little less bright.
+    """
+    bright = (found.scores >= weakest * found.scores.max()) & (found.scores > 0.0)
+    return np.flatnonzero(bright & (found.distances > size))
 
 
 def _spread(
