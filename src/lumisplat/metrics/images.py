@@ -91,7 +91,11 @@ def flip(image: npt.ArrayLike, reference: npt.ArrayLike, *, pixels_per_degree: f
         import flip_evaluator
     except ImportError:
         raise MissingExtraError("flip", "metrics") from None
-    pair = [np.ascontiguousarray(pixels, np.float32) for pixels in (wanted, tested)]
-    settings = {"ppd": float(pixels_per_degree)}
-    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", True, False, True, settings)
+    mean = flip_evaluator.evaluate(
+        np.ascontiguousarray(wanted, np.float32),
+        np.ascontiguousarray(tested, np.float32),
+        "LDR",
+        applyMagma=False,
+        parameters={"ppd": float(pixels_per_degree)},
+    )[1]
     return float(mean)

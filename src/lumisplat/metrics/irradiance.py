@@ -15,6 +15,8 @@ from lumisplat.constants import (
     FIT_STEPS_MAX,
     FIT_TOLERANCE,
     HUBER_WIDTH,
+    HUBER_WIDTH_MIN,
+    IRRADIANCE_FLOOR,
     IRRADIANCE_SH_DEGREE,
     IRRADIANCE_SMOOTHNESS,
     MAD_PER_DEVIATION,
@@ -47,7 +49,9 @@ class Irradiance:
 def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str = "points") -> Irradiance:
     """Factorises ``Y_i = alpha_i E(n_i; c)``: c by a robust fit with all scales equal, then the scales.
 
-    The fit is Huber's, without the 5 % of the points that fit worst; where no normals look, irradiance stays smooth.
+    The fit is Huber's, of residuals ``alpha_i - 1``, without the 5 % of the points that fit worst; where no normals
+    look, irradiance stays smooth. Scales that do not go with normals, however they are distributed, change c by a
+    factor only.
 
     Args:
         normals: Unit normals, shape (N, 3).
@@ -63,12 +67,13 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     values = np.asarray(luminance, np.float64)
     if values.size < COEFFICIENTS:
         raise SceneError(f"{values.size} {name}: irradiance of {COEFFICIENTS} coefficients needs as many at least")
-    mean = float(values.mean())
+    # Of all but the brightest, a few of which could make up any mean.
+    mean = float(np.sort(values)[: values.size - int(TRIMMED_SHARE * values.size)].mean())
     if not mean > 0.0:
         raise SceneError(f"all {values.size:,} {name} are black: they tell nothing of the light")
     basis = _basis(normals)
-    penalty = IRRADIANCE_SMOOTHNESS * values.size * (_BANDS * (_BANDS + 1.0))
-    fitted = robust_fit(basis, values / mean, penalty)
+    penalty = IRRADIANCE_SMOOTHNESS * _BANDS * (_BANDS + 1.0)
+    fitted = robust_fit(basis, values / mean, penalty, relative_above=IRRADIANCE_FLOOR)
     total = float(np.abs(fitted).sum())
     coefficients = fitted / total
     irradiance = basis @ coefficients
@@ -76,42 +81,67 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     return Irradiance(coefficients, np.maximum(scales, 0.0))
 
 
-def robust_fit(design: Values, values: Values, penalty: Values | None = None) -> Values:
-    """Coefficients x for which ``design @ x`` is near ``values``: Huber's loss over all but the worst 5 % of the rows.
+def robust_fit(
+    design: Values, values: Values, penalty: Values | None = None, *, relative_above: float | None = None
+) -> Values:
+    """Coefficients x for which ``design @ x`` is near ``values``: Huber's loss, without the 5 % that fit worst.
 
-    Iteratively reweighted least squares from the plain fit. Huber's width follows the median absolute residual, so that
-    the fit of values c times as large is c times as large.
+    Rows are left out once, by their residuals from Huber's fit to all of them: left out anew in each step, those that
+    stay would be the ones that agree with where the fit went by chance. Huber's width follows the median residual, so
+    that the fit of values c times as large is c times as large.
 
     Args:
         design: Shape (N, K).
         values: Shape (N,).
-        penalty: Weight of each squared coefficient, shape (K,); None: none has one.
+        penalty: Weight of each squared coefficient against the mean over the rows, shape (K,); None: none has one.
+        relative_above: Residuals are shares of what is fitted, where that is above this: for values that vary by
+            factors. None: they are differences.
 
     Returns:
         Shape (K,); of several as good the smallest.
     """
-    dropped = int(TRIMMED_SHARE * values.size)
-    smallest = FIT_TOLERANCE * max(float(np.abs(values).max()), np.finfo(np.float64).tiny)
     ridge = np.diag(np.zeros(design.shape[1]) if penalty is None else penalty)
-    found = _weighted_fit(design, values, np.ones_like(values), ridge)
+    found = _huber_fit(
+        design, values, ridge, relative_above, _weighted_fit(design, values, np.ones_like(values), ridge)
+    )
+    dropped = int(TRIMMED_SHARE * values.size)
+    if not dropped:
+        return found
+    distance, _ = _residuals(design, values, found, relative_above)
+    kept = np.sort(np.argpartition(distance, values.size - dropped)[: values.size - dropped])
+    return _huber_fit(design[kept], values[kept], ridge, relative_above, found)
+
+
+def _huber_fit(design: Values, values: Values, ridge: Values, relative_above: float | None, start: Values) -> Values:
+    """Iteratively reweighted least squares."""
+    found = start
+    smallest = FIT_TOLERANCE * max(float(np.abs(values).max()), np.finfo(np.float64).tiny)
+    if relative_above is not None:
+        smallest = HUBER_WIDTH_MIN
     for _ in range(FIT_STEPS_MAX):
-        distance = np.abs(values - design @ found)
-        weights = np.ones_like(values)
-        if dropped:
-            weights[np.argpartition(distance, values.size - dropped)[values.size - dropped :]] = 0.0
-        deviation = float(np.median(distance[weights > 0.0])) / MAD_PER_DEVIATION
-        width = max(HUBER_WIDTH * deviation, smallest)
-        weights *= np.minimum(1.0, width / np.maximum(distance, smallest))
+        distance, unit = _residuals(design, values, found, relative_above)
+        width = max(HUBER_WIDTH * float(np.median(distance)) / MAD_PER_DEVIATION, smallest)
+        weights = width / np.maximum(distance, width) / unit**2
         before, found = found, _weighted_fit(design, values, weights, ridge)
         if np.abs(found - before).max() <= FIT_TOLERANCE * np.abs(found).max():
             break
     return found
 
 
+def _residuals(
+    design: Values, values: Values, found: Values, relative_above: float | None
+) -> tuple[Values, Values | float]:
+    """Absolute residuals, and the unit of each."""
+    fitted = design @ found
+    unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
+    return np.abs(values - fitted) / unit, unit
+
+
 def _weighted_fit(design: Values, values: Values, weights: Values, ridge: Values) -> Values:
     weighted = design * weights[:, None]
-    return np.linalg.lstsq(design.T @ weighted + ridge, weighted.T @ values)[0]
+    # A row counts less, and the penalty with it: the smoothness does not depend on how well a fit goes.
+    return np.linalg.lstsq(design.T @ weighted + weights.sum() * ridge, weighted.T @ values)[0].astype(np.float64)
 
 
 def _basis(normals: npt.ArrayLike) -> Values:
-    return sh_basis(np.asarray(normals, np.float64), IRRADIANCE_SH_DEGREE).T
+    return sh_basis(np.asarray(normals, np.float64), IRRADIANCE_SH_DEGREE).T.astype(np.float64)

@@ -72,7 +72,7 @@ def sm_iou(
     """
     tested, wanted = (image > threshold for image in _checked(shadow, reference, threshold, region))
     either = np.count_nonzero(tested | wanted)
-    return np.count_nonzero(tested & wanted) / either if either else 1.0
+    return float(np.count_nonzero(tested & wanted) / either) if either else 1.0
 
 
 def boundary_f(
@@ -112,7 +112,7 @@ def boundary_f(
         return float(tested.any() == wanted.any())
     precision = np.count_nonzero(tested & _grown(wanted, tolerance)) / np.count_nonzero(tested)
     recall = np.count_nonzero(wanted & _grown(tested, tolerance)) / np.count_nonzero(wanted)
-    return 2.0 * precision * recall / (precision + recall) if precision + recall else 0.0
+    return float(2.0 * precision * recall / (precision + recall)) if precision + recall else 0.0
 
 
 def _checked(

@@ -1,0 +1,166 @@
+"""SAE, SM-IoU and BF (seeds/001, section 4.2) on masks whose figures are counted by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+
+METRICS = (ls.sae, ls.sm_iou, ls.boundary_f)
+
+
+def square(left: int, top: int, size: int, strength: float = 1.0, shape: tuple[int, int] = (20, 20)) -> np.ndarray:
+    """A square shadow."""
+    shadow = np.zeros(shape)
+    shadow[top : top + size, left : left + size] = strength
+    return shadow
+
+
+def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
+    """Pixels in shadow beside a lit one, by looking at each."""
+    height, width = shadow.shape
+    found = []
+    for row in range(height):
+        for column in range(width):
+            around = [(row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)]
+            lit = [shadow[place] <= 0.1 for place in around if 0 <= place[0] < height and 0 <= place[1] < width]
+            if shadow[row, column] > 0.1 and any(lit):
+                found.append((row, column))
+    return found
+
+
+def test_sae_by_hand():
+    """Over the reference's 16 pixels, 8 are 0.2 off and 8 are missed by 0.6: (1.6 + 4.8) / 16 = 0.4.
+
+    What lies outside of the reference does not count.
+    """
+    reference, shadow = square(4, 4, 4, 0.6), square(4, 4, 4, 0.8)
+    shadow[6:8] = 0.0
+    shadow[15:, 15:] = 1.0
+    assert ls.sae(shadow, reference) == pytest.approx(0.4)
+
+
+def test_sm_iou_by_hand():
+    """Two squares of 16 pixels, 2 pixels apart along x, share 8: 8 / (16 + 16 - 8) = 1/3."""
+    assert ls.sm_iou(square(4, 4, 4), square(6, 4, 4)) == pytest.approx(1 / 3)
+    assert ls.sm_iou(square(4, 4, 4), square(10, 4, 4)) == 0.0
+
+
+def test_boundary_f_by_hand():
+    """A square of 6 has a boundary of 20 pixels, one of 12 around it, 3 pixels apart each way, of 44.
+
+    Within 3 pixels all 20 have a neighbour, of the 44 those straight beside the inner ones: 4 x 6 = 24, the corners
+    being 3 sqrt(2) away. So P = 1, R = 24 / 44, and BF = 2 (24/44) / (1 + 24/44) = 48/68. Within 2 pixels none has one.
+    """
+    inner, outer = square(7, 7, 6), square(4, 4, 12)
+    assert len(boundary_pixels(inner)) == 20 and len(boundary_pixels(outer)) == 44
+    assert ls.boundary_f(inner, outer, tolerance=3.0) == pytest.approx(48 / 68)
+    assert ls.boundary_f(outer, inner, tolerance=3.0) == pytest.approx(48 / 68)
+    assert ls.boundary_f(inner, outer) == 0.0
+
+
+def test_boundaries_two_pixels_off_agree():
+    """A shadow that is off by the tolerance has the full score, and by one pixel more it has not."""
+    assert ls.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
+    assert 0.0 < ls.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1), tolerance=st.floats(0.0, 4.0), share=st.floats(0.05, 0.95), size=st.integers(1, 9)
+)
+def test_boundary_f_is_that_of_all_pairs(seed, tolerance, share, size):
+    """Distances between all pixels of both boundaries give the same score."""
+    noise = np.random.default_rng(seed).random((2, size, 9))
+    shadow, reference = (np.where(noise < share, 1.0, 0.0)[index] for index in range(2))
+    ours, theirs = (np.array(boundary_pixels(mask), np.float64).reshape(-1, 2) for mask in (shadow, reference))
+    if len(ours) == 0 or len(theirs) == 0:
+        expected = float(len(ours) == len(theirs))
+    else:
+        near = np.linalg.norm(ours[:, None] - theirs[None], axis=2) <= tolerance
+        precision, recall = near.any(axis=1).mean(), near.any(axis=0).mean()
+        expected = 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+    assert ls.boundary_f(shadow, reference, tolerance=tolerance) == pytest.approx(expected)
+
+
+def test_thresholds_are_left_open():
+    """Strength of exactly tau is lit: S > tau."""
+    assert ls.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4)) == 0.0
+    assert ls.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4), threshold=0.09) == 1.0
+    assert math.isnan(ls.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
+
+
+def test_without_shadow():
+    """No shadow in either is agreement, in one of them is none; an error over no pixels is no number."""
+    nothing, something = np.zeros((20, 20)), square(4, 4, 4)
+    assert ls.sm_iou(nothing, nothing) == ls.boundary_f(nothing, nothing) == 1.0
+    assert ls.sm_iou(nothing, something) == ls.boundary_f(nothing, something) == 0.0
+    assert ls.sm_iou(something, nothing) == ls.boundary_f(something, nothing) == 0.0
+    assert ls.sae(nothing, something) == 1.0
+    assert math.isnan(ls.sae(something, nothing))
+
+
+def test_the_border_of_an_image_is_no_boundary():
+    """A shadow that fills the image has no boundary, one that is cut by its border has one inside only."""
+    full = np.ones((8, 8))
+    assert ls.boundary_f(full, full) == 1.0
+    half = np.zeros((8, 8))
+    half[:, :4] = 1.0
+    assert ls.boundary_f(half, full) == 0.0
+    shifted = np.zeros((8, 8))
+    shifted[:, :6] = 1.0
+    assert ls.boundary_f(half, shifted) == 1.0
+
+
+def test_a_region_hides_the_rest():
+    """What is outside of the region counts nowhere, and its border is no boundary."""
+    shadow, reference = square(4, 4, 4), square(4, 4, 4)
+    shadow[:, 12:] = 1.0
+    region = np.zeros((20, 20), np.bool_)
+    region[2:11, 5:11] = True
+    assert ls.sae(shadow, reference, region=region) == 0.0
+    assert ls.sm_iou(shadow, reference, region=region) == 1.0
+    assert ls.boundary_f(shadow, reference, region=region) == 1.0
+    assert ls.sm_iou(shadow, reference) < 1.0
+    # The left edge, x = 4, lies outside: of the square's boundary, top, right and bottom are left.
+    cut = square(4, 4, 4)
+    cut[:, 4] = 0.0
+    assert ls.boundary_f(cut, reference, tolerance=0.0, region=region) == 1.0
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_symmetries(metric):
+    """Mirrored images give the same figure; so do bytes."""
+    random = np.random.default_rng(1)
+    shadow, reference = random.integers(0, 256, (2, 12, 17)).astype(np.uint8)
+    value = metric(shadow, reference)
+    assert metric(shadow[::-1], reference[::-1]) == pytest.approx(value)
+    assert metric(shadow.T, reference.T) == pytest.approx(value)
+    assert metric(shadow / 255.0, reference / 255.0) == pytest.approx(value)
+    assert 0.0 <= value <= 1.0
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_mistakes_are_told(metric):
+    """Shapes, ranges and settings."""
+    shadow = square(4, 4, 4)
+    with pytest.raises(ls.SceneError, match="the image is 20 x 20, its reference 20 x 19"):
+        metric(shadow, shadow[1:])
+    with pytest.raises(ls.SceneError, match=r"expected \(H, W\)"):
+        metric(shadow[..., None], shadow)
+    with pytest.raises(ls.SceneError, match=r"values outside 0..1"):
+        metric(shadow * 2.0, shadow)
+    with pytest.raises(ls.SceneError, match="region is float64"):
+        metric(shadow, shadow, region=shadow)
+    with pytest.raises(ls.ConfigError, match="threshold is 2"):
+        metric(shadow, shadow, threshold=2.0)
+
+
+def test_tolerance_is_checked():
+    """A negative tolerance is refused."""
+    with pytest.raises(ls.ConfigError, match="tolerance is -1"):
+        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
