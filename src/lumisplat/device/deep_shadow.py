@@ -68,6 +68,15 @@ def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: 
 
 
 @wp.func
+def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
+    """Whether a ray comes near enough to a Gaussian: a first look, which most rays of a tile end with."""
+    to_mean = occluder.offset - (ray.origin - light)
+    nearest = wp.dot(to_mean, ray.direction)
+    across = to_mean - nearest * ray.direction
+    return wp.dot(across, across) <= occluder.radius2
+
+
+@wp.func
 def passage_of(occluder: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
     """A ray through a Gaussian: a, b and c of equation 2, without the difference of large numbers that c - b^2 / a is.
 
@@ -77,7 +86,6 @@ def passage_of(occluder: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
     to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = nearest * ray.direction - to_mean
-    passage.distance2 = wp.dot(across, across)
     along = occluder.canonical_from_world * ray.direction
     start = occluder.canonical_from_world * across
     a = wp.dot(along, along)

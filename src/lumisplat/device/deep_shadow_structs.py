@@ -35,8 +35,6 @@ class Occluder:
 class Passage:
     """A ray through one Gaussian."""
 
-    distance2: float
-    """Squared distance of the line from the mean, scene units."""
     depth: float
     """Optical depth of the whole line."""
     peak: float

@@ -25,11 +25,6 @@ class PlacedGaussians(NamedTuple):
     opacities: FloatArray
     """0..1, shape (N,)."""
 
-    @property
-    def count(self) -> int:
-        """Number of Gaussians, N."""
-        return len(self.means)
-
 
 def placed_gaussians(instances: Iterable[SplatInstance]) -> PlacedGaussians:
     """The Gaussians of all instances, in order, where they stand; of no instance, empty arrays."""

@@ -79,8 +79,8 @@ def _place_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
     local, reach = around.means @ axes, _reach(around)[:, None]
-    low = (local - reach).min(axis=0, initial=math.inf) if around.count else np.zeros(3)
-    high = (local + reach).max(axis=0, initial=-math.inf) if around.count else np.ones(3)
+    low = (local - reach).min(axis=0, initial=math.inf) if len(around.means) else np.zeros(3)
+    high = (local + reach).max(axis=0, initial=-math.inf) if len(around.means) else np.ones(3)
     # Half a texel beyond the edges is read, too: one more on each side.
     texel = max(high[0] - low[0], high[1] - low[1]) / (config.resolution - 2)
     atlas.layout, atlas.size = int(PARALLEL), config.resolution

@@ -19,6 +19,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 """What has Gaussians, or can be turned into them."""
 
+_EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
+
 _Key = tuple[int, bytes]
 """A mesh, which is held as long as its key, and what is done to its vertices."""
 
@@ -74,12 +76,21 @@ def _is_similar(linear: npt.NDArray[np.float64]) -> bool:
     return bool(np.linalg.det(linear) > 0.0 and np.abs(gram - np.eye(3)).max() <= SIMILARITY_TOLERANCE)
 
 
-def _several(name: str, content: object) -> list[Content]:
-    expected = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
+def as_iterable(name: str, content: object) -> Iterable[object]:
+    """What is given, if it is several things.
+
+    Raises:
+        SceneError: It is not; the message says what may be given.
+    """
     if not isinstance(content, Iterable):
-        raise SceneError(f"{name} is a {type(content).__name__}, expected {expected}")
-    items = list(content)
-    for one in items:
+        raise SceneError(f"{name} is a {type(content).__name__}, expected {_EXPECTED}")
+    return content
+
+
+def _several(name: str, content: object) -> list[Content]:
+    items = []
+    for one in as_iterable(name, content):
         if not isinstance(one, Content):
-            raise SceneError(f"{name} holds a {type(one).__name__}, expected {expected}")
+            raise SceneError(f"{name} holds a {type(one).__name__}, expected {_EXPECTED}")
+        items.append(one)
     return items

@@ -9,6 +9,7 @@ from lumisplat.device.deep_shadow import (
     ERF_MAX,
     depth_until,
     footprint_of,
+    may_block,
     meets,
     occluder_of,
     passage_of,
@@ -17,7 +18,13 @@ from lumisplat.device.deep_shadow import (
 from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, transmittance_at
 from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers
 
-wp.set_module_options({"enable_backward": False})
+# Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000",
+    }
+)
 
 STEP = wp.constant(SHADOW_BOUND_STEP)
 MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
@@ -152,8 +159,10 @@ def tabulate(
         table_out[column.offset + k] = 0.0
     among = span(ends, lists[i])
     for k in range(among[0], among[1]):
+        if culling != 0 and not may_block(occluders[items[k]], ray, atlas.origin):
+            continue
         passage = passage_of(occluders[items[k]], ray, atlas.origin)
-        if culling == 0 or (passage.distance2 <= occluders[items[k]].radius2 and passage.depth >= DEPTH_MIN):
+        if culling == 0 or passage.depth >= DEPTH_MIN:
             begin = start_of(atlas, passage)
             width = ERF_MAX / passage.sharpness
             number = wp.max(int(wp.floor(bin_below(atlas, passage.peak - width))) + 1, column.first)

@@ -24,7 +24,7 @@ from lumisplat.scene.arrays import FloatArray, float_array
 from lumisplat.scene.placed import PlacedGaussians
 from lumisplat.shadowmaps import deep_shadow_kernels as kernels
 from lumisplat.shadowmaps.atlases import Source, atlas_of, source_of
-from lumisplat.shadowmaps.casters import Content, MeshesAsGaussians
+from lumisplat.shadowmaps.casters import Content, MeshesAsGaussians, as_iterable
 from lumisplat.shadowmaps.culling import BANDS_PER_THREAD, OneList, TileLists
 from lumisplat.shadowmaps.region import (
     Region,
@@ -229,7 +229,7 @@ class DeepShadowMap:
 
     def _blockers(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
         placed = self._turned.placed("casters", casters)
-        if not placed.count:
+        if not len(placed.means):
             raise SceneError("casters have no Gaussians: there is nothing to cast a shadow")
         return placed
 
@@ -240,7 +240,7 @@ class DeepShadowMap:
             center = np.average(blockers.means, axis=0, weights=blockers.opacities + TINY)
             near = np.abs(placed.means - center).max(axis=1, initial=0.0) <= self.config.region_radius
             placed = PlacedGaussians(*(column[near] for column in placed))
-        if not placed.count:
+        if not len(placed.means):
             _log.warning("there are no receivers near the casters: nothing is shadowed")
         self._atlas = atlas_of(self._source, placed, self.config)
         if not self.config.region:
@@ -275,12 +275,12 @@ class DeepShadowMap:
             launcher.synchronize()
         pairs = int(lists.counts[lists.of_texels(region.texels)].sum(dtype=np.int64))
         self.stats = DeepShadowStats(
-            blockers.count, len(region.texels), region.voxel_count, pairs, dict(launcher.stage_ms)
+            len(blockers.means), len(region.texels), region.voxel_count, pairs, dict(launcher.stage_ms)
         )
 
     def _occluders(self, blockers: PlacedGaussians) -> tuple[Any, Any]:
         """Casters as tables need them, and what they cover."""
-        launcher, buffers, count = self._launcher, self._buffers, blockers.count
+        launcher, buffers, count = self._launcher, self._buffers, len(blockers.means)
         casters = buffers.struct("casters", Casters, count)
         casters.means.assign(blockers.means)
         casters.rotations.assign(blockers.rotations_wxyz[:, [1, 2, 3, 0]])
@@ -318,12 +318,13 @@ class DeepShadowMap:
     def _looking(self, placed: PlacedGaussians) -> tuple[Receivers, Look]:
         """Receivers on the device, and where they look; those without extent, at their means."""
         look = Look()
-        look.pattern, look.count, look.seed = _PATTERN[self.config.sampling], self.config.samples, self.config.seed
+        look.pattern, look.count = _PATTERN[self.config.sampling], self.config.samples
+        look.seed = wp.uint32(self.config.seed)
         if self.config.sampling is ReceiverSampling.STENCIL:
             look.count = STENCIL_POINTS
         if self.config.sampling is ReceiverSampling.CENTER or not placed.scales.any():
             look.pattern, look.count = int(CENTER), 1
-        receivers = self._buffers.struct("receivers", Receivers, placed.count)
+        receivers = self._buffers.struct("receivers", Receivers, len(placed.means))
         receivers.means.assign(placed.means)
         receivers.rotations.assign(placed.rotations_wxyz[:, [1, 2, 3, 0]])
         receivers.scales.assign(placed.scales)
@@ -331,10 +332,10 @@ class DeepShadowMap:
 
     def _look_up(self, placed: PlacedGaussians) -> FloatArray:
         receivers, look = self._looking(placed)
-        found = self._buffers.get("found", wp.float32, placed.count)
+        found = self._buffers.get("found", wp.float32, len(placed.means))
         self._launcher.run_banded(
             kernels.look_up,
-            *(placed.count, self._atlas, self._columns, self._table, receivers, look, found),
+            *(len(placed.means), self._atlas, self._columns, self._table, receivers, look, found),
             bands=BANDS_PER_THREAD * self._launcher.threads,
         )
         return found.numpy().copy()  # on the CPU, the buffer itself
@@ -344,12 +345,10 @@ def _placed_receivers(receivers: Receiving) -> PlacedGaussians:
     """What looks at a map; points are Gaussians without extent."""
     if isinstance(receivers, Content):
         return MeshesAsGaussians().placed("receivers", receivers)
-    if not isinstance(receivers, np.ndarray):
-        items = list(receivers) if isinstance(receivers, Iterable) else receivers
-        if not isinstance(items, list) or (items and isinstance(items[0], Content)):
-            return MeshesAsGaussians().placed("receivers", items)  # type: ignore[arg-type]
-        receivers = items  # type: ignore[assignment]
-    return _points(receivers)
+    items: Any = receivers if isinstance(receivers, np.ndarray) else list(as_iterable("receivers", receivers))
+    if len(items) and isinstance(items[0], Content):
+        return MeshesAsGaussians().placed("receivers", items)
+    return _points(items)
 
 
 def _points(values: npt.ArrayLike) -> PlacedGaussians:
@@ -357,5 +356,5 @@ def _points(values: npt.ArrayLike) -> PlacedGaussians:
     if points.size == 0:
         points = points.reshape(0, 3)
     check_shapes(points=(points, "N 3"))
-    turns = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(points), 1))
+    turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(points), 1))
     return PlacedGaussians(points, turns, np.zeros_like(points), np.zeros(len(points), np.float32))
