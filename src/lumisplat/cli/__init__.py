@@ -1,4 +1,4 @@
-"""The command line: ``lumisplat render | info | convert | demo | bench``.
+"""The command line: ``lumisplat render | info | convert | demo | bench | metrics``.
 
 A front end on the public names of the package. A user's mistake ends as one line on standard error and exit status 2.
 """
@@ -20,6 +20,8 @@ from lumisplat.cli.bench import Bench
 from lumisplat.cli.convert import Convert
 from lumisplat.cli.demo import Demo
 from lumisplat.cli.info import Info
+from lumisplat.cli.metrics import Metrics
+from lumisplat.cli.options import Command
 from lumisplat.cli.render import Render
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
@@ -40,6 +42,7 @@ _Command = (
     | Annotated[Convert, subcommand("convert")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
+    | Annotated[Metrics, subcommand("metrics")]
 )
 
 
@@ -79,7 +82,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return _run(command)
 
 
-def _run(command: Render | Info | Convert | Demo | Bench) -> int:
+def _run(command: Command) -> int:
     try:
         command.run()
     except KeyboardInterrupt:

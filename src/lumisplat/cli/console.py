@@ -66,6 +66,19 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     Console(highlight=False, markup=False, emoji=False).print(table)
 
 
+def print_columns(header: list[str], rows: list[list[str]]) -> None:
+    """Prints a table of names and, below the other headings, figures to the right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for number, name in enumerate(header):
+        table.add_column(name, justify="right" if number else "left", style=None if number else "cyan", no_wrap=True)
+    for row in rows:
+        table.add_row(*("".join(char if char.isprintable() else "?" for char in cell) for cell in row))
+    Console(highlight=False, markup=False, emoji=False).print(table)
+
+
 def byte_size(count: float) -> str:
     """``count`` bytes for people: ``3.6 MB`` (powers of 1000)."""
     for unit in ("B", "kB", "MB"):

@@ -37,6 +37,10 @@ class Command:
     debug: Flag = False
     """Show the traceback of an error."""
 
+    def run(self) -> None:
+        """Does what the command is for."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceCommand(Command):

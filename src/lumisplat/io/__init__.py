@@ -31,6 +31,7 @@ __all__ = [
     "load_animation",
     "load_cameras",
     "load_config",
+    "load_image",
     "load_radiance",
     "load_rig",
     "load_sequence",
@@ -232,6 +233,24 @@ def save_config(path: PathLike, config: RenderConfig) -> None:
     write_config(path, config)
 
 
+def load_image(path: PathLike) -> FloatArray:
+    """Loads a picture as it is shown, such as one to compare by `psnr`, `ssim` or `flip`.
+
+    Args:
+        path: PNG, JPEG, WebP and what else Pillow reads, in sRGB; transparent pixels are taken over black. Or OpenEXR and
+            Radiance HDR, whose linear light is encoded as sRGB, and clipped at white.
+
+    Returns:
+        Display-referred sRGB, 0..1, shape (H, W, 3), row 0 on top.
+
+    Raises:
+        FormatError: The file is missing, damaged, or no picture.
+    """
+    from lumisplat.io.picture import read_picture
+
+    return read_picture(path)
+
+
 def load_radiance(path: PathLike) -> FloatArray:
     """Loads an image of radiance, such as a latitude-longitude environment for a `LightEnvironment`.
 
@@ -286,7 +305,7 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
     """
     from lumisplat.io.sequence import read_sequence
 
-    return read_sequence(folder, fps, drop_invalid)
+    return read_sequence(folder, fps, lambda frame: load(frame, drop_invalid=drop_invalid))
 
 
 def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
@@ -299,9 +318,12 @@ def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
     Raises:
         FormatError: The file or one that it names cannot be read, or an entry is bad; names the line and the key.
     """
-    from lumisplat.io.scene_actors import read_animation
+    from lumisplat.io.scene_animation import read_animation
 
-    return read_animation(path)
+    def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
+        return load_cameras(file, width=width, height=height)
+
+    return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_sized)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

@@ -1,0 +1,56 @@
+"""Which pictures are compared with which: two files, or those of two folders by their names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import lumisplat as ls
+
+_EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A picture and what it should be."""
+
+    name: str
+    image: Path
+    reference: Path
+
+
+def picture_pairs(image: Path, reference: Path) -> list[Pair]:
+    """The pairs of two files or two folders, in the order of their names.
+
+    Pictures of folders go together by their names without the extension: a PNG has an EXR for reference.
+
+    Raises:
+        FormatError: One is missing, only one is a folder, a folder has no pictures or two of the same name, or a
+            picture has no partner.
+    """
+    for path in (image, reference):
+        if not path.exists():
+            raise ls.FormatError(path, "no such file or folder")
+    if image.is_dir() != reference.is_dir():
+        folder, file = (image, reference) if image.is_dir() else (reference, image)
+        raise ls.FormatError(folder, f"is a folder and {file} is not: compare two files, or two folders")
+    if not image.is_dir():
+        return [Pair(image.stem, image, reference)]
+    ours, theirs = _pictures(image), _pictures(reference)
+    for folder, missing in ((reference, sorted({*ours} - {*theirs})), (image, sorted({*theirs} - {*ours}))):
+        if missing:
+            count = f" ({len(missing)} pictures of the other folder are missing)" if len(missing) > 1 else ""
+            raise ls.FormatError(folder, f"has no picture '{missing[0]}' as the other folder does{count}")
+    return [Pair(name, ours[name], theirs[name]) for name in sorted(ours)]
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in _EXTENSIONS and not path.name.startswith("."):
+            if path.stem in found:
+                raise ls.FormatError(path, f"has the name of {found[path.stem].name}: which of them is to be compared?")
+            found[path.stem] = path
+    if not found:
+        raise ls.FormatError(folder, f"holds no pictures ({', '.join(_EXTENSIONS)})")
+    return found
