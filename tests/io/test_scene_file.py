@@ -111,13 +111,13 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("# nothing", "lists nothing to see: expected [[splats]], [[meshes]], [[lights]], [environment]"),
+        ("# nothing", "lists nothing to see: expected [[splats]], [[meshes]], [[actors]], [[lights]], [environment]"),
         ("splats = []", "lists nothing to see"),
         ("[render]\nsamples = 4", "lists nothing to see"),
         ("[[splats]", "is not valid TOML"),
         (SPLAT + "path = 'capture.ply'\n", "is not valid TOML: Cannot overwrite a value (at line 3"),
         ("[splats]\npath = 'capture.ply'", "line 1: splats must be written with double brackets: [[splats]]"),
-        (MESH + "[[lamps]]\nintensity = 4", "line 3: unknown 'lamps', expected splats, meshes, lights"),
+        (MESH + "[[lamps]]\nintensity = 4", "line 3: unknown 'lamps', expected splats, meshes, actors, lights"),
         (MESH + "[[ligths]]\n", "line 3: unknown 'ligths', did you mean 'lights'?"),
         ("[[splats]]\nname = 'x'", "line 1, splats[0]: lacks path, a string"),
         ("[[splats]]\npath = 3", "line 2, splats[0]: path is 3, expected a string"),

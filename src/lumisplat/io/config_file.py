@@ -38,7 +38,7 @@ def read_config(document: TomlTable) -> RenderConfig:
     Raises:
         FormatError: An unknown setting, or a bad value.
     """
-    return _config(document.table("render"), RenderConfig)
+    return read_settings(document.table("render"), RenderConfig)
 
 
 def write_config(path: PathLike, config: RenderConfig) -> None:
@@ -50,7 +50,16 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
         Path(temporary).write_text(text, encoding="utf-8")
 
 
-def _config(table: TomlTable, kind: type[_Config]) -> _Config:
+def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
+    """The settings of a table, those of stages in tables below it; the defaults where it says nothing.
+
+    Args:
+        table: Keys are the names of fields.
+        kind: Which settings.
+
+    Raises:
+        FormatError: An unknown setting, or a bad value.
+    """
     hints = get_type_hints(kind)
     table.check_keys(hints)
     try:
@@ -70,7 +79,7 @@ def _setting(table: TomlTable, key: str, hint: Any) -> Any:
     if isinstance(hint, type) and is_dataclass(hint):
         if not TABLE.accepts(value):
             raise table.wrong(key, TABLE.expected)
-        return _config(table.table(key), hint)
+        return read_settings(table.table(key), hint)
     if hint is bool and not FLAG.accepts(value):
         raise table.wrong(key, FLAG.expected + (nothing and f' or "{nothing}"'))
     if isinstance(hint, type) and issubclass(hint, Enum):

@@ -96,7 +96,7 @@ def read_primitives(
             positions = (positions + weights[target] * offsets).astype(np.float32)
         for target, offsets in raw.morph_normals.items():
             normals = None if normals is None else (normals + weights[target] * offsets).astype(np.float32)
-        if raw.influences is not None:
+        if raw.influences is not None and world_from_bind is not None:
             matrices = blended(world_from_bind, raw.influences.joints, raw.influences.weights)
             positions = moved_points(matrices, positions).astype(np.float32)
             normals = None if normals is None else moved_normals(matrices, normals)
@@ -201,7 +201,7 @@ def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64
 def _morphs(primitive: _Primitive, name: str, base: _Floats, wanted: set[int] | None) -> dict[int, _Floats]:
     """Offsets of an attribute by the number of the morph target, of those that have some."""
     found = {}
-    targets: list[dict[str, Any]] = primitive.item.targets or []
+    targets: Any = primitive.item.targets or []  # a list of accessors by attribute, not what pygltflib declares
     for number, target in enumerate(targets):
         if name in target and (wanted is None or number in wanted):
             offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")

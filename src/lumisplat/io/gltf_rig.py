@@ -152,7 +152,8 @@ def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_co
         filled = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
         colors = handed_over(np.concatenate(filled))
         _warn_black(file, colors, first.name)
-    uvs = None if first.uvs is None else handed_over(np.concatenate([raw.uvs for raw, _ in pieces]))
+    placed = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
+    uvs = handed_over(np.concatenate(placed)) if placed else None
     material = placed_material(file.path, first.material, uvs, first.name)
     indices = joined(parts, triangles, skeleton)
     return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)

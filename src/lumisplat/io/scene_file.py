@@ -21,7 +21,6 @@ metallic = 1.0
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,6 +29,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.mesh_arrays import without_loose_textures
+from lumisplat.io.scene_actors import Load, read_actors
 from lumisplat.io.scene_lights import moved_light, read_environment, read_light
 from lumisplat.io.scene_materials import MaterialTable, material_of, read_materials
 from lumisplat.io.scene_placement import PLACEMENT, placement
@@ -45,11 +45,9 @@ _KEYS = {
     "splats": {**_ENTRY, "kernel_degree": WHOLE, "sh_degree": WHOLE, "shadow_only": FLAG},
     "meshes": {**_ENTRY, "lights": FLAG},
 }
-_TOP = ("splats", "meshes", "lights", "environment", "cameras", "materials", "render")
-_SHOWN = ("splats", "meshes", "lights", "environment")
+_TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render")
+_SHOWN = ("splats", "meshes", "actors", "lights", "environment")
 """What of a scene file makes a scene."""
-
-Load = Callable[[Path], Gaussians | Mesh | Scene]
 
 
 def read_document(path: PathLike) -> TomlTable:
@@ -64,7 +62,7 @@ def read_document(path: PathLike) -> TomlTable:
 
 
 def read_scene_file(path: PathLike, load: Load) -> Scene:
-    """Reads a scene file and the files it names. A file named twice is loaded once.
+    """Reads a scene file and the files it names, actors as they are at time 0. A file named twice is loaded once.
 
     ``kernel_degree`` of a capture and the ``material`` of a mesh replace what its file says; of a file with several
     meshes, all of them change. Lights of the scene file come first, then those of its meshes, the environment last.
@@ -77,12 +75,22 @@ def read_scene_file(path: PathLike, load: Load) -> Scene:
         FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
     """
     with parsing(path, "a scene file"):
-        return _scene(read_document(path), load)
+        document = read_document(path)
+        if all(document.values.get(key, []) == [] for key in _SHOWN):
+            raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+        scene = static_scene(document, load)
+        shown = [instance for actor in read_actors(document, load) for instance in actor.at(0.0)]
+        splats = tuple(instance for instance in shown if isinstance(instance, SplatInstance))
+        meshes = tuple(instance for instance in shown if isinstance(instance, MeshInstance))
+        return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
 
 
-def _scene(document: TomlTable, load: Load) -> Scene:
-    if all(document.values.get(key, []) == [] for key in _SHOWN):
-        raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+def static_scene(document: TomlTable, load: Load) -> Scene:
+    """What of a scene file does not move; perhaps nothing.
+
+    Raises:
+        FormatError: An unknown or bad entry, or a file of the wrong kind.
+    """
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     assets = _Assets(load, read_materials(document))

@@ -39,6 +39,10 @@ VECTOR = Kind("three numbers", _numbers(3))
 QUATERNION = Kind("four numbers, w x y z", _numbers(4))
 COLOR = Kind("a number or three", lambda value: _is_number(value) or _numbers(3)(value))
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
+TABLES = Kind(
+    "tables, written with double brackets",
+    lambda value: isinstance(value, list) and all(isinstance(entry, dict) for entry in value),
+)
 TEXT_OR_TABLE = Kind("a name or a table", lambda value: isinstance(value, str | dict))
 
 

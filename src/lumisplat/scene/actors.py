@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config_lighting import AvatarLightingConfig
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import is_number, matrix_4x4
 from lumisplat.scene.camera import Camera
@@ -15,7 +16,7 @@ from lumisplat.scene.keyframes import Keyframes, check_time
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.rig import Rig
 from lumisplat.scene.rigged import RiggedGaussians
-from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, refuse_dissimilar
 from lumisplat.scene.sequence import GaussianSequence
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene
@@ -70,11 +71,10 @@ class Actor:
             if rig is None:
                 raise SceneError(f"clip is {self.clip!r}, but the actor has no rig")
             rig.duration(self.clip)
-        object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
-        # What no capture can be placed by is refused now, not at some frame.
+        matrix = matrix_4x4("world_from_object", self.world_from_object)
         if not isinstance(self.subject, Mesh | Rig):
-            placeholder = Gaussians([[0.0] * 3], [[1.0, 0.0, 0.0, 0.0]], [[1.0] * 3], [1.0], [[[0.0] * 3]])
-            SplatInstance(placeholder, self.world_from_object)
+            refuse_dissimilar(matrix[:3, :3])  # now, not at some frame
+        object.__setattr__(self, "world_from_object", matrix)
 
     @property
     def rig(self) -> Rig | None:
@@ -114,15 +114,22 @@ class Actor:
                 pass
         return (SplatInstance(gaussians, world, name=self.name),)
 
+    @property
+    def own_duration(self) -> float:
+        """How long its clip or its frames take once, at its speed, seconds; 0 without any."""
+        return self._length() / self.speed if self.speed > 0.0 else 0.0
+
+    def _length(self) -> float:
+        """Of the clip or the frames, in their own seconds."""
+        if isinstance(self.subject, GaussianSequence):
+            return self.subject.duration
+        rig = self.rig
+        return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
+
     def _own_time(self, time: float) -> float:
         """Time of the clip or of the frames."""
-        duration = 0.0
-        if isinstance(self.subject, GaussianSequence):
-            duration = self.subject.duration
-        elif self.rig is not None and self.rig.clips:
-            duration = self.rig.duration(self.clip)
-        own = self.speed * time
-        return own % duration if self.loop and duration > 0.0 else own
+        own, length = self.speed * time, self._length()
+        return own % length if self.loop and length > 0.0 else own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +148,8 @@ class Animation:
     """Frames a second, above 0."""
     frame_count: int = 1
     """Number of frames, at least 1."""
+    lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
+    """How actors take light and cast shadows."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.scene, Scene):
@@ -151,6 +160,8 @@ class Animation:
                 if not isinstance(item, kind):
                     raise SceneError(f"{name} holds a {type(item).__name__}, expected {kind.__name__}")
             object.__setattr__(self, name, items)
+        if not isinstance(self.lighting, AvatarLightingConfig):
+            raise SceneError(f"lighting is a {type(self.lighting).__name__}, expected an AvatarLightingConfig")
         if not is_number(self.fps) or not 0.0 < self.fps < np.inf:
             raise SceneError(f"fps is {self.fps}, expected a positive number")
         count = self.frame_count

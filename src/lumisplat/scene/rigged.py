@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN, SAMPLING_COUNT_MAX
+from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import FloatArray, IntArray, handed_over
 from lumisplat.scene.gaussians import Gaussians, merged
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.rig import Rig
 from lumisplat.scene.rotations import matrices_from_quaternions, quaternions_from_matrices
-from lumisplat.scene.sampling import SurfaceSamples, default_count, sample_surface, surface_area
+from lumisplat.scene.sampling import SurfaceSamples
+from lumisplat.scene.sampling_several import sample_surfaces
 
 _Floats = npt.NDArray[np.floating]
 
@@ -130,20 +131,9 @@ def bind_gaussians(rig: Rig, count: int | None = None, seed: int = 0) -> RiggedG
     """
     if not isinstance(rig, Rig):
         raise SceneError(f"bind_gaussians takes a Rig of load_rig, got a {type(rig).__name__}")
-    count = max(default_count(rig.meshes), len(rig.meshes)) if count is None else count
-    whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-    if not whole or not len(rig.meshes) <= count <= SAMPLING_COUNT_MAX:
-        raise SceneError(f"count is {count}, expected a whole number from {len(rig.meshes)} to {SAMPLING_COUNT_MAX:,}")
-    shares = _shares(int(count), [surface_area(mesh) for mesh in rig.meshes])
-    samples = [sample_surface(mesh, share, seed) for mesh, share in zip(rig.meshes, shares, strict=True)]
+    samples = sample_surfaces(rig.meshes, count, seed)
     bindings = [_binding(mesh, one) for mesh, one in zip(rig.meshes, samples, strict=True)]
     return RiggedGaussians(rig, merged([one.gaussians for one in samples]), tuple(bindings))
-
-
-def _shares(count: int, areas: list[float]) -> list[int]:
-    """A count for each mesh by its area, at least 1, in all ``count``."""
-    ends = np.cumsum(areas) / sum(areas) * (count - len(areas))
-    return [int(share) + 1 for share in np.diff(np.floor(ends + 0.5), prepend=0.0)]
 
 
 def _binding(mesh: Mesh, samples: SurfaceSamples) -> Binding:
@@ -170,7 +160,7 @@ def _binding(mesh: Mesh, samples: SurfaceSamples) -> Binding:
 
 def _deformed(
     rest: Gaussians, rows: slice, binding: Binding, positions: _Floats, vertex_normals: _Floats | None
-) -> tuple[dict[str, FloatArray], npt.NDArray[np.bool_]]:
+) -> tuple[dict[str, _Floats], npt.NDArray[np.bool_]]:
     """What changes of the Gaussians ``rows``, and which of them vanish."""
     frames, growth = binding.frames(positions)
     triangles = binding.triangles
@@ -193,7 +183,7 @@ def _deformed(
     return deformed, vanished
 
 
-def _principal_axes(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
     """Two vectors square to each other that span the same ellipse, shape (N, 3) each.
 
     One rotation of the pair (one-sided Jacobi, Hestenes 1958), the smaller of the two that do: axes stay what they are
@@ -208,7 +198,7 @@ def _principal_axes(first: FloatArray, second: FloatArray) -> tuple[FloatArray, 
     return cosine * (first - tangent * second), cosine * (tangent * first + second)
 
 
-def _normals(binding: Binding, vertex_normals: _Floats | None, flat: FloatArray) -> FloatArray:
+def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
     """Shading normals of the Gaussians, shape (N, 3); ``flat`` where the vertices have none."""
     if vertex_normals is None:
         return flat
@@ -220,11 +210,11 @@ def _normals(binding: Binding, vertex_normals: _Floats | None, flat: FloatArray)
     return np.where(length > _SHORT_NORMAL, smooth / np.maximum(length, _SHORT_NORMAL), flat)
 
 
-def _dots(first: FloatArray, second: FloatArray) -> FloatArray:
+def _dots(first: _Floats, second: _Floats) -> _Floats:
     return np.einsum("ni,ni->n", first, second)
 
 
-def _crosses(first: FloatArray, second: FloatArray) -> FloatArray:
+def _crosses(first: _Floats, second: _Floats) -> _Floats:
     a, b = first, second
     columns = [a[:, (k + 1) % 3] * b[:, (k + 2) % 3] - a[:, (k + 2) % 3] * b[:, (k + 1) % 3] for k in range(3)]
     return np.stack(columns, axis=1)

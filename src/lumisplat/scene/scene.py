@@ -51,7 +51,7 @@ class SplatInstance:
         if not isinstance(self.shadow_only, bool | np.bool_):
             raise SceneError(f"shadow_only is {self.shadow_only}, expected True or False")
         matrix = matrix_4x4("world_from_object", self.world_from_object)
-        _refuse_dissimilar(matrix[:3, :3])
+        refuse_dissimilar(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
     @property
@@ -133,8 +133,12 @@ class Scene:
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
 
 
-def _refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
-    """Raises a SceneError with the figures unless the matrix, shape (3, 3), turns and scales uniformly."""
+def refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
+    """Refuses what a splat instance cannot be placed by.
+
+    Raises:
+        SceneError: The matrix, shape (3, 3), does not only turn and scale uniformly; with the figures.
+    """
     gram = linear.T @ linear
     gram /= np.trace(gram) / 3.0
     factors = np.linalg.norm(linear, axis=0)
