@@ -81,13 +81,16 @@ def _place_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians
     local, reach = around.means @ axes, _reach(around)[:, None]
     low = (local - reach).min(axis=0, initial=math.inf) if len(around.means) else np.zeros(3)
     high = (local + reach).max(axis=0, initial=-math.inf) if len(around.means) else np.ones(3)
+    # Of receivers in one plane or point, something is left to divide by.
+    length = max(*(high - low), 1e-3)
     # Half a texel beyond the edges is read, too: one more on each side.
-    texel = max(high[0] - low[0], high[1] - low[1]) / (config.resolution - 2)
+    texel = max(high[0] - low[0], high[1] - low[1], 1e-3 * length) / (config.resolution - 2)
     atlas.layout, atlas.size = int(PARALLEL), config.resolution
     atlas.axes = wp.mat33(*axes.ravel())
     atlas.texel_length = texel
     # One bin ahead: what is before the first bin's centre counts as lit, but casters may stand there.
-    atlas.bin_length = (config.max_distance or float(high[2] - low[2])) / max(config.bins - 1, 1)
+    depth = config.max_distance or max(float(high[2] - low[2]), texel)
+    atlas.bin_length = depth / max(config.bins - 1, 1)
     atlas.origin = wp.vec3(*(axes @ (low - [texel, texel, atlas.bin_length])))
 
 

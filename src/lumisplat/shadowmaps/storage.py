@@ -66,7 +66,7 @@ def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, At
         FormatError: The file is missing, or is none of these.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             header = json.loads(file["header"].tobytes())
             if header["version"] != _VERSION:
                 raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")

@@ -1,0 +1,268 @@
+"""Deep shadow maps at the door: what may be given, what is refused, what is kept, and files."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.scene.shapes import icosphere
+from lumisplat.shadowmaps import casters
+from scenes import joined, one_gaussian, random_gaussians, similarity
+
+LIGHT = (0.0, 0.0, -4.0)
+BEHIND = np.array([[0.0, 0.0, 4.0], [3.5, 0.0, 4.0]], np.float32)
+"""In the shadow of what is at the origin, and beside it."""
+SMALL = ls.DeepShadowConfig(resolution=256, bins=64)
+
+
+def ball(**changes: Any) -> ls.Gaussians:
+    """One wide, dense Gaussian at the origin."""
+    return one_gaussian((0.0, 0.0, 0.0), scale=0.3, opacity=0.95, **changes)
+
+
+def behind(casters: Any, light: Any = LIGHT, config: ls.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
+    """What reaches `BEHIND`."""
+    return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
+
+
+def test_shadow_falls_behind_and_not_beside() -> None:
+    """In the middle of a ball's shadow the light is what equations 2 to 5 leave; beside it there is all of it."""
+    seen = behind(ball())
+    # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
+    assert seen[0] == pytest.approx(0.05, abs=2e-3)
+    assert seen[1] == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        list(LIGHT),
+        np.array(LIGHT),
+        ls.LightPoint(LIGHT),
+        ls.LightSphere(LIGHT, radius=0.5),
+        ls.LightSpot(LIGHT, direction=(0.0, 0.0, 1.0)),
+        ls.LightRect(LIGHT, edge_u=(1.0, 0.0, 0.0), edge_v=(0.0, 1.0, 0.0)),
+    ],
+    ids=lambda light: type(light).__name__,
+)
+def test_lights_at_a_place_shine_from_it(light: Any) -> None:
+    """Points and lights of any kind cast the same shadow from the same place."""
+    np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
+
+
+def test_casters_may_come_in_any_form() -> None:
+    """Bare, placed, in a scene, in a list: the same Gaussians cast the same shadow."""
+    moved = replace(ball(), means=ball().means + np.float32([1.0, 2.0, 3.0]))
+    back = similarity((0.3, -0.2, 1.0), 0.7)
+    back[:3, 3] = -back[:3, :3] @ [1.0, 2.0, 3.0]
+    placed = ls.SplatInstance(moved, back)
+    expected = behind(ball())
+    for given in ([ball()], placed, (placed,), ls.Scene(splats=(placed,)), [ls.Scene(splats=(ball(),))]):
+        np.testing.assert_allclose(behind(given), expected, atol=2e-5)
+
+
+def test_scaled_instances_cast_shadows_of_their_size() -> None:
+    """A set of half the size, scaled by two, is the set itself."""
+    half = replace(ball(), scales=ball().scales * np.float32(0.5))
+    np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
+
+
+def test_two_casters_multiply() -> None:
+    """Optical depths add: a second caster takes its share of what the first one leaves."""
+    other = one_gaussian((0.1, 0.0, 1.0), scale=0.4, opacity=0.5)
+    np.testing.assert_allclose(behind([ball(), other]), behind(ball()) * behind(other), rtol=1e-4)
+    np.testing.assert_array_equal(behind([ball(), other]), behind(joined(ball(), other)))
+
+
+def test_meshes_cast_as_gaussians() -> None:
+    """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
+    sphere = icosphere(radius=0.5)
+    assert behind(sphere)[0] < 0.01
+    stretched = np.diag([-8.0, 1.0, 1.0, 1.0])
+    seen = behind(ls.MeshInstance(sphere, stretched))
+    assert seen[0] < 0.01
+    # Stretched to eight times its width, its shadow at z = 4 reaches to x = 8.
+    assert seen[1] < 0.01
+    assert behind(ls.MeshInstance(sphere))[1] == 1.0
+
+
+def test_mesh_is_turned_into_gaussians_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh that moves keeps its Gaussians from frame to frame."""
+    calls = []
+    turn = casters.gaussians_from_mesh
+    monkeypatch.setattr(casters, "gaussians_from_mesh", lambda mesh: calls.append(mesh) or turn(mesh))
+    sphere = icosphere(radius=0.5)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.rebuild(ls.MeshInstance(sphere, similarity((1.0, 0.0, 0.0), 0.5, 1.0, (0.0, 0.1, 0.0))))
+    assert calls == [sphere]
+
+
+def test_light_inside_a_caster_shines_through_half_of_it() -> None:
+    """From the middle of a ball, light passes half of its depth, in any direction."""
+    points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
+    config = replace(SMALL, bins=256)
+    seen = ls.DeepShadowMap.build(ball(), (0.0, 0.0, 0.0), points, config, device="cpu").transmittance(points)
+    np.testing.assert_allclose(seen, np.sqrt(0.05), rtol=1e-3)
+
+
+def test_parallel_light_has_no_beginning() -> None:
+    """What stands far towards the sun casts a shadow; what stands behind the receivers casts none."""
+    sun = ls.LightDirectional((0.0, 0.0, 1.0))
+    for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
+        caster = replace(ball(), means=np.float32([[0.0, 0.0, z]]))
+        seen = behind(caster, sun, replace(SMALL, resolution=512))
+        np.testing.assert_allclose(seen, [expected, 1.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
+def test_no_receivers_are_told_and_all_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """A map without receivers is made, with a warning, and shadows nothing."""
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, SMALL, device="cpu")
+    assert "no receivers" in caplog.text
+    assert (shadow.transmittance(BEHIND) == 1.0).all()
+    assert shadow.stats.voxels == 0
+    shadow.rebuild(ball())
+
+
+def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
+    """Receivers beyond the region stay lit; where none is left, that is told."""
+    points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
+    config = replace(SMALL, region_radius=2.0)
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, points, config, device="cpu")
+    seen = shadow.transmittance(points[:1])
+    assert seen[0] < 0.06
+    assert not caplog.records
+    ls.DeepShadowMap.build(ball(), LIGHT, points[1:], config, device="cpu")
+    assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
+
+
+def test_without_receivers_any_point_behind_may_ask() -> None:
+    """A map for nobody in particular knows what is behind the casters as well as one for receivers does."""
+    casters = random_gaussians(3, 40)
+    points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
+    light, config = (-5.0, -4.0, -3.0), replace(SMALL, max_distance=25.0)
+    anyone = ls.DeepShadowMap.build(casters, light, None, config, device="cpu")
+    own = ls.DeepShadowMap.build(casters, light, points, config, device="cpu")
+    assert own.transmittance(points).min() < 0.9
+    np.testing.assert_allclose(anyone.transmittance(points), own.transmittance(points), atol=2e-6)
+
+
+def test_looking_is_repeatable() -> None:
+    """The points at which a receiver looks are its own: nothing flickers; another seed looks elsewhere."""
+    casters, receivers = random_gaussians(3, 40), random_gaussians(4, 200)
+    config = replace(SMALL, max_distance=20.0, region=False)
+    shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, config, device="cpu")
+    first = shadow.transmittance_of(receivers)
+    shadow.rebuild(casters)
+    np.testing.assert_array_equal(shadow.transmittance_of(receivers), first)
+    shadow.config = replace(config, seed=1)
+    assert (shadow.transmittance_of(receivers) != first).any()
+
+
+def test_rebuild_allocates_nothing_for_the_same_size() -> None:
+    """From frame to frame memory stays as it is."""
+    casters, receivers = random_gaussians(3, 60), random_gaussians(4, 300)
+    shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, SMALL, device="cpu")
+    shadow.rebuild(casters)
+    before, held = shadow._buffers.allocations, shadow.bytes
+    moved = replace(casters, means=casters.means + np.float32(1e-4))
+    for frame in (moved, casters, moved):
+        shadow.rebuild(frame)
+    assert (shadow._buffers.allocations, shadow.bytes) == (before, held)
+
+
+@pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
+def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
+    """A map from a file answers as the one it was, and is rebuilt as it."""
+    config = replace(SMALL, absorption=ls.Absorption.MASS, strength=0.01, sampling=ls.ReceiverSampling.STENCIL)
+    receivers, casters = random_gaussians(4, 100), random_gaussians(5, 30)
+    shadow = ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
+    shadow.save(tmp_path / "map.npz")
+    again = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
+    assert again.config == config
+    np.testing.assert_array_equal(again.transmittance_of(receivers), shadow.transmittance_of(receivers))
+    for one in (shadow, again):
+        one.rebuild(joined(casters, ball()))
+    np.testing.assert_array_equal(again.transmittance_of(receivers), shadow.transmittance_of(receivers))
+
+
+def test_bad_files_are_refused(tmp_path: Path) -> None:
+    """Missing, foreign, truncated and tampered files each give one line that names the file."""
+    good = tmp_path / "good.npz"
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.save(good)
+    with pytest.raises(ls.FormatError, match=r"\.npz"):
+        shadow.save(tmp_path / "map.png")
+    with pytest.raises(ls.FormatError, match="cannot be read"):
+        ls.DeepShadowMap.load(tmp_path / "missing.npz")
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:300])
+    np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
+    for name in ("text", "cut", "foreign"):
+        with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map"):
+            ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
+    with np.load(good) as file:
+        arrays = dict(file)
+    header = json.loads(arrays["header"].tobytes())
+    for name, changed in {
+        "bins": arrays | {"count": arrays["count"] + 100},
+        "texels": arrays | {"texels": arrays["texels"] + 256 * 256},
+        "table": arrays | {"table": arrays["table"][1:]},
+        "nan": arrays | {"table": arrays["table"] * np.nan},
+    }.items():
+        np.savez(tmp_path / f"{name}.npz", **changed)
+        with pytest.raises(ls.FormatError, match="damaged"):
+            ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
+    newer = np.frombuffer(json.dumps(header | {"version": 9}).encode(), np.uint8)
+    np.savez(tmp_path / "newer.npz", **(arrays | {"header": newer}))
+    with pytest.raises(ls.FormatError, match="version 9"):
+        ls.DeepShadowMap.load(tmp_path / "newer.npz")
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"casters": []}, "casters have no Gaussians"),
+        ({"casters": ls.Scene()}, "casters have no Gaussians"),
+        ({"casters": 3}, "casters is a int"),
+        ({"casters": ["a"]}, "casters holds a str"),
+        ({"light_position": (0.0, np.nan, 0.0)}, "light_position has 1 non-finite"),
+        ({"light_position": (0.0, 1.0)}, "light_position has shape"),
+        ({"light_position": ls.LightEnvironment()}, "LightEnvironment"),
+        ({"receivers": np.full((4, 3), np.inf)}, "points has 12 non-finite"),
+        ({"receivers": np.zeros((4, 2))}, "points has shape"),
+        ({"receivers": "floor"}, "points"),
+    ],
+)
+def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
+    """What cannot be used is refused in one line."""
+    settings = {"casters": ball(), "light_position": LIGHT, "receivers": BEHIND} | given
+    with pytest.raises(ls.SceneError, match=problem) as error:
+        ls.DeepShadowMap.build(**settings, device="cpu")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"resolution": 100},
+        {"resolution": 4},
+        {"bins": 0},
+        {"samples": 0},
+        {"strength": -1.0},
+        {"max_distance": 0.0},
+        {"absorption": "avg"},
+    ],
+)
+def test_bad_settings_are_named(changes: dict[str, Any]) -> None:
+    """A setting out of range says which, and what was expected."""
+    with pytest.raises(ls.ConfigError, match=next(iter(changes))):
+        ls.DeepShadowConfig(**changes)
