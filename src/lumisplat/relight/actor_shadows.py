@@ -90,7 +90,7 @@ class ActorShadows:
         """Transmittance of casters for each light at all receivers, shape (L, N)."""
         self._warn_of_lights_inside(placed)
         # One set in the world for all lights: meshes are turned into Gaussians once.
-        blockers = Gaussians(*placed, sh=np.zeros((placed.count, 1, 3), dtype=np.float32))
+        blockers = Gaussians(*placed, sh=np.zeros((len(placed.means), 1, 3), dtype=np.float32))
         if self._maps:
             for shadow in self._maps:
                 shadow.rebuild(blockers)
