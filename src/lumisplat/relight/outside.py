@@ -50,8 +50,8 @@ def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tu
     The set becomes voxels, solid where Gaussians are. Free cells that are connected to the set's surroundings are
     outside. A Gaussian looks along its axis both ways, one cell far, two, four ..., until one way is clearly more
     outside than the other. So it does not matter whether the shape is convex there, and a plate's two sides are told
-    apart if it is at least about a cell thick. Where both ways stay alike, as in a single sheet, the way from the
-    opacity-weighted centre is taken.
+    apart if it is at least about a cell thick. Where both ways stay alike, as in a single sheet, axes take the way that
+    they have in common.
 
     Args:
         gaussians: The set.
@@ -70,10 +70,15 @@ def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tu
         signs[undecided[clear]] = np.sign(difference[clear])
         undecided = undecided[~clear]
         reach *= 2.0
-    center = np.average(means, axis=0, weights=gaussians.opacities + np.finfo(np.float32).tiny)
-    away = np.einsum("ij,ij->i", means[undecided] - center, along[undecided])
-    signs[undecided] = np.where(away < 0.0, -1.0, 1.0)
+    signs[undecided] = _agreeing_signs(along[undecided])
     return signs.astype(np.float32)
+
+
+def _agreeing_signs(axes: _Doubles) -> _Doubles:
+    """+1 or -1 that bring axes to one side of the plane across most of them, shape (M,)."""
+    common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
+    common *= np.sign(common[np.abs(common).argmax()])
+    return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
 def _outside(gaussians: Gaussians, wide: tuple[_Doubles, _Doubles]) -> Outside:
@@ -85,7 +90,8 @@ def _outside(gaussians: Gaussians, wide: tuple[_Doubles, _Doubles]) -> Outside:
     radii = np.stack([np.linalg.norm(axis, axis=1) for axis in wide], axis=1)
     sides = np.maximum(high - low, 1e-3 * max(float((high - low).max()), float(radii.max())))
     cell = max(float(np.prod(sides) / OUTSIDE_CELLS) ** (1.0 / 3.0), float(np.median(radii[rows].max(axis=1))))
-    corner = low - _BORDER * cell
+    # What lies flat on the box is in the middle of its cells: rounding must not scatter it over two layers.
+    corner = low - (_BORDER + 0.5) * cell
     shape = np.ceil((high - low) / cell).astype(int) + 1 + 2 * _BORDER
     solid = np.zeros(shape, bool)
     steps = np.clip(np.ceil(OUTSIDE_REACH * radii.max(axis=1) / cell), 1, OUTSIDE_STEPS_MAX).astype(int)
