@@ -266,3 +266,12 @@ def test_bad_settings_are_named(changes: dict[str, Any]) -> None:
     """A setting out of range says which, and what was expected."""
     with pytest.raises(ls.ConfigError, match=next(iter(changes))):
         ls.DeepShadowConfig(**changes)
+
+
+@pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
+def test_what_nothing_shadows_is_lit_to_the_bit(sampling: ls.ReceiverSampling) -> None:
+    """Receivers with nothing in the way get exactly 1: captures that are lit must keep their colours."""
+    receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
+    config = replace(SMALL, sampling=sampling)
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, config, device="cpu")
+    assert (shadow.transmittance_of(receivers) == 1.0).all()

@@ -65,35 +65,36 @@ def bin_below(atlas: Atlas, t: float) -> float:
 
 
 @wp.func
-def tabulated(columns: wp.array(dtype=Column), table: wp.array(dtype=float), texel: int, number: int) -> float:
-    """Transmittance at a bin's centre. Nothing is in the way before a column begins, or without one.
+def loss_in(columns: wp.array(dtype=Column), table: wp.array(dtype=float), texel: int, number: int) -> float:
+    """Share of the light that is lost at a bin's centre. Nothing is before a column begins, or without one.
 
     Behind its last bin it is as there: light that was lost does not come back.
     """
     if texel < 0 or columns[texel].count == 0 or number < columns[texel].first:
-        return 1.0
+        return 0.0
     last = columns[texel].count - 1
-    return table[columns[texel].offset + wp.min(number - columns[texel].first, last)]
+    return 1.0 - table[columns[texel].offset + wp.min(number - columns[texel].first, last)]
 
 
 @wp.func
-def transmittance_at(
-    atlas: Atlas, columns: wp.array(dtype=Column), table: wp.array(dtype=float), point: wp.vec3
-) -> float:
-    """Trilinear between the nearest texels and bins."""
+def loss_at(atlas: Atlas, columns: wp.array(dtype=Column), table: wp.array(dtype=float), point: wp.vec3) -> float:
+    """Share of the light that is lost on the way to a point: trilinear between the nearest texels and bins.
+
+    Of what is lost, not of what arrives: where nothing is in the way, weights whose sum is rounded do not matter.
+    """
     place = place_of_point(atlas, point)
     at = bin_below(atlas, place.t)
     number = int(wp.floor(at))
     left = wp.floor(place.x)
     top = wp.floor(place.y)
-    light = float(0.0)
+    loss = float(0.0)
     for corner in range(4):
         x = corner % 2
         y = corner // 2
         texel = texel_number(atlas, place.face, int(left) + x, int(top) + y)
-        near = tabulated(columns, table, texel, number)
-        far = tabulated(columns, table, texel, wp.min(number + 1, atlas.bins - 1))
+        near = loss_in(columns, table, texel, number)
+        far = loss_in(columns, table, texel, wp.min(number + 1, atlas.bins - 1))
         across = wp.where(x == 1, place.x - left, 1.0 - (place.x - left))
         down = wp.where(y == 1, place.y - top, 1.0 - (place.y - top))
-        light += across * down * wp.lerp(near, far, at - float(number))
-    return light
+        loss += across * down * wp.lerp(near, far, at - float(number))
+    return loss

@@ -15,7 +15,7 @@ from lumisplat.device.deep_shadow import (
     passage_of,
     start_of,
 )
-from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, transmittance_at
+from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, loss_at
 from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers
 
 # Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.
@@ -178,7 +178,7 @@ def tabulate(
     depth = float(0.0)
     for k in range(column.count):
         depth += table_out[column.offset + k]
-        table_out[column.offset + k] = wp.exp(-depth)
+        table_out[column.offset + k] = wp.exp(-wp.max(depth, 0.0))
 
 
 @wp.kernel
@@ -220,6 +220,6 @@ def look_up(
     for sample in range(look.count):
         weight = look_weight(look, sample)
         point = look_point(receivers, look, i, sample)
-        total += weight * transmittance_at(atlas, columns, table, point)
+        total += weight * loss_at(atlas, columns, table, point)
         weights += weight
-    transmittance_out[i] = total / weights
+    transmittance_out[i] = wp.max(1.0 - total / weights, 0.0)
