@@ -1,0 +1,281 @@
+"""Actors in a captured scene, frame by frame: what they darken, what they leave, how they are lit."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from light_room import captured, lamp
+from lumisplat.constants import SH_C0
+from lumisplat.relight import actor_shadows
+from lumisplat.scene.color import decode_srgb
+from lumisplat.scene.shapes import icosphere
+from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
+
+SHADOW = ls.DeepShadowConfig(resolution=128, bins=32)
+LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
+
+
+def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:
+    """A grey floor at y = 0, 4 x 4 about (x, 0, 0): Gaussians 0.2 apart."""
+    steps = np.linspace(-2.0, 2.0, cells)
+    points = np.stack(np.meshgrid(steps + x, [0.0], steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    return captured(points, np.full(3, 0.4), scale=0.1)
+
+
+def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
+    """A ball of radius 0.4 at height 1, opaque."""
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(count, 3))
+    points *= 0.4 / np.linalg.norm(points, axis=1, keepdims=True)
+    pose = np.eye(4)
+    pose[:3, 3] = (x, 1.0, 0.0)
+    return ls.SplatInstance(captured(points, np.full(3, 0.6), opacity=0.95, scale=0.04), pose, name="puppet")
+
+
+def config(**changes: object) -> ls.AvatarLightingConfig:
+    """Small maps, all light direct, nothing relit."""
+    return ls.AvatarLightingConfig(**{"shadow": SHADOW, "direct": 1.0, "relight": False} | changes)  # type: ignore[arg-type]
+
+
+def lighter(scene: ls.Scene, lights: object = (LIGHT,), **changes: object) -> ls.AvatarLighter:
+    """One for the CPU."""
+    return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")  # type: ignore[arg-type]
+
+
+def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
+    """Linear factor of each Gaussian's mean colour, shape (N,)."""
+    old, new = (decode_srgb(g.sh[:, 0].mean(axis=1).astype(np.float64) * SH_C0 + 0.5) for g in (before, after))
+    return new / old
+
+
+def test_the_floor_is_dark_behind_the_actor_only() -> None:
+    """Seen from the light, the ball covers a disc of radius 0.61 on the floor: black within, untouched without."""
+    ground = floor()
+    scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
+    left = light_left(ground, scene.splats[0].gaussians)
+    away = np.hypot(ground.means[:, 0], ground.means[:, 2])
+    assert left[away < 0.3].max() < 0.05
+    np.testing.assert_array_equal(scene.splats[0].gaussians.sh[away > 1.6], ground.sh[away > 1.6])
+    assert scene.splats[1].name == "puppet"
+
+
+def test_shadows_follow_the_actor() -> None:
+    """The next frame's shadow is where the actor is then, and nothing is left of the last one."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]))
+    stage.light([puppet(-1.0)])
+    left = light_left(ground, stage.light([puppet(1.0)]).splats[0].gaussians)
+    assert left[np.abs(ground.means - (1.5, 0.0, 0.0)).max(axis=1) < 0.15].max() < 0.05
+    assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
+
+
+def test_a_still_actor_gives_the_same_bits() -> None:
+    """Frame after frame, also after it has been elsewhere: no flicker, relit or not."""
+    stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
+    first = stage.light([puppet()])
+    stage.light([puppet(0.7)])
+    again = stage.light([puppet()])
+    for one, other in zip(first.splats, again.splats, strict=True):
+        np.testing.assert_array_equal(one.gaussians.sh, other.gaussians.sh)
+
+
+def test_direct_is_what_shadows_take() -> None:
+    """The rest of the light is never in shadow."""
+    ground = floor()
+    left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
+    assert left.min() == pytest.approx(0.4, abs=0.02)
+
+
+def test_several_lights_and_several_actors_combine() -> None:
+    """Two lights, two actors: factors are the mean of what each light's own map lets through all actors."""
+    ground = floor()
+    lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
+    actors = [puppet(-0.8), puppet(0.8)]
+    left = light_left(ground, lighter(ls.Scene(splats=[ground]), lights).light(actors).splats[0].gaussians)
+    maps = [DeepShadowMap.build(actors, light, ground, SHADOW, device="cpu") for light in lights]
+    expected = np.mean([shadow.transmittance_of(ground) for shadow in maps], axis=0)
+    np.testing.assert_allclose(left, expected, atol=2e-3)
+    assert (left < 0.55).sum() > 20
+
+
+def test_each_set_takes_its_own_shadow() -> None:
+    """Of several captured sets, only the one that a shadow falls on becomes another object."""
+    sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
+    # The same bins for both, and no samples that would depend on a receiver's number.
+    same = replace(SHADOW, max_distance=4.0, sampling=ls.ReceiverSampling.CENTER)
+    scene = lighter(ls.Scene(splats=sets), shadow=same).light([puppet()])
+    assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
+    alone = lighter(ls.Scene(splats=[sets[1]]), shadow=same).light([puppet()])
+    left = [light_left(sets[1].gaussians, s.gaussians) for s in (scene.splats[1], alone.splats[0])]
+    assert left[0].min() < 0.05
+    np.testing.assert_allclose(left[0], left[1], atol=0.01)
+
+
+def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory of a frame is that of the first."""
+    built = []
+    build = DeepShadowMap.build.__func__  # type: ignore[attr-defined]
+
+    def counting(*arguments: object, **options: object) -> DeepShadowMap:
+        built.append(build(DeepShadowMap, *arguments, **options))
+        return built[-1]
+
+    monkeypatch.setattr(actor_shadows.DeepShadowMap, "build", counting)
+    stage = lighter(ls.Scene(splats=[floor()]), [LIGHT, replace(LIGHT, position=(1, 3, 0))])
+    stage.light([puppet()])
+    held = [shadow.bytes for shadow in built]
+    for _ in range(3):
+        stage.light([puppet()])
+    assert len(built) == 2 and [shadow.bytes for shadow in built] == held
+
+
+def test_no_actors_leave_the_scene_as_it_is() -> None:
+    """Of an empty frame, all assets are the scene's own."""
+    scene = ls.Scene(splats=[floor()])
+    assert lighter(scene).light([]).splats[0] is scene.splats[0]
+
+
+def test_flags_leave_actors_out() -> None:
+    """One casts no shadow, one keeps its colours; both are in the frame."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]), relight=True)
+    scene = stage.light([puppet(-1.0), puppet(1.0)], casts_shadow=[False, True], relit=[True, False])
+    left = light_left(ground, scene.splats[0].gaussians)
+    assert (left[ground.means[:, 0] < 0.0] == 1.0).all() and left.min() < 0.05
+    kept = [(i.gaussians.sh == puppet().gaussians.sh).all() for i in scene.splats[1:]]
+    assert kept == [False, True]
+
+
+def test_actors_take_the_light_of_their_place() -> None:
+    """Over the floor and under nothing, the lower side gets its light, the upper none; off, all stays."""
+    scene = ls.Scene(splats=[floor(cells=41)])
+    normals = puppet().gaussians.means / 0.4
+    actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
+    lit = lighter(scene, relight=True).light([actor]).splats[1]
+    left = light_left(actor.gaussians, lit.gaussians)
+    assert left[normals[:, 1] < -0.9].mean() > 2.0 * left[normals[:, 1] > 0.9].mean()
+    assert lighter(scene).light([actor]).splats[1] is actor
+
+
+def test_meshes_cast_and_stay_meshes() -> None:
+    """A mesh actor darkens the floor, and the frame is lit for it; what was captured looks as in an unlit frame."""
+    ground = floor()
+    pose = np.eye(4)
+    pose[:3, 3] = (0.0, 1.0, 0.0)
+    actor = ls.MeshInstance(icosphere(0.4), pose)
+    scene = lighter(ls.Scene(splats=[ground]), relight=True).light([actor])
+    assert scene.meshes == (actor,)
+    assert [light.name for light in scene.lights] == ["bulb", "around"]
+    left = light_left(ground, scene.splats[0].gaussians)
+    away = np.hypot(ground.means[:, 0], ground.means[:, 2])
+    assert left[away < 0.3].max() < 0.05 and (left[away > 1.6] == 1.0).all()
+    camera = ls.Camera.look_at((0.0, 2.5, 3.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=1.0)
+    lit = ls.render(scene, camera, device="cpu").pixels_srgb()
+    unlit = ls.render(ls.Scene(splats=scene.splats), camera, device="cpu").pixels_srgb()
+    there = ls.render(ls.Scene(meshes=scene.meshes), camera, device="cpu").alpha > 0.0
+    assert 0 < there.sum() < there.size
+    np.testing.assert_array_equal(lit[~there], unlit[~there])
+
+
+def test_meshes_of_the_scene_cast_from_the_start() -> None:
+    """They were put there after the capture: their shadow is there without any actor, and multiplies with others."""
+    ground = floor()
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 1.0, 0.0)
+    stage = lighter(ls.Scene(splats=[ground], meshes=[ls.MeshInstance(icosphere(0.4), pose)]))
+    alone = light_left(ground, stage.light([]).splats[0].gaussians)
+    both = light_left(ground, stage.light([puppet(-1.0)]).splats[0].gaussians)
+    assert alone[ground.means[:, 0] > 0.0].min() < 0.05 and (alone[ground.means[:, 0] < 0.0] == 1.0).all()
+    np.testing.assert_array_equal(both[ground.means[:, 0] > 0.0], alone[ground.means[:, 0] > 0.0])
+    assert both[ground.means[:, 0] < 0.0].min() < 0.05
+
+
+def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFixture) -> None:
+    """Its own lights cast; sets that reflect them or only take shadows get those from rays, and a line says so."""
+    sets = [
+        ls.SplatInstance(floor(), material=ls.MaterialPbr()),
+        ls.SplatInstance(floor(), shadow_only=True),
+        ls.SplatInstance(floor()),
+    ]
+    scene = ls.Scene(splats=sets, lights=[LIGHT, ls.LightEnvironment()])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        stage = lighter(scene, None)
+    assert stage.lights == (LIGHT,)
+    assert "2 splat sets take their shadows from the renderer's rays" in caplog.text
+    frame = stage.light([puppet()])
+    assert frame.lights == scene.lights
+    assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
+
+
+def test_lights_are_found_about_the_first_actors() -> None:
+    """Without any given: the planted lamp, once, and as bright as the direct part of the place's light."""
+    scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
+    stage = lighter(scene, None, light_count=1, direct=0.8)
+    assert stage.lights is None
+    first = stage.light([puppet()])
+    assert stage.lights is not None and stage.estimate is not None
+    assert np.linalg.norm(np.subtract(stage.lights[0].position, (1.0, 2.5, 0.5))) < 0.081
+    assert light_left(scene.splats[0].gaussians, first.splats[0].gaussians).min() < 0.25
+    found = stage.lights
+    stage.light([puppet(0.5)])
+    assert stage.lights is found
+
+
+def test_a_light_inside_an_actor_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """It then shadows all around it; a light beside the actor's Gaussians, in its hollow, is none of these."""
+    within = ls.LightPoint((0.4, 1.0, 0.0), name="torch")
+    hollow = ls.LightPoint((0.0, 1.0, 0.0), name="heart")
+    stage = lighter(ls.Scene(splats=[floor()]), [within, hollow])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        for _ in range(2):
+            stage.light([replace(puppet(), gaussians=captured(np.array([[0.4, 0.0, 0.0]]), np.ones(3)))])
+    assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
+
+
+def test_the_region_walks_with_the_actor() -> None:
+    """``region_radius`` is about the actors of each frame, not of the first."""
+    ground = floor()
+    slanted = ls.LightDirectional((1.0, -1.0, 0.0))
+    near = replace(SHADOW, region_radius=1.2)
+    stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow=near)
+    stage.light([puppet(-1.5)])
+    left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
+    assert left[ground.means[:, 0] > 1.2].min() < 0.05
+    assert (left[ground.means[:, 0] > 0.5 + 1.2] == 1.0).all()
+
+
+def test_shadows_can_be_switched_off() -> None:
+    """Then no lights are needed."""
+    scene = ls.Scene(splats=[floor()])
+    frame = ls.AvatarLighter(scene, None, config(shadows=False), device="cpu").light([puppet()])
+    assert frame.splats[0] is scene.splats[0] and len(frame.splats) == 2
+
+
+@pytest.mark.parametrize(
+    ("scene", "lights", "actors", "said"),
+    [
+        (3, None, [], "takes a Scene that has captured Gaussians"),
+        (ls.Scene(), None, [], "takes a Scene that has captured Gaussians"),
+        (ls.Scene(splats=[floor()]), [], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), [ls.LightEnvironment()], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), [replace(LIGHT, casts_shadow=False)], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), [LIGHT], [3], "actors holds a int"),
+        (ls.Scene(splats=[floor()]), [LIGHT], puppet(), "actors is one SplatInstance"),
+        (ls.Scene(splats=[floor()]), None, [puppet()], "no light found"),
+    ],
+)
+def test_bad_scenes_are_told(scene: ls.Scene, lights: object, actors: object, said: str) -> None:
+    """No captured sets, no lights, no actors of a kind that there is."""
+    with pytest.raises(ls.SceneError, match=said):
+        lighter(scene, lights).light(actors)  # type: ignore[arg-type]
+
+
+def test_bad_flags_are_told() -> None:
+    """One an actor."""
+    with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
+        lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
