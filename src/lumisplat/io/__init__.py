@@ -237,8 +237,8 @@ def load_image(path: PathLike) -> FloatArray:
     """Loads a picture as it is shown, such as one to compare by `psnr`, `ssim` or `flip`.
 
     Args:
-        path: PNG, JPEG, WebP and what else Pillow reads, in sRGB; transparent pixels are taken over black. Or OpenEXR and
-            Radiance HDR, whose linear light is encoded as sRGB, and clipped at white.
+        path: PNG, JPEG, WebP and what else Pillow reads, in sRGB; transparent pixels are taken over black. Or OpenEXR
+            and Radiance HDR, whose linear light is encoded as sRGB, and clipped at white.
 
     Returns:
         Display-referred sRGB, 0..1, shape (H, W, 3), row 0 on top.
@@ -344,21 +344,23 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
 
 
 def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
-    """Saves pictures as an animation that repeats for ever; the extension chooses how.
+    """Saves pictures as an animation; the extension chooses how. All but videos repeat for ever.
 
     ``.gif``: 256 colours for all frames together, dithered by a pattern that stands still, so that what does not move
-    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large.
+    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large. ``.mp4``: H.264 in BT.709, by PyAV
+    (``pip install 'lumisplat[video]'``); an odd width or height is made even by repeating the last column or row.
 
     Args:
         path: Where to. The file appears complete or not at all.
         frames: Display-referred values, 0..1, each of the same shape (H, W, 3), as ``Frame.pixels_srgb`` gives them
             over a background.
-        fps: Frames a second, above 0, at most 50.
+        fps: Frames a second, above 0, at most 50; of a video 240.
 
     Raises:
         ConfigError: ``fps`` is out of range.
         SceneError: There is no frame, one is no such image, or sizes differ.
         FormatError: The extension is none of these, or the file cannot be written.
+        MissingExtraError: A video needs PyAV.
     """
     from lumisplat.io import animation
 

@@ -1,4 +1,4 @@
-"""Animations: GIF, WebP and animated PNG out of pictures. The file appears whole or not at all."""
+"""Animations: GIF, WebP, animated PNG and MP4 out of pictures. The file appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -30,8 +30,14 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
     from PIL import Image
 
     suffix = Path(path).suffix.lower()
+    if suffix == ".mp4":
+        from lumisplat.io.video import write_video
+
+        write_video(path, frames, fps)
+        return
     if suffix not in (".gif", ".webp", ".png", ".apng"):
-        raise FormatError(path, f"unknown extension '{suffix}' of an animation, expected .gif, .webp, .png or .apng")
+        expected = ".mp4, .gif, .webp, .png or .apng"
+        raise FormatError(path, f"unknown extension '{suffix}' of an animation, expected {expected}")
     if not 0.0 < fps <= _FPS_MAX:
         raise ConfigError(f"fps is {fps}, expected more than 0, at most {_FPS_MAX:g}")
     pictures = [to_bytes(frame, path) for frame in frames]
