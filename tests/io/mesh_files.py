@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import io
-import json
 import struct
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+from gltf_writer import Gltf
 
 QUAD = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float32)
 QUAD_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)], dtype=np.uint16)
@@ -83,57 +83,6 @@ def stl_text(corners: np.ndarray) -> bytes:
         for triangle in corners
     )
     return f"solid quad\n{facets}endsolid quad\n".encode()
-
-
-class Gltf:
-    """Builds a glTF document: arrays become accessors over one buffer."""
-
-    def __init__(self) -> None:
-        self.json: dict = {
-            "asset": {"version": "2.0"},
-            "buffers": [],
-            "bufferViews": [],
-            "accessors": [],
-            "meshes": [],
-            "nodes": [],
-        }
-        self.data = b""
-
-    def view(self, data: bytes, **keys: int) -> int:
-        """Appends bytes, 4-aligned, as a buffer view."""
-        self.data = self.data.ljust(-(-len(self.data) // 4) * 4, b"\0")
-        self.json["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), **keys})
-        self.data += data
-        return len(self.json["bufferViews"]) - 1
-
-    def accessor(self, array: np.ndarray, **keys: object) -> int:
-        """An accessor of one array, (N,), (N, 2..4) or (N, 4, 4) row-major matrices."""
-        component = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}[array.dtype.str[1:]]
-        kind = "MAT4" if array.ndim == 3 else "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
-        stored = array.transpose(0, 2, 1) if array.ndim == 3 else array
-        entry = {"bufferView": self.view(stored.tobytes()), "componentType": component, "count": len(array)}
-        self.json["accessors"].append({**entry, "type": kind, **keys})
-        return len(self.json["accessors"]) - 1
-
-    def add(self, collection: str, **item: object) -> int:
-        """Appends an item; returns its index."""
-        self.json.setdefault(collection, []).append(item)
-        return len(self.json[collection]) - 1
-
-    def glb(self) -> bytes:
-        """The document as GLB."""
-        self.json["buffers"] = [{"byteLength": len(self.data)}]
-        text = json.dumps(self.json).encode()
-        text += b" " * (-len(text) % 4)
-        data = self.data + b"\0" * (-len(self.data) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-    def gltf(self, uri: str | None = None) -> bytes:
-        """The document as JSON; the buffer at ``uri``, or in the text."""
-        uri = uri or "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
-        self.json["buffers"] = [{"byteLength": len(self.data), "uri": uri}]
-        return json.dumps(self.json).encode()
 
 
 def quad_gltf(textured: bool = True, **node: object) -> Gltf:

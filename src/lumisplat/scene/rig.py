@@ -232,9 +232,7 @@ class Rig:
             if clip.name == name:
                 return clip
         listed = ", ".join(map(repr, self.clips))
-        raise SceneError(
-            f"the rig has no clip {name!r}, " + (f"expected one of {listed}" if listed else "and no other")
-        )
+        raise SceneError(f"the rig has no clip {name!r}" + (f", it has {listed}" if listed else ", nor any other"))
 
     def _refuse_several(self, other: str) -> None:
         if len(self.surfaces) > 1:
