@@ -1,4 +1,4 @@
-"""The command line: ``lumisplat render | info | convert | demo | bench | metrics``.
+"""The command line: ``lumisplat render | animate | info | convert | demo | bench | metrics | relight``.
 
 A front end on the public names of the package. A user's mistake ends as one line on standard error and exit status 2.
 """
@@ -15,6 +15,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
+from lumisplat.cli.animate import Animate
 from lumisplat.cli.arguments import ArgumentsError, panels_as_errors
 from lumisplat.cli.bench import Bench
 from lumisplat.cli.convert import Convert
@@ -22,7 +23,9 @@ from lumisplat.cli.demo import Demo
 from lumisplat.cli.info import Info
 from lumisplat.cli.metrics import Metrics
 from lumisplat.cli.options import Command
+from lumisplat.cli.relight import Relight
 from lumisplat.cli.render import Render
+from lumisplat.cli.shadowmap import ShadowMap
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
 
@@ -34,15 +37,22 @@ A picture for each camera: lumisplat render garden.ply --cameras transforms.json
 
 Rays, with mirrors and glass: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png
 
-Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png"""
+Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows soft --samples 32 -o view.png
+
+Avatars that walk through a capture: lumisplat animate scene.toml -o frames --video walk.mp4
+
+An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply"""
 
 _Command = (
     Annotated[Render, subcommand("render")]
+    | Annotated[Animate, subcommand("animate")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]
     | Annotated[Demo, subcommand("demo")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[Metrics, subcommand("metrics")]
+    | Annotated[Relight, subcommand("relight")]
+    | Annotated[ShadowMap, subcommand("shadowmap")]
 )
 
 
