@@ -39,7 +39,7 @@ class TubeRig:
     """What goes into the file; tests change it before they write it."""
 
     positions: np.ndarray = field(default_factory=lambda: tube()[0])
-    normals: np.ndarray = field(default_factory=lambda: tube()[1])
+    normals: np.ndarray | None = field(default_factory=lambda: tube()[1])
     triangles: np.ndarray = field(default_factory=lambda: tube()[2])
     joints: np.ndarray | None = field(default_factory=lambda: tube_weights(tube()[0])[0])
     weights: np.ndarray | None = field(default_factory=lambda: tube_weights(tube()[0])[1])
@@ -62,7 +62,9 @@ class TubeRig:
     def gltf(self) -> Gltf:
         """The document."""
         gltf = Gltf()
-        arrays = {"POSITION": self.positions, "NORMAL": self.normals, **self.attributes}
+        arrays = {"POSITION": self.positions, **self.attributes}
+        if self.normals is not None:
+            arrays["NORMAL"] = self.normals
         if self.joints is not None:
             for k in range(0, self.joints.shape[1], 4):
                 arrays[f"JOINTS_{k // 4}"] = np.ascontiguousarray(self.joints[:, k : k + 4])

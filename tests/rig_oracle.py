@@ -51,7 +51,8 @@ def posed(rig: TubeRig, clip: str | None, time: float) -> tuple[np.ndarray, np.n
     world = world_matrices(rig, clip, time)
     bind = rig.joint_from_bind
     if bind is None:
-        bind = [np.block([[np.eye(3), [[0], [-k], [0]]], [0, 0, 0, 1]]) for k in range(3)]
+        bind = np.tile(np.eye(4), (3, 1, 1))
+        bind[:, 1, 3] = (0.0, -1.0, -2.0)
     joint_matrices = [world[node] @ np.asarray(matrix, float) for node, matrix in zip(JOINT_NODES, bind, strict=True)]
     positions, normals = np.empty((2, *rig.positions.shape))
     for v, (position, normal) in enumerate(zip(rig.positions, rig.normals, strict=True)):

@@ -263,6 +263,7 @@ def test_colours_that_are_none_are_told_and_left_out(tmp_path, caplog):
     assert not caplog.records
 
 
+@pytest.mark.data
 def test_the_walker_walks(data_dir):
     """The real avatar: one clip, which ends as it begins, and moves in between; at rest it is what `load` shows."""
     path = data_dir / "avatars" / "walk.glb"
