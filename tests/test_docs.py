@@ -28,7 +28,7 @@ COMMANDS = sorted(
     {
         line
         for page in PAGES
-        for line in re.findall(r"lumisplat (?:render|info|convert|bench|demo)[^`\n]*", page.read_text())
+        for line in re.findall(r"lumisplat (?:render|info|convert|bench|demo|metrics|shadowmap|relight|animate)[^`\n]*", page.read_text())
     }
 )
 
