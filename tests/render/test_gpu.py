@@ -74,3 +74,15 @@ def test_profiled_frame_times_its_stages() -> None:
     np.testing.assert_array_equal(plain.color, profiled.color)
     assert profiled.stats is not None
     assert {"project", "sort", "bin", "composite"} <= profiled.stats.stage_ms.keys()
+
+
+@pytest.mark.parametrize("light", [(0.5, -3.0, 1.0), ls.LightDirectional((0.2, 1.0, 0.1))], ids=["point", "parallel"])
+def test_cuda_shadows_what_the_cpu_shadows(light: object) -> None:
+    """A deep shadow map on CUDA is the CPU's, to float32's rounding."""
+    casters, receivers = scenes.random_gaussians(1, 200), scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
+    seen = [
+        ls.DeepShadowMap.build(casters, light, receivers, device=device).transmittance_of(receivers)
+        for device in ("cpu", "cuda")
+    ]
+    assert seen[0].min() < 0.5
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-4)
