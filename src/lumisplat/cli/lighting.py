@@ -14,7 +14,7 @@ from lumisplat.cli.options import setting, without_none
 
 _LIGHTING = {"auto": None, "on": True, "off": False}
 _HALF = math.sqrt(0.5)
-_UPRIGHT = {"y-up": (1.0, 0.0, 0.0, 0.0), "y-down": (0.0, 1.0, 0.0, 0.0), "z-up": (_HALF, _HALF, 0.0, 0.0)}
+UPRIGHT = {"y-up": (1.0, 0.0, 0.0, 0.0), "y-down": (0.0, 1.0, 0.0, 0.0), "z-up": (_HALF, _HALF, 0.0, 0.0)}
 """World from environment, wxyz: the environment's +y points up."""
 
 
@@ -110,7 +110,7 @@ class LightOptions:
         if environment is None:
             return scene
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
-        w, x, _, _ = _UPRIGHT[up]
+        w, x, _, _ = UPRIGHT[up]
         c, s = math.cos(half), math.sin(half)
         turned = replace(environment, rotation_wxyz=(w * c, x * c, w * s, x * s))
         others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))

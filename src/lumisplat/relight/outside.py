@@ -39,7 +39,7 @@ class Outside(NamedTuple):
     def at(self, points: _Doubles) -> FloatArray:
         """The share at points, shape (N, 3); 1 off the grid."""
         cells = np.floor((points - self.corner) / self.cell)
-        inside = ((cells >= 0) & (cells < self.share.shape)).all(axis=1)
+        inside = np.all((cells >= 0) & (cells < np.array(self.share.shape)), axis=1)
         x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
         return np.where(inside, self.share[x, y, z], np.float32(1.0))
 
@@ -104,7 +104,8 @@ def _outside(gaussians: Gaussians, wide: tuple[_Doubles, _Doubles]) -> Outside:
                 kept = ((cells >= _BORDER) & (cells < shape - _BORDER)).all(axis=1)
                 x, y, z = cells[kept].T
                 solid[x, y, z] = True
-    share = (1.0 - OUTSIDE_CONNECTED) * _open_share(~solid) + OUTSIDE_CONNECTED * _connected(solid).astype(np.float32)
+    share = (1.0 - OUTSIDE_CONNECTED) * _open_share(~solid) + OUTSIDE_CONNECTED * _connected(solid)
+    share = share.astype(np.float32)
     for axis in range(3):
         share = _blurred(share, axis)
     return Outside(share, corner, cell)

@@ -319,4 +319,4 @@ def _fitted(
             f"the directions tell only {rank} of the {size} harmonics of degree {degree} apart: lower the degree, or "
             "give a ridge"
         )
-    return np.linalg.solve(gram, moments)
+    return np.asarray(np.linalg.solve(gram, moments), np.float64)

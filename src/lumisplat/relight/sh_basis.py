@@ -29,12 +29,12 @@ def sh_basis(directions: npt.ArrayLike, degree: int) -> _Doubles:
     """
     x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
     basis = np.empty((*z.shape, (degree + 1) ** 2))
-    # Powers of x + i y hold sin(theta)^m besides the angle, which the Legendre functions below are divided by.
-    around, power = np.ones(z.shape, complex), x + 1j * y
+    # Cosine and sine of m times the angle are powers of x + i y, times sin(theta)^m: Legendre functions lack that.
+    cosine, sine = np.ones_like(z), np.zeros_like(z)
     start = math.sqrt(0.25 / math.pi)
     for m in range(degree + 1):
         if m:
-            around = around * power
+            cosine, sine = x * cosine - y * sine, x * sine + y * cosine
             start *= math.sqrt((2 * m + 1) / (2 * m))
         before, legendre = np.zeros_like(z), np.full_like(z, start)
         for level in range(m, degree + 1):
@@ -45,8 +45,8 @@ def sh_basis(directions: npt.ArrayLike, degree: int) -> _Doubles:
                 basis[..., center] = legendre
             else:
                 signed = ((-1) ** m * math.sqrt(2.0)) * legendre
-                basis[..., center + m] = signed * around.real
-                basis[..., center - m] = signed * around.imag
+                basis[..., center + m] = signed * cosine
+                basis[..., center - m] = signed * sine
     return basis
 
 

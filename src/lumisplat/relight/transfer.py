@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ from lumisplat.scene.panorama import panorama_directions
 from lumisplat.scene.recolor import scale_light
 from lumisplat.scene.scene import SplatInstance
 
-_Subject = TypeVar("_Subject", Gaussians, SplatInstance)
 _Doubles = npt.NDArray[np.float64]
 
 _NORMALS_AT_ONCE = 1024
@@ -40,12 +39,26 @@ class _Grid(NamedTuple):
     """In proportion to the sine of the polar angle, summing to 4 pi, shape (M,)."""
 
 
+@overload
 def relight(
-    subject: _Subject,
+    subject: Gaussians,
     probe: EnvironmentProbe,
     config: RelightConfig | None = None,
     normals: npt.ArrayLike | None = None,
-) -> _Subject:
+) -> Gaussians: ...
+@overload
+def relight(
+    subject: SplatInstance,
+    probe: EnvironmentProbe,
+    config: RelightConfig | None = None,
+    normals: npt.ArrayLike | None = None,
+) -> SplatInstance: ...
+def relight(
+    subject: Gaussians | SplatInstance,
+    probe: EnvironmentProbe,
+    config: RelightConfig | None = None,
+    normals: npt.ArrayLike | None = None,
+) -> Gaussians | SplatInstance:
     """Gaussians under the light of a probe: each colour times what a lobe about its normal gathers, ``light_scales``.
 
     Light is linear, colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`, which
@@ -81,7 +94,7 @@ def relight(
         own = float_array("normals", normals)
         check_shapes(means=(gaussians.means, "N 3"), normals=(own, "N 3"))
     relit = scale_light(gaussians, config.gamma * light_scales(probe, own @ turn.T, config))
-    return replace(subject, gaussians=relit) if isinstance(subject, SplatInstance) else relit
+    return relit if isinstance(subject, Gaussians) else replace(subject, gaussians=relit)
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
