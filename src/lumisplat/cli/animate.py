@@ -1,0 +1,308 @@
+"""``lumisplat animate``: the frames of an animated scene, and a video of them."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.console import Report, print_table, progress_bars
+from lumisplat.cli.frame_folder import FrameFolder
+from lumisplat.cli.lighting import LightGroup, LightOptions
+from lumisplat.cli.named_files import file_marks
+from lumisplat.cli.options import DeviceCommand, Flag, parse_background, resolved_up, setting, settled
+from lumisplat.cli.outputs import check_writable
+from lumisplat.cli.stats import print_stats
+from lumisplat.cli.tracing import PipelineName, TraceGroup, TraceOptions
+from lumisplat.cli.unused import unused_options
+
+_log = logging.getLogger("lumisplat")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Animate(DeviceCommand):
+    """Render an animated scene, frame by frame: actors cast shadows onto captures, and take on their light.
+
+    Begin again with the same command where it was interrupted: frames that are there stay.
+    """
+
+    scene: Positional[Annotated[Path, arg(metavar="SCENE.toml")]]
+    """A scene file with [[actors]], and an [animation] that says how many frames there are."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("frames")
+    """Where frames go, as frame_0000.png and so on, with animate.json, which says what they are of."""
+    video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Make a video of the frames, too: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    frames: Annotated[str, arg(metavar="A:B", help_behavior_hint="")] = ""
+    """Only these frames, from A to before B, such as 0:48, 48: or :10."""
+    fps: Annotated[float | None, arg(metavar="FPS", help_behavior_hint="")] = None
+    """Frames a second, in place of the scene file's; it lasts as long."""
+    overwrite: Flag = False
+    """Remove the frames that are there first, whatever they are of."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """A camera file as render takes, with one camera, or one for each frame. Without: those of the scene file, else
+    all of the scene, from the front."""
+    camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """The one of the cameras that is used for all frames."""
+    up: Literal["auto", "y-down", "y-up", "z-up"] = "auto"
+    """Which way is up without cameras, and for --environment; auto: y-down with a capture, y-up for meshes alone."""
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
+    """raster: fast. trace: rays, with mirrors, glass and fisheye cameras. hybrid: rasterised, and rays from there."""
+    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image width; alone, it keeps the camera's aspect ratio."""
+    height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image height; alone, it keeps the camera's aspect ratio."""
+    background: Annotated[str | None, setting("COLOR", "black")] = None
+    """black, white, transparent, #rrggbb, or r,g,b in 0..1."""
+    format: Literal["png", "exr", "npz"] = "png"
+    """PNG is 8-bit sRGB; EXR and NPZ hold floats. A video is made of PNGs."""
+    no_shadows: Flag = False
+    """Actors cast no shadows onto captures."""
+    no_relight: Flag = False
+    """Actors keep the colours that they have."""
+    direct: Annotated[float | None, setting("0..1", "0.7")] = None
+    """Share of a capture's light that comes from the lights, and that shadows take away."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+    stats: Flag = False
+    """Print what a frame takes."""
+    trace: TraceGroup = field(default_factory=TraceOptions)
+    """Of --pipeline trace and hybrid; --samples and --seed also of lit frames."""
+    light: LightGroup = field(default_factory=LightOptions)
+    """Of what is lit by lights; captures are shown as captured, with the shadows of actors."""
+
+    def run(self) -> None:
+        """Renders the frames that are missing, then the video."""
+        if self.scene.suffix.lower() != ".toml":
+            raise ls.FormatError(self.scene, "is no scene.toml: a scene file says what moves, and how")
+        config = self._config(ls.load_config(self.scene))
+        check_writable(self.output)
+        environment = self.light.environment_light()
+        with progress_bars() as report:
+            renderer = self.start_renderer(report, config, profile=self.stats)
+            report(f"loading {self.scene.name}", 0.0)
+            animation = self._animation(environment)
+            report(f"loading {self.scene.name}", 1.0)
+            cameras = self._cameras(animation)
+            wanted = _frame_range(self.frames, animation.frame_count)
+            if self.video is not None:
+                self._try_video(self.video, animation.fps)
+            folder = FrameFolder(self.output, self.format)
+            folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
+            missing = [index for index in wanted if not folder.is_finished(index)]
+            if missing:
+                for line in unused_options(config, animation.scene, [], self.trace, self.light):
+                    _log.warning("%s", line)
+                _Filming(animation, cameras, renderer, folder, self.stats).film(missing, report)
+            if self.video is not None:
+                pictures = _read([folder.path(index) for index in wanted], report)
+                ls.save_animation(self.video, pictures, animation.fps)
+        there = len(wanted) - len(missing)
+        print(f"{len(wanted)} frames in {self.output}" + f", {there} of them were there" * bool(there))
+        if self.video is not None:
+            size = f"{cameras[0].width} x {cameras[0].height}"
+            print(f"{self.video} ({size}, {animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
+
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        """The settings of the scene file, and what was given in their place."""
+        changes: dict[str, Any] = {}
+        if self.pipeline is not None:
+            changes["pipeline"] = ls.Pipeline(self.pipeline)
+        if self.background is not None:
+            changes["background"] = parse_background(self.background)
+        return settled(base, changes | self.trace.changes() | self.light.changes())
+
+    def _animation(self, environment: ls.LightEnvironment | None) -> ls.Animation:
+        """The animation of the scene file, with what was given in place of its own."""
+        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid)
+        changes: dict[str, Any] = {}
+        if self.no_shadows:
+            changes["shadows"] = False
+        if self.no_relight:
+            changes["relight"] = False
+        if self.direct is not None:
+            changes["direct"] = self.direct
+        lit = self.light.lit_scene(animation.scene, environment, resolved_up(animation.scene, self.up))
+        animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
+        if self.fps is None:
+            return animation
+        if not 0.0 < self.fps < np.inf:
+            raise ls.ConfigError(f"--fps is {self.fps}, expected a positive number")
+        count = max(1, round(animation.duration * self.fps))
+        return replace(animation, fps=self.fps, frame_count=count)
+
+    def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
+        """One camera for each frame."""
+        count, source = animation.frame_count, self.cameras or self.scene
+        cameras = list(animation.cameras)
+        if self.cameras is not None or cameras:
+            cameras = ls.load_cameras(source, width=self.width, height=self.height)
+        if not cameras and self.cameras is not None:
+            raise ls.FormatError(source, "has no cameras")
+        if self.camera is not None:
+            named = [camera for camera in cameras if camera.name == self.camera]
+            if not named:
+                listed = ", ".join(camera.name for camera in cameras[:5]) or "none"
+                raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
+            cameras = named
+        if not cameras:
+            from lumisplat.cli.framing import framing_camera
+
+            whole = _with_actors(animation.scene, animation.actors_at(0.0))
+            width, height = (self.width or 1280, self.height or 720)
+            both = self.width is not None and self.height is not None
+            cameras = [framing_camera(whole, self.up, width, height) if both else framing_camera(whole, self.up)]
+        if len(cameras) not in (1, count):
+            raise ls.ConfigError(
+                f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
+                "--camera NAME"
+            )
+        seen = [self.light.exposed(camera.scaled(self.width, self.height)) for camera in cameras]
+        return seen * count if len(seen) == 1 else seen
+
+    def _try_video(self, path: Path, fps: float) -> None:
+        """Finds out whether a video can be written, before an hour of frames: extension, rate, package and folder."""
+        if self.format != "png":
+            raise ls.ConfigError(f"--video is made of the PNGs of frames, --format is {self.format}")
+        if path.suffix.lower() == ".png":
+            raise ls.FormatError(path, "is a picture's name, expected .mp4, .gif, .webp or .apng")
+        trial = path.with_name(f".trial.{path.name}")
+        ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
+        trial.unlink()
+
+    def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
+        """All that a frame follows from but its number."""
+        files = [self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
+        chosen = ("width", "height", "camera", "up", "drop_invalid")
+        return {
+            "lumisplat": ls.__version__,
+            "device": device,
+            "fps": f"{animation.fps!r}",
+            **{name: f"{getattr(self, name)}" for name in chosen},
+            "exposure": f"{self.light.exposure}",
+            "environment_rotation": f"{self.light.environment_rotation}",
+            **dict(_flat("", config)),
+            **dict(_flat("actors.", animation.lighting)),
+            **file_marks(files, self.output),
+        }
+
+
+class _Filming:
+    """Renders frames of an animation to files."""
+
+    def __init__(
+        self,
+        animation: ls.Animation,
+        cameras: list[ls.Camera],
+        renderer: ls.Renderer,
+        folder: FrameFolder,
+        stats: bool,
+    ) -> None:
+        self._animation, self._cameras, self._renderer = animation, cameras, renderer
+        self._folder, self._stats = folder, stats
+        self._lighter: ls.AvatarLighter | None = None
+        self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
+
+    def film(self, indices: list[int], report: Report) -> None:
+        """Renders and writes frames."""
+        report("frames", 0.0)
+        if self._animation.scene.splats:
+            self._lighter = ls.AvatarLighter(
+                self._animation.scene, config=self._animation.lighting, device=self._renderer.device, progress=report
+            )
+            if indices[0] != 0:
+                # Lights are looked for about the actors of the first frame, whichever frame comes first here.
+                self._lit(0)
+        for done, index in enumerate(indices, start=1):
+            with self._timed("lighting"):
+                scene = self._lit(index)
+            with self._timed("rendering"):
+                frame = self._renderer.render(scene, self._cameras[index], progress=report)
+            with self._timed("writing"):
+                frame.save(self._folder.path(index))
+            report("frames", done / len(indices))
+            if self._stats and done == len(indices):
+                rows = [(name, f"{1e3 * taken / done:8.1f} ms") for name, taken in self._seconds.items()]
+                print_table(f"mean of {done} frames", rows)
+                print_stats(frame, self._renderer.config.pipeline)
+
+    def _lit(self, index: int) -> ls.Scene:
+        """The scene with its actors at a frame."""
+        animation, now = self._animation, float(self._animation.times[index])
+        placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
+        instances = [instance for instance, _ in placed]
+        if self._lighter is None:
+            return _with_actors(animation.scene, instances)
+        return self._lighter.light(
+            instances,
+            casts_shadow=[actor.casts_shadow for _, actor in placed],
+            relit=[actor.relight for _, actor in placed],
+        )
+
+    def _timed(self, name: str) -> _Watch:
+        return _Watch(self._seconds, name)
+
+
+@dataclass
+class _Watch:
+    """Adds the seconds of a block to a sum."""
+
+    sums: dict[str, float]
+    name: str
+    begun: float = 0.0
+
+    def __enter__(self) -> None:
+        self.begun = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.sums[self.name] += time.perf_counter() - self.begun
+
+
+def _with_actors(scene: ls.Scene, actors: list[Any]) -> ls.Scene:
+    """The scene with actors as they are."""
+    splats = [actor for actor in actors if isinstance(actor, ls.SplatInstance)]
+    meshes = [actor for actor in actors if isinstance(actor, ls.MeshInstance)]
+    return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
+
+
+def _frame_range(text: str, count: int) -> range:
+    """The frames of ``A:B``; nothing: all.
+
+    Raises:
+        ConfigError: It is no such range, or holds no frame of the animation.
+    """
+    if not text:
+        return range(count)
+    found = re.fullmatch(r"(\d*):(\d*)", text)
+    if not found:
+        raise ls.ConfigError(f"--frames is '{text}', expected A:B, such as 0:48, 48: or :10")
+    first, end = int(found[1] or 0), int(found[2] or count)
+    if not first < end <= count:
+        raise ls.ConfigError(f"--frames is '{text}', of an animation of {count} frames, 0:{count}")
+    return range(first, end)
+
+
+def _read(paths: list[Path], report: Report) -> Iterator[np.ndarray]:
+    """Pictures one by one."""
+    for done, path in enumerate(paths):
+        report("writing the video", done / len(paths))
+        yield ls.load_image(path)
+    report("writing the video", 1.0)
+
+
+def _flat(prefix: str, settings: Any) -> Iterator[tuple[str, str]]:
+    """Names and values of settings, also of those within."""
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        if is_dataclass(value):
+            yield from _flat(f"{prefix}{entry.name}.", value)
+        else:
+            yield f"{prefix}{entry.name}", value.value if isinstance(value, Enum) else repr(value)
