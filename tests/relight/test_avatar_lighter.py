@@ -182,6 +182,16 @@ def test_meshes_cast_and_stay_meshes() -> None:
     np.testing.assert_array_equal(lit[~there], unlit[~there])
 
 
+def test_beside_mesh_actors_captures_stay_as_captured() -> None:
+    """Lights that come with them are for meshes: sets that would reflect them lose their materials, actors too."""
+    sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_only=True)]
+    actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
+    stage = lighter(ls.Scene(splats=sets))
+    assert all(i.material is None and not i.shadow_only for i in stage.light(actors).splats)
+    alone = stage.light(actors[1:])
+    assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_only
+
+
 def test_meshes_of_the_scene_cast_from_the_start() -> None:
     """They were put there after the capture: their shadow is there without any actor, and multiplies with others."""
     ground = floor()
@@ -224,16 +234,26 @@ def test_lights_are_found_about_the_first_actors() -> None:
     found = stage.lights
     stage.light([puppet(0.5)])
     assert stage.lights is found
+    # Around the actor there is radiance of some mean; over all directions a surface gets pi times that.
+    middle = np.average(puppet().gaussians.means, axis=0) + (0.0, 1.0, 0.0)
+    around = ls.EnvironmentProbe.capture(scene, middle, device="cpu")
+    directions = np.random.default_rng(0).normal(size=(20_000, 3))
+    mean = (around.radiance(directions) @ (0.2126, 0.7152, 0.0722)).mean()
+    arriving = found[0].intensity / np.sum(np.subtract(found[0].position, middle) ** 2)
+    assert arriving == pytest.approx(0.8 * np.pi * mean, rel=0.03)
 
 
 def test_a_light_inside_an_actor_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """It then shadows all around it; a light beside the actor's Gaussians, in its hollow, is none of these."""
-    within = ls.LightPoint((0.4, 1.0, 0.0), name="torch")
-    hollow = ls.LightPoint((0.0, 1.0, 0.0), name="heart")
-    stage = lighter(ls.Scene(splats=[floor()]), [within, hollow])
+    """It then shadows all around it; a light above a flat Gaussian, which is wide enough to reach it, is not inside."""
+    within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
+    above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
+    # A disc that faces x, and stands turned by a quarter about z: it faces y.
+    disc = replace(captured(np.zeros((1, 3)), np.ones(3)), scales=np.array([[0.01, 0.3, 0.3]]))
+    turned = np.array([[0, -1, 0, 0], [1, 0, 0, 1.0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    stage = lighter(ls.Scene(splats=[floor()]), [within, above])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         for _ in range(2):
-            stage.light([replace(puppet(), gaussians=captured(np.array([[0.4, 0.0, 0.0]]), np.ones(3)))])
+            stage.light([ls.SplatInstance(disc, turned)])
     assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
 
 

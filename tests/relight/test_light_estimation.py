@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
+from lumisplat.relight.contrast import surroundings
 from lumisplat.scene.light_at import facing_irradiance
 
 CENTER = 0.5 * SIZE
@@ -89,6 +90,32 @@ def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
     assert_at(found.lights[1], PLACES[0])
     seen = {light.name: facing_irradiance(light, CENTER[None]) for light in found.lights}
     assert len(seen) == 2
+
+
+def test_steadiness_counts() -> None:
+    """Of two colours that vary alike over all directions, the one wins that varies less across the viewpoints."""
+    places = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
+    # Gradients of one size: along the line of sight, where viewpoints hardly tell, and across. By mean and maximum
+    # luminance the second is brighter, by 3 %.
+    steady, unsteady = lamp(tuple(places[0]), (0.67, 0.67, 0.67)), lamp(tuple(places[1]), (0.8, 0.8, 0.8))
+    steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()
+    steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
+    room = room_with(replace(unsteady, sh=unsteady_sh), replace(steady, sh=steady_sh))
+    wide = ls.LightEstimationConfig(viewpoint_distance=0.6, emitter_size=0.25)
+    found = ls.estimate_lights(room, CENTER, 2, config=wide)
+    assert_at(found.lights[0], tuple(places[0]))
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
+def test_corners_of_a_wall_are_surrounded_by_it(x: float, y: float) -> None:
+    """Inside, at an edge, in a corner: in some direction there is as much of it as it is bright; a lamp has none."""
+    steps = np.linspace(-1.0, 1.0, 81)
+    wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    around = np.random.default_rng(0).uniform(-2.0, 2.0, (9000, 3))
+    points = np.concatenate([wall, around, [[0.0, 0.0, 1.5], [x, y, 0.0]]])
+    scores = np.concatenate([np.ones(len(wall)), np.full(len(around), 0.1), [1.0, 1.0]])
+    lamp_level, wall_level = surroundings(points, scores, np.array([len(points) - 2, len(points) - 1]), 0.15)
+    assert wall_level > 0.8 and lamp_level < 0.11
 
 
 def test_size_does_not_count() -> None:
