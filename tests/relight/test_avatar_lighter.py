@@ -235,7 +235,7 @@ def test_lights_are_found_about_the_first_actors() -> None:
     stage.light([puppet(0.5)])
     assert stage.lights is found
     # Around the actor there is radiance of some mean; over all directions a surface gets pi times that.
-    middle = np.average(puppet().gaussians.means, axis=0) + (0.0, 1.0, 0.0)
+    middle = np.array([0.0, 1.0, 0.0]) + np.average(puppet().gaussians.means, axis=0)
     around = ls.EnvironmentProbe.capture(scene, middle, device="cpu")
     directions = np.random.default_rng(0).normal(size=(20_000, 3))
     mean = (around.radiance(directions) @ (0.2126, 0.7152, 0.0722)).mean()
