@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.cli import main
+from rig_files import BEND, TubeRig
 from scenes import front_camera, random_gaussians
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,18 +25,13 @@ SCENE_FILES = [
     for page in PAGES
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
-COMMANDS = sorted(
-    {
-        line
-        for page in PAGES
-        for line in re.findall(r"lumisplat (?:render|info|convert|bench|demo|metrics|shadowmap|relight|animate)[^`\n]*", page.read_text())
-    }
-)
+NAMES = "render|info|convert|bench|demo|metrics|shadowmap|relight|animate"
+COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
 
 
 @pytest.fixture
 def beside(tmp_path, monkeypatch):
-    """A folder to be in, with a capture, meshes, an environment and a camera file."""
+    """A folder to be in, with a capture, meshes, a rig, frames, an environment and a camera file."""
     import trimesh
 
     from lumisplat.io.image import write_exr
@@ -45,6 +41,10 @@ def beside(tmp_path, monkeypatch):
     ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
     Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
     trimesh.creation.box().export("statue.glb")
+    TubeRig(clips={"walk": BEND}).write(Path("walker.glb"))
+    Path("frames").mkdir()
+    for k in range(3):
+        ls.save(Path("frames") / f"{k}.ply", random_gaussians(k, count=10 + k))
     write_exr("sky.exr", dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
     return tmp_path
 
@@ -85,6 +85,16 @@ def test_the_guide_shows_every_key_of_a_scene_file():
         keys |= set(schema(kind)) - {"image"}
     missing = [key for key in sorted(keys) if f"`{key}`" not in shown and f'`"{key}"`' not in shown]
     assert not missing
+
+
+def test_the_guide_shows_every_key_of_an_animation():
+    """Each key of actors, their keyframes and the animation is on the page about them."""
+    from lumisplat.io.scene_actors import ACTOR_KEYS, KEYFRAME_KEYS
+    from lumisplat.io.scene_animation import ANIMATION_KEYS
+
+    shown = (ROOT / "docs" / "guide" / "animate.md").read_text()
+    keys = {*ACTOR_KEYS, *KEYFRAME_KEYS, *ANIMATION_KEYS}
+    assert not [key for key in sorted(keys) if f"`{key}`" not in shown]
 
 
 def test_all_python_of_the_docs_is_marked():

@@ -10,7 +10,7 @@ from rig_files import BEND, CARRY, TubeRig
 from scenes import random_gaussians
 
 TURN = np.array([[0.0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 0, 4]])
+MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 4, 0]])
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_an_animation_has_its_times(rig):
     np.testing.assert_allclose(animation.times, np.arange(20) / 10.0)
     assert animation.duration == 2.0
     first, second = animation.actors_at(1.0)
-    np.testing.assert_allclose(first.transform[:3, 3], [0.0, 0.0, 2.0])
+    np.testing.assert_allclose(first.transform[:3, 3], [0.0, 2.0, 0.0])
     assert isinstance(second, ls.MeshInstance)
 
 
