@@ -50,8 +50,6 @@ def module_name(path: Path) -> str:
 
 def layer(name: str) -> str:
     """The layer that a module belongs to: its kind of file, or its top folder."""
-    if name.startswith("config_"):
-        return "config"
     return "kernels" if name.endswith("_kernels") else name.partition(".")[0] or "public"
 
 
@@ -203,7 +201,7 @@ def test_files_stay_small(path: Path) -> None:
 
 def test_config_fields_are_documented() -> None:
     """Every setting says what it does, right below its name."""
-    for node in ast.walk(tree(PACKAGE / "config.py")):
+    for node in (node for path in PACKAGE.glob("config/*.py") for node in ast.walk(tree(path))):
         if isinstance(node, ast.ClassDef):
             for field, after in zip(node.body, [*node.body[1:], None], strict=True):
                 if isinstance(field, ast.AnnAssign):

@@ -281,8 +281,8 @@ SH_C0 = 0.28209479177387814
 """Y_00 = 1 / (2 sqrt(pi))."""
 
 RECOLOR_DARK = 1e-4
-"""Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB curve
-(0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
+"""Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB
+curve (0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
 
 # --- Probes of environment light, and what is relit by them (seeds/001, sections 3.4 and 3.5) ---
 

@@ -44,7 +44,7 @@ class ShadowMap(DeviceCommand):
         Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
     ] = None
     """Where a Gaussian of the capture looks at the map: its centre, 7 points, or points drawn from it."""
-    resolution: Annotated[int | None, setting("TEXELS", str(ls.DeepShadowConfig().resolution))] = None
+    resolution: Annotated[int | None, setting("TEXELS", "1024")] = None
     """Of the map, across all directions."""
 
     def run(self) -> None:
@@ -70,7 +70,7 @@ class ShadowMap(DeviceCommand):
         config = ls.AvatarLightingConfig(
             shadow=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
-        lighter = ls.AvatarLighter(ls.Scene(splats=(capture,)), lights or None, config, device=self.device)
+        lighter = ls.AvatarLighter(ls.Scene(splats=(ls.SplatInstance(capture),)), lights or None, config, device=self.device)
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
         found = len(lighter.lights or ())

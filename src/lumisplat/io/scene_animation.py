@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.config_lighting import AvatarLightingConfig
+from lumisplat.config import AvatarLightingConfig
 from lumisplat.io.config_file import read_settings
 from lumisplat.io.scene_actors import Load, read_actors
 from lumisplat.io.scene_cameras import LoadCameras, read_scene_cameras

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config_lighting import AvatarLightingConfig
+from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import SHADOW_FOOTPRINT
 from lumisplat.launcher import Progress
 from lumisplat.relight.shadowed import light_factors, light_shares, recolored

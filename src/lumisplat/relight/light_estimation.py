@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config_lighting import LightEstimationConfig
+from lumisplat.config import LightEstimationConfig
 from lumisplat.constants import (
     LIGHT_SEARCH_BROAD,
     LIGHT_SEARCH_CLIP,

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_kind
-from lumisplat.config_lighting import AvatarLightingConfig
+from lumisplat.config import AvatarLightingConfig, check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Progress

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_enum
-from lumisplat.config_relight import NormalEstimate
+from lumisplat.config import NormalEstimate, check_enum
 from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN
 from lumisplat.errors import SceneError
 from lumisplat.relight.outside import outward_signs

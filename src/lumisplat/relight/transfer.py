@@ -9,8 +9,7 @@ from typing import NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import check_kind
-from lumisplat.config_relight import RelightConfig
+from lumisplat.config import RelightConfig, check_kind
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.relight.normals import estimate_normals
 from lumisplat.relight.probe import EnvironmentProbe

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config_lighting import AvatarLightingConfig
+from lumisplat.config import AvatarLightingConfig
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import is_number, matrix_4x4
 from lumisplat.scene.camera import Camera

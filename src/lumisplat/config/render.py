@@ -1,15 +1,12 @@
-"""Frozen settings, one dataclass a stage. Edit with ``dataclasses.replace``."""
+"""Settings of a frame."""
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TypeGuard
 
-import numpy as np
-
+from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole, is_whole, told
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
     DILATION_PX2,
@@ -76,43 +73,6 @@ class ToneMap(Enum):
     """Khronos PBR Neutral: true colours, highlights compressed."""
     AGX = "agx"
     """AgX: filmic, highlights lose their colour."""
-
-
-class Absorption(Enum):
-    """How a Gaussian's opacity becomes volumetric absorption in a deep shadow map (seeds/001, section 4.4 B).
-
-    With optical depth ``tau = -ln(1 - opacity)``, precision ``A`` and scales ``s``; ``MASS`` and ``DIAGONAL`` of the paper
-    are one formula, as ``sqrt(det(covariance))`` is the product of the scales.
-    """
-
-    SIMPLE = "simple"
-    """``tau``: wide Gaussians absorb more."""
-    AVERAGE = "avg"
-    """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size (equation 5)."""
-    MASS = "mass"
-    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: the same mass for all, so that small ones are black."""
-    DIAGONAL = "diag"
-    """``tau / ((2 pi)^(3/2) s_x s_y s_z)``: as ``MASS``."""
-
-
-class AtlasLayout(Enum):
-    """How the directions around a light are laid out in a deep shadow map."""
-
-    OCTAHEDRAL = "octahedral"
-    """One square, without seams."""
-    CUBEMAP = "cubemap"
-    """Six faces, with as many texels in all."""
-
-
-class ReceiverSampling(Enum):
-    """Where a deep shadow map is read for a Gaussian that receives shadow."""
-
-    CENTER = "center"
-    """At its mean."""
-    STENCIL = "stencil"
-    """At its mean and one scale along each axis, 7 points."""
-    MONTE_CARLO = "monte-carlo"
-    """At ``samples`` points drawn from it, always the same for the same Gaussian."""
 
 
 class TraceStrategy(Enum):
@@ -221,8 +181,8 @@ class TraceConfig:
 
     def __post_init__(self) -> None:
         check_enum("strategy", self.strategy, TraceStrategy)
-        if not _is_whole(self.hits_per_pass) or self.hits_per_pass not in (4, 8, 16, 32):
-            raise ConfigError(f"hits_per_pass is {_told(self.hits_per_pass)}, expected 4, 8, 16 or 32")
+        if not is_whole(self.hits_per_pass) or self.hits_per_pass not in (4, 8, 16, 32):
+            raise ConfigError(f"hits_per_pass is {told(self.hits_per_pass)}, expected 4, 8, 16 or 32")
         if self.kernel_degree is not None:
             check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
         check_range("min_response", self.min_response, 0.0, 0.97)
@@ -259,63 +219,12 @@ class ShadowConfig:
 
     def __post_init__(self) -> None:
         check_enum("method", self.method, ShadowMethod)
-        if not _is_whole(self.hits) or self.hits not in (4, 8, 16, 32):
-            raise ConfigError(f"hits is {_told(self.hits)}, expected 4, 8, 16 or 32")
+        if not is_whole(self.hits) or self.hits not in (4, 8, 16, 32):
+            raise ConfigError(f"hits is {told(self.hits)}, expected 4, 8, 16 or 32")
         check_range("offset", self.offset, 0.0, 100.0)
         check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
         check_range("transmittance_threshold", self.transmittance_threshold, 0.0, 0.99)
         check_range("color_strength", self.color_strength, 0.0, 5.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DeepShadowConfig:
-    """Settings of a deep Gaussian shadow map.
-
-    Raises:
-        ConfigError: A value is of the wrong type or outside its range.
-    """
-
-    layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
-    """How directions are laid out; light that comes from far away has a plane of its own instead."""
-    resolution: int = 1024
-    """Texels across and down, a multiple of 8, 8..8192."""
-    bins: int = 256
-    """Distances from the light that are tabulated, K, evenly from 0 to ``max_distance``, 1..4096."""
-    max_distance: float | None = None
-    """Distance at which they end, scene units; None: behind all receivers, or without any, all casters."""
-    absorption: Absorption = Absorption.AVERAGE
-    """How opacity becomes absorption."""
-    strength: float = 1.0
-    """Factor of the absorption, kappa, 0..100."""
-    region: bool = True
-    """Tabulate only the texels and distances where there are receivers."""
-    region_radius: float | None = None
-    """Receivers farther than this from the casters' centre along x, y or z stay lit, scene units; None: none do."""
-    culling: bool = True
-    """Look up, tile by tile, which casters a texel's ray can meet, instead of asking them all."""
-    sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
-    """Where receivers look."""
-    samples: int = 8
-    """Points a receiver looks at, with ``MONTE_CARLO``, 1..1024."""
-    seed: int = 0
-    """Of these points, 0..2^32 - 1."""
-
-    def __post_init__(self) -> None:
-        check_enum("layout", self.layout, AtlasLayout)
-        check_whole("resolution", self.resolution, 8, 8192)
-        if self.resolution % 8:
-            raise ConfigError(f"resolution is {self.resolution}, expected a multiple of 8")
-        check_whole("bins", self.bins, 1, 4096)
-        for name in ("max_distance", "region_radius"):
-            if getattr(self, name) is not None:
-                check_range(name, getattr(self, name), 1e-6, 1e9)
-        check_enum("absorption", self.absorption, Absorption)
-        check_range("strength", self.strength, 0.0, 100.0)
-        check_flag("region", self.region)
-        check_flag("culling", self.culling)
-        check_enum("sampling", self.sampling, ReceiverSampling)
-        check_whole("samples", self.samples, 1, 1024)
-        check_whole("seed", self.seed, 0, 2**32 - 1)
 
 
 AOVS = ("albedo", "emission", "reflection", "lights", "hits")
@@ -364,15 +273,16 @@ class RenderConfig:
         check_enum("tone_map", self.tone_map, ToneMap)
         names = None if isinstance(self.aovs, str) or not isinstance(self.aovs, Iterable) else list(self.aovs)
         if names is None or not all(isinstance(name, str) and name in AOVS for name in names):
-            raise ConfigError(f"aovs is {_told(self.aovs)}, expected some of {', '.join(AOVS)}")
+            raise ConfigError(f"aovs is {told(self.aovs)}, expected some of {', '.join(AOVS)}")
         # In one order, each once: what asks for the same images is equal.
         object.__setattr__(self, "aovs", tuple(name for name in AOVS if name in names))
         if self.background is not None:
             try:
                 red, green, blue = self.background
             except (TypeError, ValueError):
-                told = _told(self.background)
-                raise ConfigError(f"background is {told}, expected three numbers in 0..1 or None") from None
+                raise ConfigError(
+                    f"background is {told(self.background)}, expected three numbers in 0..1 or None"
+                ) from None
             for value in (red, green, blue):
                 check_range("background", value, 0.0, 1.0)
             # What came as a list or an array is equal to the tuple, too.
@@ -382,48 +292,3 @@ class RenderConfig:
         check_whole("samples", self.samples, 1, SAMPLES_MAX)
         check_whole("seed", self.seed, 0, 2**32 - 1)
         check_whole("max_bounces", self.max_bounces, 0, 64)
-
-
-def check_range(name: str, value: object, low: float, high: float) -> None:
-    """Raises ConfigError unless ``value`` is a number with ``low <= value <= high`` (NaN never is)."""
-    if not _is_number(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {_told(value)}, expected {low} to {high}")
-
-
-def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raises ConfigError unless ``value`` is an integer, Python's or NumPy's, with ``low <= value <= high``."""
-    if not _is_whole(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {_told(value)}, expected a whole number from {low} to {high}")
-
-
-def check_flag(name: str, value: object) -> None:
-    """Raises ConfigError unless ``value`` is a bool, Python's or NumPy's."""
-    if not isinstance(value, bool | np.bool_):
-        raise ConfigError(f"{name} is {_told(value)}, expected True or False")
-
-
-def check_enum(name: str, value: object, kind: type[Enum]) -> None:
-    """Raises ConfigError unless ``value`` is a member of ``kind``; the message names one, the one meant if it can."""
-    if not isinstance(value, kind):
-        meant = {member.value: member for member in kind}.get(str(value), next(iter(kind)))
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ConfigError(f"{name} is {_told(value)}, expected {article} {kind.__name__} such as {meant}")
-
-
-def check_kind(name: str, value: object, kind: type) -> None:
-    """Raises ConfigError unless ``value`` is a ``kind``."""
-    if not isinstance(value, kind):
-        raise ConfigError(f"{name} is {_told(value)}, expected a {kind.__name__}")
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def _is_whole(value: object) -> TypeGuard[int]:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def _told(value: object) -> str:
-    """A value in a message of one line."""
-    return str(value) if _is_number(value) else " ".join(reprlib.repr(value).split())

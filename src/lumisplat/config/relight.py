@@ -1,11 +1,11 @@
-"""Settings of relighting: what a probe's light does to Gaussians. As config.py, which would grow too long."""
+"""Settings of relighting: what a probe's light does to Gaussians."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config import check_enum, check_range, check_whole
+from lumisplat.config.checks import check_enum, check_range, check_whole
 
 
 class NormalEstimate(Enum):
@@ -37,8 +37,8 @@ class RelightConfig:
     normals: NormalEstimate = NormalEstimate.AUTO
     """Where normals come from if none are given."""
     rows: int = 16
-    """Of the latitude-longitude grid, twice as wide, over which light is summed, 8..128: 16 are within 1 % of a fine one
-    for probes of degree 3 and any exponent."""
+    """Of the latitude-longitude grid, twice as wide, over which light is summed, 8..128: 16 are within 1 % of a fine
+    one for probes of degree 3 and any exponent."""
 
     def __post_init__(self) -> None:
         check_range("exponent", self.exponent, 0.1, 64.0)

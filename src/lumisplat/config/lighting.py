@@ -1,12 +1,13 @@
-"""Settings of light that is found in a capture, and of avatars in it. As config.py, which would grow too long."""
+"""Settings of light that is found in a capture, and of avatars in it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
 
-from lumisplat.config import DeepShadowConfig, check_flag, check_kind, check_range, check_whole
-from lumisplat.config_relight import RelightConfig
+from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole
+from lumisplat.config.relight import RelightConfig
+from lumisplat.config.shadow_maps import DeepShadowConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
