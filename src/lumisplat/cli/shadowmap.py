@@ -70,7 +70,8 @@ class ShadowMap(DeviceCommand):
         config = ls.AvatarLightingConfig(
             shadow=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
-        lighter = ls.AvatarLighter(ls.Scene(splats=(ls.SplatInstance(capture),)), lights or None, config, device=self.device)
+        scene = ls.Scene(splats=(ls.SplatInstance(capture),))
+        lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device)
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
         found = len(lighter.lights or ())
