@@ -108,8 +108,7 @@ class Animate(DeviceCommand):
         there = len(wanted) - len(missing)
         print(f"{len(wanted)} frames in {self.output}" + f", {there} of them were there" * bool(there))
         if self.video is not None:
-            size = f"{cameras[0].width} x {cameras[0].height}"
-            print(f"{self.video} ({size}, {animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
+            print(f"{self.video} ({animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """The settings of the scene file, and what was given in their place."""

@@ -81,4 +81,4 @@ class FrameFolder:
         changed = sorted(name for name in {*before, *origin} if before.get(name) != origin.get(name))
         if changed:
             named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
-            raise ls.ConfigError(f"{self.folder} holds frames of before a change of {named}: {advice}")
+            raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")
