@@ -58,7 +58,10 @@ def bound_cells(start: int, atlas: Atlas, corners: wp.array(dtype=wp.vec3i), sid
     face = corners[i][0]
     x = float(corners[i][1]) - 0.5
     y = float(corners[i][2]) - 0.5
-    middle = ray_at(atlas, face, x + 0.5 * float(side), y + 0.5 * float(side))
+    # The last cells of a face may reach beyond it, where an octahedral map folds back: they end with it.
+    width = wp.min(float(side), float(atlas.size - corners[i][1]))
+    height = wp.min(float(side), float(atlas.size - corners[i][2]))
+    middle = ray_at(atlas, face, x + 0.5 * width, y + 0.5 * height)
     if atlas.layout == PARALLEL:
         cells[i].axis = middle.origin - atlas.origin
         cells[i].radius = 0.70710678 * float(side) * atlas.texel_length * (1.0 + MARGIN)
@@ -79,7 +82,7 @@ def bound_cells(start: int, atlas: Atlas, corners: wp.array(dtype=wp.vec3i), sid
         if edge == 3:
             px = float(0.0)
             py = float(side) - along
-        direction = ray_at(atlas, face, x + px, y + py).direction
+        direction = ray_at(atlas, face, x + wp.min(px, width), y + wp.min(py, height)).direction
         farthest = wp.max(farthest, wp.length(direction - middle.direction))
     cells[i].axis = middle.direction
     cells[i].radius = 2.0 * wp.asin(wp.min(0.5 * farthest, 1.0)) * (1.0 + MARGIN) + MARGIN
