@@ -150,7 +150,7 @@ def test_an_interrupted_animation_goes_on(work, monkeypatch):
     assert len(seen) == 3 + 2  # the two that were missing
 
 
-def test_a_range_is_a_part_of_the_whole(work):
+def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
     """Frames do not depend on which are made: also where lights are looked for, it is about the first one's actors."""
     text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
     work.path("scene.toml").write_text(text)
@@ -159,8 +159,16 @@ def test_a_range_is_a_part_of_the_whole(work):
     assert isinstance(floor, ls.Gaussians)
     both = {name: np.concatenate([getattr(floor, name), getattr(lamp, name)]) for name in floor.arrays()}
     ls.save(work.path("floor.ply"), ls.Gaussians(**both))
+    places = []
+
+    def estimated(scene, place, *args, **options):
+        places.append(tuple(place))
+        return ls.estimate_lights(scene, place, *args, **options)
+
+    monkeypatch.setattr("lumisplat.relight.lighting.estimate_lights", estimated)
     assert animate(work, "whole").status == 0
     assert animate(work, "part", "--frames", "2:").status == 0
+    assert places[0] == places[1] and len(places) == 2
     whole = frames(work, "whole")
     assert frames(work, "part") == {name: whole[name] for name in names(2, 3)}
     assert animate(work, "part", "--frames", ":1").status == 0
