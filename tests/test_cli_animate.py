@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from dataclasses import replace
@@ -165,7 +166,8 @@ def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
         places.append(tuple(place))
         return ls.estimate_lights(scene, place, *args, **options)
 
-    monkeypatch.setattr("lumisplat.relight.lighting.estimate_lights", estimated)
+    # By its module: `lumisplat.relight` is the function of that name.
+    monkeypatch.setattr(importlib.import_module("lumisplat.relight.lighting"), "estimate_lights", estimated)
     assert animate(work, "whole").status == 0
     assert animate(work, "part", "--frames", "2:").status == 0
     assert places[0] == places[1] and len(places) == 2
