@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.scene import shapes, shapes_swept
-from scenes import one_gaussian, random_gaussians, similarity
+from scenes import joined, one_gaussian, random_gaussians, similarity
 from sphere import unit
 
 AXIS, PLANE = ls.NormalEstimate.SMALLEST_AXIS, ls.NormalEstimate.PCA
@@ -63,19 +63,35 @@ def test_openings_do_not_turn_the_inside_out() -> None:
     assert np.mean(np.einsum("ij,ij->i", normals, truth[wall]) > 0.0) > 0.99
 
 
+def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale: float) -> ls.Gaussians:
+    """The set, and after it balls of little opacity."""
+    count = len(means)
+    faint = ls.Gaussians(
+        means,
+        np.tile([[1.0, 0.0, 0.0, 0.0]], (count, 1)),
+        np.full((count, 3), scale),
+        np.full(count, opacity),
+        np.zeros((count, 1, 3)),
+    )
+    return joined(gaussians, faint)
+
+
 def test_strays_and_haze_change_little() -> None:
-    """Gaussians far off do not coarsen what tells the sides apart, faint ones around are no wall."""
+    """Gaussians far off do not coarsen what tells the sides apart, and faint ones all around are no wall."""
     gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
-    haze = random_gaussians(3, 400, 0, (0.0, 0.0, 0.0), (1.5, 1.5, 1.5), (0.05, 0.2))
-    haze = replace(haze, opacities=np.full(400, 0.05))
-    strays = random_gaussians(4, 40, 0, (0.0, 0.0, 0.0), (300.0, 300.0, 300.0), (0.05, 0.2))
-    every = [
-        np.concatenate([getattr(one, name) for one in (gaussians, haze, strays)])
-        for name in gaussians.arrays()
-        if name not in ("albedo", "roughness", "metallic")
-    ]
-    normals = ls.estimate_normals(ls.Gaussians(*every), AXIS)[: gaussians.count]
+    haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
+    strays = np.random.default_rng(4).uniform(-300.0, 300.0, (40, 3))
+    every = with_faint(with_faint(gaussians, haze, 0.05, 0.15), strays, 1.0, 0.1)
+    normals = ls.estimate_normals(every, AXIS)[: gaussians.count]
     assert np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0) > 0.99
+
+
+def test_planes_go_by_opacity() -> None:
+    """Faint Gaussians off the surface hardly tilt them."""
+    gaussians, truth = bare(shapes.sphere(), 4000)
+    off = gaussians.means * np.random.default_rng(6).uniform(0.9, 1.1, (4000, 1))
+    normals = ls.estimate_normals(with_faint(gaussians, off, 0.01, 0.02), PLANE)[:4000]
+    assert np.mean(np.abs(np.einsum("ij,ij->i", normals, truth)) > np.cos(np.radians(5.0))) > 0.95
 
 
 def test_normals_move_with_the_set() -> None:

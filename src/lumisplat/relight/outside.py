@@ -134,7 +134,7 @@ def _open_share(free: _Flags) -> FloatArray:
         order = range(len(slices)) if step[axis] < 0 else range(len(slices) - 1, -1, -1)
         is_open = np.ones(slices.shape[1:], bool)
         for place in order:
-            is_open = _shifted(is_open, -u, -v) & slices[place]
+            is_open = _shifted(is_open, u, v) & slices[place]
             seen[place] += is_open
     return count.astype(np.float32) / 26.0
 
