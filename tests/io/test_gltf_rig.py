@@ -164,6 +164,22 @@ def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
         loaded.pose(1.0)
 
 
+def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
+    """A mesh that its node hides by a scale of 0 is left out with a line; a rig of nothing else is refused."""
+    rig = TubeRig(clips={"bend": BEND})
+    rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
+    gltf = rig.gltf()
+    alone = {**gltf.json["meshes"][0]["primitives"][0], "material": gltf.add("materials", name="other")}
+    gltf.json["nodes"][-1]["mesh"] = gltf.add("meshes", primitives=[alone], name="hat")
+    (tmp_path / "two.glb").write_bytes(gltf.glb())
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert ls.load_rig(tmp_path / "two.glb").mesh.material.name == "skin"
+    assert "mesh 'hat' left out: at rest it has no triangles with an area" in caplog.text
+    rig.nodes[1]["scale"] = [0.0, 0.0, 0.0]
+    with pytest.raises(ls.FormatError, match="has no triangles with an area at rest"):
+        load(rig, tmp_path)
+
+
 def test_clips_are_chosen_by_name(tmp_path):
     """The first clip is the default; another name is refused with those there are."""
     loaded = load(TubeRig(clips={"bend": BEND, "carry": CARRY}), tmp_path)
@@ -240,6 +256,28 @@ def test_broken_rigs_are_refused(breaks, problem, tmp_path):
     message = str(caught.value)
     assert message.startswith(str(tmp_path / "tube.glb")) and "\n" not in message
     assert problem in message
+
+
+def test_damaged_rigs_are_refused_or_read(tmp_path):
+    """Random bytes anywhere give one line, or a rig that can be posed; nothing else."""
+    rng = np.random.default_rng(0)
+    data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
+    refused = 0
+    for _ in range(80):
+        damaged = bytearray(data)
+        for at in rng.integers(20, len(damaged), 3):
+            damaged[at] = rng.integers(0, 256)
+        (tmp_path / "tube.glb").write_bytes(bytes(damaged))
+        try:
+            loaded = ls.load_rig(tmp_path / "tube.glb")
+            for clip in loaded.clips:
+                loaded.poses(0.4, clip)
+        except ls.FormatError as error:
+            assert "\n" not in str(error)
+            refused += 1
+        except ls.SceneError as error:  # a pose beyond float32
+            assert "non-finite" in str(error)
+    assert 10 < refused < 80
 
 
 def test_a_matrix_is_not_animated(tmp_path):

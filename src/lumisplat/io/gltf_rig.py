@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
-from lumisplat.errors import FormatError, SceneError
+from lumisplat.errors import FormatError
 from lumisplat.io.gltf import check_extensions
 from lumisplat.io.gltf_animation import read_clips
 from lumisplat.io.gltf_file import GltfFile
@@ -22,7 +22,7 @@ from lumisplat.io.mesh_arrays import placed_material
 from lumisplat.io.source import PathLike, parsing
 from lumisplat.scene.arrays import handed_over
 from lumisplat.scene.clips import Channel, Clip
-from lumisplat.scene.rig import MorphTargets, Rig, RigPart, RigSurface, joined
+from lumisplat.scene.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, joined
 from lumisplat.scene.skeleton import Skeleton
 
 _log = logging.getLogger("lumisplat")
@@ -53,14 +53,22 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
             groups.setdefault(key, []).append(piece)
         if not groups:
             raise FormatError(path, "is no rig: its scene has no triangle mesh")
-        try:
-            return Rig(
-                skeleton, tuple(_surface(file, group, skeleton, vertex_colors) for group in groups.values()), clips
-            )
-        except FormatError:
-            raise
-        except SceneError as error:
-            raise FormatError(path, str(error)) from None
+        surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
+        return Rig(skeleton, _shown(file, surfaces, skeleton), clips)
+
+
+def _shown(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
+    """Those that have triangles at rest; what is scaled to nothing there is how animators hide things."""
+    rest = RigPose(skeleton.world_from_node(), {})
+    shown = []
+    for surface in surfaces:
+        if surface.mesh(rest) is not None:
+            shown.append(surface)
+        else:
+            _log.warning("%s: mesh %r left out: at rest it has no triangles with an area", file.path, surface.name)
+    if not shown:
+        raise FormatError(file.path, "has no triangles with an area at rest")
+    return tuple(shown)
 
 
 def is_rigged(file: GltfFile) -> bool:
