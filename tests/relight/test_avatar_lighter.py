@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 import lumisplat as ls
 from light_room import captured, lamp
 from lumisplat.constants import SH_C0
-from lumisplat.relight import actor_shadows
+from lumisplat.relight import actor_shadows, lighting
 from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.shapes import icosphere
 from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
@@ -160,6 +161,28 @@ def test_actors_take_the_light_of_their_place() -> None:
     left = light_left(actor.gaussians, lit.gaussians)
     assert left[normals[:, 1] < -0.9].mean() > 2.0 * left[normals[:, 1] > 0.9].mean()
     assert lighter(scene).light([actor]).splats[1] is actor
+
+
+def test_what_only_moves_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Normals belong to a set, probes to a place: a still actor asks for neither again, a moving one for a probe."""
+    asked: list[str] = []
+    for name in ("estimate_normals", "EnvironmentProbe"):
+        kept = getattr(lighting, name)
+
+        def counted(*arguments: object, name: str = name, kept: Any = kept, **options: object) -> object:
+            asked.append(name)
+            return kept(*arguments, **options) if name == "estimate_normals" else kept.capture(*arguments, **options)
+
+        if name == "EnvironmentProbe":
+            counted.capture = counted  # type: ignore[attr-defined]
+        monkeypatch.setattr(lighting, name, counted)
+    stage = lighter(ls.Scene(splats=[floor()]), relight=True)
+    actor = puppet()
+    for x in (0.0, 0.0, 0.5):
+        pose = np.array(actor.transform)
+        pose[0, 3] = x
+        stage.light([replace(actor, world_from_object=pose)])
+    assert asked.count("estimate_normals") == 1 and asked.count("EnvironmentProbe") == 2
 
 
 def test_meshes_cast_and_stay_meshes() -> None:

@@ -15,6 +15,7 @@ from lumisplat.errors import SceneError
 from lumisplat.launcher import Progress
 from lumisplat.relight.actor_shadows import ActorShadows, casting_lights
 from lumisplat.relight.light_estimation import LightEstimate, estimate_lights
+from lumisplat.relight.normals import estimate_normals
 from lumisplat.relight.probe import EnvironmentProbe
 from lumisplat.relight.transfer import relight
 from lumisplat.render.materials import is_untouched
@@ -25,6 +26,9 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _log = logging.getLogger("lumisplat")
+
+_PROBES_HELD = 64
+"""Probes that are kept, at most: more than there are actors."""
 
 Actor = SplatInstance | MeshInstance
 """What moves through the scene, as it is at one time."""
@@ -84,6 +88,7 @@ class AvatarLighter:
         self._shadows: ActorShadows | None = None
         self._renderer: Renderer | None = None
         self._probes: dict[bytes, EnvironmentProbe] = {}
+        self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
         own = casting_lights(scene.lights)
         if lights is not None:
             self.lights = casting_lights(lights)
@@ -119,6 +124,8 @@ class AvatarLighter:
         placed = _placed(actors)
         casting = [a for a, flag in zip(placed, _flags("casts_shadow", casts_shadow, len(placed)), strict=True) if flag]
         takes = _flags("relit", relit, len(placed))
+        shown = {id(a.gaussians) for a in placed if isinstance(a, SplatInstance)}
+        self._normals = {key: held for key, held in self._normals.items() if key in shown}
         splats = [self._relit(a, flag) for a, flag in zip(placed, takes, strict=True) if isinstance(a, SplatInstance)]
         meshes = [a for a in placed if isinstance(a, MeshInstance)]
         static = list(self.scene.splats)
@@ -160,7 +167,11 @@ class AvatarLighter:
         """An actor in the light of its place; one that reflects the scene's lights is left to the renderer."""
         if not (wanted and self.config.relight) or (self._keeps_lights and not is_untouched(actor)):
             return actor
-        return relight(actor, self._probe(_centroid([actor])), self.config.transfer)
+        # Normals of what only moves stay the same, and are slow to tell from shapes alone.
+        key, gaussians = id(actor.gaussians), actor.gaussians
+        if key not in self._normals:
+            self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
+        return relight(actor, self._probe(_centroid([actor])), self.config.transfer, self._normals[key][1])
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """The lights for meshes, and around them what else of the scene's light there is."""
@@ -176,14 +187,10 @@ class AvatarLighter:
         if key not in self._probes:
             if self._renderer is None:
                 self._renderer = create_renderer(device=self._device, progress=self._progress)
-            if len(self._probes) > _PROBES_HELD:
+            if len(self._probes) >= _PROBES_HELD:
                 self._probes.clear()
             self._probes[key] = EnvironmentProbe.capture(self.scene, place, renderer=self._renderer)
         return self._probes[key]
-
-
-_PROBES_HELD = 64
-"""Probes that are kept: more than there are actors."""
 
 
 def _receivers(scene: Scene, lit: bool) -> list[int]:
