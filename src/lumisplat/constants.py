@@ -206,9 +206,9 @@ FIT_TOLERANCE = 1e-9
 
 IRRADIANCE_SMOOTHNESS = 1e-3
 """Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: where no normals look, irradiance goes on
-smoothly. Where they look everywhere, a band shrinks by about 4 pi l (l + 1) times this: 2.5 %, 7.5 % and 15 %. Less
-leaves noise: of a floor lit evenly, normals within 0.2 of upright, 3000 scales of log-normal 0.5, PAA-Y from constant
-light is 0.2 with this and 0.6 with a tenth of it."""
+smoothly. Where they look everywhere, bands shrink by some 4 to 20 %, higher ones more. Less leaves noise: of a floor
+lit evenly, 3000 normals within 0.2 of upright, scales log-normal by 0.5, PAA-Y from constant light is 0.12 to 0.20 with
+this, and 0.3 to 0.45 with a tenth of it."""
 
 IRRADIANCE_FLOOR = 0.1
 """Irradiance, of the mean luminance, below which residuals of a fit are no longer taken relative to it: what is darker
@@ -322,6 +322,15 @@ OUTSIDE_CONNECTED = 0.25
 
 OUTSIDE_CONTRAST = 0.1
 """One side is outside where its share is larger than the other's by this: two or three of 26 directions."""
+
+OUTSIDE_SURE = 0.3
+"""A Gaussian that sees this much more on one side needs nobody else; the others also go by those around them."""
+
+OUTSIDE_PATCH = 3
+"""Cells across the cubes whose Gaussians speak for each other: beyond what scatters from one to the next."""
+
+OUTSIDE_COMPANY = 10
+"""What they count for together, as a multiple of the Gaussian itself."""
 
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 
