@@ -323,15 +323,6 @@ OUTSIDE_CONNECTED = 0.25
 OUTSIDE_CONTRAST = 0.1
 """One side is outside where its share is larger than the other's by this: two or three of 26 directions."""
 
-OUTSIDE_SURE = 0.3
-"""A Gaussian that sees this much more on one side needs nobody else; the others also go by those around them."""
-
-OUTSIDE_PATCH = 3
-"""Cells across the cubes whose Gaussians speak for each other: beyond what scatters from one to the next."""
-
-OUTSIDE_COMPANY = 10
-"""What they count for together, as a multiple of the Gaussian itself."""
-
 # --- Gaussians from meshes (scene/sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
