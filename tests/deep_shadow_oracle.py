@@ -69,11 +69,14 @@ def amplitude(opacity: np.ndarray, scales: np.ndarray, absorption: Absorption) -
 
 
 def optical_depth(field: Absorbers, origin: np.ndarray, directions: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Optical depth from ``origin`` along unit ``directions`` (..., 3) to the distances ``t`` (...), shape (...)."""
+    """Optical depth from ``origin`` (..., 3) along unit ``directions`` (..., 3) to the distances ``t`` (...).
+
+    Shapes are broadcast.
+    """
     directions, t = np.asarray(directions, float), np.asarray(t, float)
     total = np.zeros(np.broadcast_shapes(directions.shape[:-1], t.shape))
     for mean, whiten, beta in zip(field.mean, field.whiten, field.beta, strict=True):
-        start = whiten @ (np.asarray(origin, float) - mean)
+        start = (np.asarray(origin, float) - mean) @ whiten.T
         along = directions @ whiten.T
         total += beta * gaussian_integral(start, along, t)
     return total
@@ -94,15 +97,17 @@ def gaussian_integral(start: np.ndarray, along: np.ndarray, t: np.ndarray) -> np
 
 def erf_difference(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """erf(high) - erf(low) for low <= high."""
-    after = low > 0.0  # Both on the falling side.
-    before = high < 0.0
-    found = _erf(high) - _erf(low)
-    found = np.where(after, _erfc(low) - _erfc(high), found)
-    return np.where(before, _erfc(-high) - _erfc(-low), found)
+    # Where both are below zero, mirrored to above it.
+    low, high = np.where(high < 0.0, -high, low), np.where(high < 0.0, -low, high)
+    tail = low > 0.0
+    found = np.empty(low.shape)
+    found[tail] = _erfc(low[tail]) - _erfc(high[tail])
+    found[~tail] = _erf(high[~tail]) - _erf(low[~tail])
+    return found
 
 
 def transmittance(field: Absorbers, light: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Share of a point light that reaches ``points`` (..., 3) (equation 4), shape (...)."""
+    """Share of a point light at ``light`` (3,), or one each, that reaches ``points`` (..., 3) (equation 4)."""
     offset = np.asarray(points, float) - light
     distance = np.linalg.norm(offset, axis=-1)
     directions = offset / np.maximum(distance, 1e-300)[..., None]
