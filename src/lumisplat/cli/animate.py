@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
@@ -24,6 +24,9 @@ from lumisplat.cli.outputs import check_writable
 from lumisplat.cli.stats import print_stats
 from lumisplat.cli.tracing import PipelineName, TraceGroup, TraceOptions
 from lumisplat.cli.unused import unused_options
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _log = logging.getLogger("lumisplat")
 
@@ -133,7 +136,7 @@ class Animate(DeviceCommand):
         animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
         if self.fps is None:
             return animation
-        if not 0.0 < self.fps < np.inf:
+        if not 0.0 < self.fps < math.inf:
             raise ls.ConfigError(f"--fps is {self.fps}, expected a positive number")
         count = max(1, round(animation.duration * self.fps))
         return replace(animation, fps=self.fps, frame_count=count)
@@ -173,6 +176,8 @@ class Animate(DeviceCommand):
             raise ls.ConfigError(f"--video is made of the PNGs of frames, --format is {self.format}")
         if path.suffix.lower() == ".png":
             raise ls.FormatError(path, "is a picture's name, expected .mp4, .gif, .webp or .apng")
+        import numpy as np
+
         trial = path.with_name(f".trial.{path.name}")
         ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
         trial.unlink()

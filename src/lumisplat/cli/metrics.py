@@ -8,15 +8,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.console import Report, print_columns, progress_bars
 from lumisplat.cli.options import Command, Flag
 from lumisplat.cli.picture_pairs import Pair, picture_pairs
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "flip": "flip"}
 _OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
