@@ -378,7 +378,7 @@ def test_help_and_version(capsys):
     """Without arguments there is help; it lists the commands, and each explains its options."""
     assert main([]) == 0
     listed = capsys.readouterr().out
-    for command in ("render", "info", "convert", "demo", "bench"):
+    for command in ("render", "info", "convert", "demo", "bench", "metrics", "relight"):
         assert command in listed
         assert main([command, "--help"]) == 0
         shown = capsys.readouterr().out
