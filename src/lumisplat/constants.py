@@ -239,11 +239,14 @@ LIGHT_SEARCH_STRAYS = 0.02
 """Share of the Gaussians, the farthest from the character, that do not count for the scene's size: captures have strays
 far outside."""
 
+LIGHT_SEARCH_REACH = 1.5
+"""Radius of the region, in sizes of the scene: lamps hang at its rim, and beyond what is a stray by number alone."""
+
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance of the viewpoints from the character, in radii of the region: of a room's 3 m, a person's width."""
+"""Distance of the viewpoints from the character, in sizes of the scene: of a room's 3 m, a person's width."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
-"""Size of a compact emitter, in radii of the region: of a room's 3 m, a lamp of 25 cm."""
+"""Size of a compact emitter, in sizes of the scene: of a room's 3 m, a lamp of 25 cm."""
 
 LIGHT_SEARCH_SEPARATION = 3.0
 """Distance of two lights, in sizes of an emitter: beyond the surroundings that a candidate is compared with."""

@@ -19,12 +19,14 @@ class LightEstimationConfig:
     """
 
     radius: float | None = None
-    """Gaussians farther than this from the character are not looked at, scene units; None: the farthest 2 % are not."""
+    """Gaussians farther than this from the character are not looked at, scene units; None: half as far again as 98 % of
+    them are."""
     viewpoint_distance: float | None = None
-    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``."""
+    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``, or of
+    what 98 % are within."""
     emitter_size: float | None = None
-    """Largest size of what counts as a compact emitter, scene units; None: a twelfth of ``radius``. What is nearer to
-    the character is no light."""
+    """Largest size of what counts as a compact emitter, scene units; None: likewise a twelfth. What is nearer to the
+    character is no light."""
     separation: float | None = None
     """Least distance of two lights, scene units; None: three times ``emitter_size``."""
     compactness: float = 0.5

@@ -16,6 +16,7 @@ from lumisplat.constants import (
     LIGHT_SEARCH_BROAD,
     LIGHT_SEARCH_CLIP,
     LIGHT_SEARCH_EMITTER,
+    LIGHT_SEARCH_REACH,
     LIGHT_SEARCH_SEPARATION,
     LIGHT_SEARCH_STRAYS,
     LIGHT_SEARCH_VIEWPOINTS,
@@ -110,9 +111,10 @@ def estimate_lights(
     if middle.shape != (3,):
         raise SceneError(f"center has shape {middle.shape}, expected three numbers")
     splats = _instances(scene)
-    radius = settings.radius or _radius(splats, middle)
-    size = settings.emitter_size or LIGHT_SEARCH_EMITTER * radius
-    found = _evidence(splats, middle, radius, settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * radius)
+    extent = settings.radius or _extent(splats, middle)
+    radius = settings.radius or LIGHT_SEARCH_REACH * extent
+    size = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
+    found = _evidence(splats, middle, radius, settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * extent)
 
     rows = _tail(found, settings.weakest, size)
     around = surroundings(found.means, found.scores, rows, size)
@@ -151,7 +153,8 @@ def _world(instance: SplatInstance) -> npt.NDArray[np.float64]:
     return instance.gaussians.means @ instance.transform[:3, :3].T + instance.transform[:3, 3]
 
 
-def _radius(splats: tuple[SplatInstance, ...], center: npt.NDArray[np.float64]) -> float:
+def _extent(splats: tuple[SplatInstance, ...], center: npt.NDArray[np.float64]) -> float:
+    """Distance from the centre within which most of the capture is."""
     distances = np.concatenate([np.linalg.norm(_world(instance) - center, axis=1) for instance in splats])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)
 
@@ -196,7 +199,7 @@ def _seen(
         step = seen.means - (object_from_world[:3, :3] @ eye + object_from_world[:3, 3]).astype(np.float32)
         step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
         colors.append(decode_srgb(colors_along(seen, step, instance.sh_degree)))
-        luminances.append(colors[-1] @ np.float32(LUMINANCE))
+        luminances.append(colors[-1] @ np.array(LUMINANCE, dtype=np.float32))
         del colors[1:]
     mean, top = np.mean(luminances, axis=0), np.max(luminances, axis=0)
     steadiness = mean / np.maximum(mean + np.std(luminances, axis=0), 1e-12)

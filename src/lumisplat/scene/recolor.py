@@ -37,7 +37,7 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     if checked.shape not in ((count,), (count, 3)):
         raise SceneError(f"factors has shape {checked.shape}, expected ({count},) or ({count}, 3)")
     per_channel = np.broadcast_to(checked.reshape(count, -1), (count, 3))
-    refuse_rows("factors", "negative", (per_channel < 0.0).any(axis=1))
+    refuse_rows("factors", "negative", np.asarray((per_channel < 0.0).any(axis=1)))
     rows = np.flatnonzero((per_channel != 1.0).any(axis=1))
     if rows.size == 0:
         return gaussians
