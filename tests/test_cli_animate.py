@@ -290,6 +290,13 @@ def test_meshes_alone(work):
     assert len(set(frames(work, "frames").values())) == 4
 
 
+def test_options_without_effect_are_said(work, caplog):
+    """Once, of the scene as it is lit: the lamp lights meshes, and shows the captures as they are."""
+    assert animate(work, "frames", "--frames", "0:2", "--kernel-degree", "2", "--shadows", "off").status == 0
+    lines = [record.message for record in caplog.records if "not used" in record.message]
+    assert lines == ["not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)"]
+
+
 def test_formats_and_stats(work):
     """Frames of floats, and what they take."""
     done = animate(work, "frames", "--format", "npz", "--frames", "0:2", "--stats")
@@ -352,11 +359,13 @@ def test_files_that_a_scene_is_made_of(tmp_path):
     (tmp_path / "statue.mtl").write_text("newmtl a\nmap_Kd -clamp on bark.png\n")
     (tmp_path / "statue.obj").write_text("mtllib statue.mtl\nv 0 0 0\n")
     (tmp_path / "body.gltf").write_text(json.dumps({"buffers": [{"uri": "body.bin"}, {"uri": "data:,x"}]}))
+    (tmp_path / "broken.gltf").write_text("{")
     (tmp_path / "scene.toml").write_text(
-        'a = ["walk", "statue.obj", "", ".", ".."]\n[[b]]\npath = "body.gltf"\nname = "frames"\n'
+        'a = ["walk", "broken.gltf", "statue.obj", "", ".", ".."]\n[[b]]\npath = "body.gltf"\nname = "frames"\n'
     )
     marks = file_marks([tmp_path / "scene.toml"], tmp_path / "frames")
     assert set(marks) == {
         "scene.toml", "walk/0001.ply", "walk/0002.ply", "statue.obj", "statue.mtl", "bark.png", "body.gltf", "body.bin",
+        "broken.gltf",
     }  # fmt: skip
     assert marks["body.bin"].startswith("4 bytes, ")

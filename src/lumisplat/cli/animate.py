@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.console import Report, print_table, progress_bars
+from lumisplat.cli.console import Report, progress_bars
+from lumisplat.cli.filming import Filming, with_actors
 from lumisplat.cli.frame_folder import FrameFolder
 from lumisplat.cli.lighting import LightGroup, LightOptions
 from lumisplat.cli.named_files import file_marks
 from lumisplat.cli.options import DeviceCommand, Flag, parse_background, resolved_up, setting, settled
 from lumisplat.cli.outputs import check_writable
-from lumisplat.cli.stats import print_stats
 from lumisplat.cli.tracing import PipelineName, TraceGroup, TraceOptions
 from lumisplat.cli.unused import unused_options
 
 if TYPE_CHECKING:
     import numpy as np
-
-_log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +99,8 @@ class Animate(DeviceCommand):
             folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
             missing = [index for index in wanted if not folder.is_finished(index)]
             if missing:
-                for line in unused_options(config, animation.scene, [], self.trace, self.light):
-                    _log.warning("%s", line)
-                _Filming(animation, cameras, renderer, folder, self.stats).film(missing, report)
+                remarks = partial(unused_options, config, raster=[], trace=self.trace, light=self.light)
+                Filming(animation, cameras, renderer, folder, stats=self.stats, remarks=remarks).film(missing, report)
             if self.video is not None:
                 pictures = _read([folder.path(index) for index in wanted], report)
                 ls.save_animation(self.video, pictures, animation.fps)
@@ -158,7 +154,7 @@ class Animate(DeviceCommand):
         if not cameras:
             from lumisplat.cli.framing import framing_camera
 
-            whole = _with_actors(animation.scene, animation.actors_at(0.0))
+            whole = with_actors(animation.scene, animation.actors_at(0.0))
             width, height = (self.width or 1280, self.height or 720)
             both = self.width is not None and self.height is not None
             cameras = [framing_camera(whole, self.up, width, height) if both else framing_camera(whole, self.up)]
@@ -197,84 +193,6 @@ class Animate(DeviceCommand):
             **dict(_flat("actors.", animation.lighting)),
             **file_marks(files, self.output),
         }
-
-
-class _Filming:
-    """Renders frames of an animation to files."""
-
-    def __init__(
-        self,
-        animation: ls.Animation,
-        cameras: list[ls.Camera],
-        renderer: ls.Renderer,
-        folder: FrameFolder,
-        stats: bool,
-    ) -> None:
-        self._animation, self._cameras, self._renderer = animation, cameras, renderer
-        self._folder, self._stats = folder, stats
-        self._lighter: ls.AvatarLighter | None = None
-        self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
-
-    def film(self, indices: list[int], report: Report) -> None:
-        """Renders and writes frames."""
-        report("frames", 0.0)
-        if self._animation.scene.splats:
-            self._lighter = ls.AvatarLighter(
-                self._animation.scene, config=self._animation.lighting, device=self._renderer.device, progress=report
-            )
-            if indices[0] != 0:
-                # Lights are looked for about the actors of the first frame, whichever frame comes first here.
-                self._lit(0)
-        for done, index in enumerate(indices, start=1):
-            with self._timed("lighting"):
-                scene = self._lit(index)
-            with self._timed("rendering"):
-                frame = self._renderer.render(scene, self._cameras[index], progress=report)
-            with self._timed("writing"):
-                frame.save(self._folder.path(index))
-            report("frames", done / len(indices))
-            if self._stats and done == len(indices):
-                rows = [(name, f"{1e3 * taken / done:8.1f} ms") for name, taken in self._seconds.items()]
-                print_table(f"mean of {done} frames", rows)
-                print_stats(frame, self._renderer.config.pipeline)
-
-    def _lit(self, index: int) -> ls.Scene:
-        """The scene with its actors at a frame."""
-        animation, now = self._animation, float(self._animation.times[index])
-        placed = [(instance, actor) for actor in animation.actors for instance in actor.at(now)]
-        instances = [instance for instance, _ in placed]
-        if self._lighter is None:
-            return _with_actors(animation.scene, instances)
-        return self._lighter.light(
-            instances,
-            casts_shadow=[actor.casts_shadow for _, actor in placed],
-            relit=[actor.relight for _, actor in placed],
-        )
-
-    def _timed(self, name: str) -> _Watch:
-        return _Watch(self._seconds, name)
-
-
-@dataclass
-class _Watch:
-    """Adds the seconds of a block to a sum."""
-
-    sums: dict[str, float]
-    name: str
-    begun: float = 0.0
-
-    def __enter__(self) -> None:
-        self.begun = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.sums[self.name] += time.perf_counter() - self.begun
-
-
-def _with_actors(scene: ls.Scene, actors: list[Any]) -> ls.Scene:
-    """The scene with actors as they are."""
-    splats = [actor for actor in actors if isinstance(actor, ls.SplatInstance)]
-    meshes = [actor for actor in actors if isinstance(actor, ls.MeshInstance)]
-    return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
 
 
 def _frame_range(text: str, count: int) -> range:

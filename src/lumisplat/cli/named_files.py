@@ -7,6 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,8 @@ def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
             continue
         status = path.stat()
         found[path] = f"{status.st_size} bytes, {status.st_mtime_ns} ns"
-        waiting += [path.parent / text for text in _texts(path) if _may_be_a_path(text)]
+        with suppress(ValueError):  # what does not parse names nothing; whoever reads it will say so
+            waiting += [path.parent / text for text in _texts(path) if _may_be_a_path(text)]
     home = Path(os.path.abspath(paths[0])).parent
     return {os.path.relpath(path, home): mark for path, mark in sorted(found.items())}
 
