@@ -206,11 +206,25 @@ def test_an_image_shows_what_the_probe_has() -> None:
 
 
 def test_ringing_is_cut_in_images() -> None:
-    """Harmonics of strong contrast go below 0; an image, which is light, does not."""
+    """Harmonics of strong contrast go below 0; an image does not, and is as much light: 20 % more without care."""
     directions = unit(10, 5000)
     probe = ls.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
     assert probe.radiance(directions).min() < -0.01
-    assert probe.image(16).min() == 0.0
+    assert probe.image(64).min() == 0.0
+    again = ls.EnvironmentProbe.from_light(probe.light())
+    np.testing.assert_allclose(again.coefficients[0], probe.coefficients[0], rtol=1e-3)
+    black = ls.EnvironmentProbe(-np.ones((1, 3)))
+    np.testing.assert_array_equal(black.image(4), 0.0)
+
+
+def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
+    """Under a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest: ringing cancels."""
+    directions, weights = sphere_quadrature(120)
+    sky = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
+    normals = unit(14, 300)
+    exact = (np.maximum(normals @ directions.T, 0.0) * weights) @ sky
+    found = ls.EnvironmentProbe.fit(directions, sky, weights).irradiance(normals)
+    assert np.abs(found - exact).max() < 0.06 * exact.max()
 
 
 @pytest.mark.parametrize("wxyz", [(1, 0, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.9, 0.1, -0.3, 0.2)])

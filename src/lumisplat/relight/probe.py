@@ -211,7 +211,9 @@ class EnvironmentProbe:
         return self._evaluated(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
 
     def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
-        """Radiance as a latitude-longitude image, in the axes of `LightEnvironment`; what rings below 0 is 0.
+        """Radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
+
+        What rings below 0 is 0, and the rest darker by as much, so that all light together is the probe's.
 
         Args:
             height: Rows, 1 to 8192; it is twice as wide.
@@ -242,7 +244,7 @@ class EnvironmentProbe:
         turned = LightEnvironment(rotation_wxyz=rotation_wxyz, visible=False, name="probe")
         local = panorama_directions(int(height), 2 * int(height))
         radiance = self.radiance(local @ _matrix(turned).T)
-        image = np.maximum(radiance, np.float32(0.0))
+        image = _without_ringing(radiance)
         image.flags.writeable = False
         return LightEnvironment(
             image=image, rotation_wxyz=turned.rotation_wxyz, visible=turned.visible, name=turned.name
@@ -280,6 +282,15 @@ class EnvironmentProbe:
         unit = normalised("directions", checked.reshape(-1, 3))
         scaled = self.coefficients * np.repeat(factors, 2 * np.arange(self.degree + 1) + 1)[:, None]
         return (sh_basis(unit, self.degree) @ scaled).astype(np.float32).reshape(checked.shape)
+
+
+def _without_ringing(image: FloatArray) -> FloatArray:
+    """A latitude-longitude image without negative values, of the same mean over the sphere in each channel."""
+    shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
+    cut = np.maximum(image, np.float32(0.0))
+    before, after = (np.sum(shares * values, axis=(0, 1)) for values in (image, cut))
+    factors = np.divide(np.maximum(before, 0.0), after, out=np.ones(3), where=after > 0.0)
+    return cut * factors.astype(np.float32)
 
 
 def _matrix(light: LightEnvironment) -> _Doubles:
