@@ -93,15 +93,34 @@ def test_meshes_cast_as_gaussians() -> None:
     assert behind(ls.MeshInstance(sphere))[1] == 1.0
 
 
-def test_mesh_is_turned_into_gaussians_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
+    """The meshes that Gaussians are made of, as they are."""
+    calls: list[ls.Mesh] = []
+    sample = casters.sample_surface
+    monkeypatch.setattr(casters, "sample_surface", lambda mesh: calls.append(mesh) or sample(mesh))
+    return calls
+
+
+def test_mesh_is_turned_into_gaussians_once(sampled: list[ls.Mesh]) -> None:
     """A mesh that moves keeps its Gaussians from frame to frame."""
-    calls = []
-    turn = casters.gaussians_from_mesh
-    monkeypatch.setattr(casters, "gaussians_from_mesh", lambda mesh: calls.append(mesh) or turn(mesh))
     sphere = icosphere(radius=0.5)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
     shadow.rebuild(ls.MeshInstance(sphere, similarity((1.0, 0.0, 0.0), 0.5, 1.0, (0.0, 0.1, 0.0))))
-    assert calls == [sphere]
+    assert sampled == [sphere]
+
+
+def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
+    """Poses of the same triangles are one surface: its Gaussians follow, and their shadow is that of the pose."""
+    sphere = icosphere(radius=0.5)
+    moved = replace(sphere, positions=sphere.positions * np.float32([8.0, 1.0, 1.0]), normals=None)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    assert shadow.transmittance(BEHIND)[1] == 1.0
+    shadow.rebuild(moved)
+    assert shadow.transmittance(BEHIND)[1] < 0.01
+    assert sampled == [sphere]
+    shadow.rebuild(sphere)
+    np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
 
 
 def test_light_inside_a_caster_shines_through_half_of_it() -> None:

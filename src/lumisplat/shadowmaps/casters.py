@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
+from lumisplat.scene.binding import Binding, bind_surface, deformed
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.placed import PlacedGaussians, placed_gaussians
-from lumisplat.scene.sampling import gaussians_from_mesh
+from lumisplat.scene.sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
@@ -21,15 +22,15 @@ Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
-_Key = tuple[int, bytes]
-"""A mesh, which is held as long as its key, and what is done to its vertices."""
-
 
 class MeshesAsGaussians:
-    """Meshes turned into Gaussians, once each, as long as they keep coming back."""
+    """Meshes turned into Gaussians, once each, as long as they keep coming back.
+
+    Meshes that share their ``indices``, as poses of a rig do, are one surface that deforms: its Gaussians follow it.
+    """
 
     def __init__(self) -> None:
-        self._turned: dict[_Key, tuple[Mesh, Gaussians]] = {}
+        self._surfaces: dict[int, _Surface] = {}
 
     def placed(self, name: str, content: Content | Iterable[Content]) -> PlacedGaussians:
         """The Gaussians of all that is given, in the world; meshes come after the Gaussians of a scene.
@@ -39,35 +40,47 @@ class MeshesAsGaussians:
             content: One thing or several.
 
         Raises:
-            SceneError: Something else is among them, or a mesh cannot be turned into Gaussians.
+            SceneError: Something else is among them.
         """
-        before, self._turned = self._turned, {}
+        before, self._surfaces = self._surfaces, {}
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
-                items += [*one.splats, *(self._turned_instance(i, before) for i in one.meshes)]
+                items += [*one.splats, *(self._turned(i, before) for i in one.meshes)]
             elif isinstance(one, Mesh | MeshInstance):
-                items.append(self._turned_instance(MeshInstance(one) if isinstance(one, Mesh) else one, before))
+                items.append(self._turned(MeshInstance(one) if isinstance(one, Mesh) else one, before))
             else:
                 items.append(SplatInstance(one) if isinstance(one, Gaussians) else one)
         return placed_gaussians(items)
 
-    def _turned_instance(self, instance: MeshInstance, before: dict[_Key, tuple[Mesh, Gaussians]]) -> SplatInstance:
-        linear, matrix = instance.transform[:3, :3], instance.transform
-        # What no splat instance can do, mirroring and shearing, is done to the vertices.
-        baked = b"" if _is_similar(linear) else linear.tobytes()
-        key = id(instance.mesh), baked
-        if key in before:
-            self._turned[key] = before[key]
-        if key not in self._turned:
-            mesh = instance.mesh
-            if baked:
-                mesh = replace(mesh, positions=mesh.positions @ linear.T.astype(np.float32), normals=None)
-            self._turned[key] = instance.mesh, gaussians_from_mesh(mesh)
-        if baked:
-            matrix = np.eye(4)
-            matrix[:3, 3] = instance.transform[:3, 3]
-        return SplatInstance(self._turned[key][1], matrix)
+    def _turned(self, instance: MeshInstance, before: dict[int, _Surface]) -> SplatInstance:
+        mesh, matrix = instance.mesh, instance.transform
+        key = id(mesh.indices)
+        self._surfaces[key] = surface = self._surfaces.get(key) or before.get(key) or _Surface.of(mesh)
+        if mesh is surface.mesh and _is_similar(matrix[:3, :3]):
+            return SplatInstance(surface.gaussians, matrix)
+        # What no splat instance can do, deforming, mirroring and shearing, is done to the triangles.
+        return SplatInstance(surface.moved_to(mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """A mesh, and Gaussians on it."""
+
+    mesh: Mesh
+    gaussians: Gaussians
+    binding: Binding
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> _Surface:
+        samples = sample_surface(mesh)
+        return cls(mesh, samples.gaussians, bind_surface(mesh, samples))
+
+    def moved_to(self, positions: npt.NDArray[np.floating]) -> Gaussians:
+        """The Gaussians of the surface with its vertices at ``positions``."""
+        changed, vanished = deformed(self.binding, self.gaussians.scales, positions, None)
+        opacities = np.where(vanished, np.float32(0.0), self.gaussians.opacities)
+        return replace(self.gaussians, opacities=opacities, **changed)
 
 
 def _is_similar(linear: npt.NDArray[np.float64]) -> bool:
