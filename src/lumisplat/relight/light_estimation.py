@@ -32,6 +32,8 @@ from lumisplat.scene.harmonics import colors_along
 from lumisplat.scene.lights import LightPoint
 from lumisplat.scene.scene import Scene, SplatInstance
 
+_Doubles = npt.NDArray[np.float64]
+
 _log = logging.getLogger("lumisplat")
 
 _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]) / np.sqrt(3.0)
@@ -59,9 +61,9 @@ class _Evidence:
 
     instances: npt.NDArray[np.int64]
     indices: npt.NDArray[np.int64]
-    means: npt.NDArray[np.float64]
+    means: _Doubles
     """World space."""
-    distances: npt.NDArray[np.float64]
+    distances: _Doubles
     """To the character's centre."""
     colors: FloatArray
     """Linear, towards the centre."""
@@ -111,10 +113,13 @@ def estimate_lights(
     if middle.shape != (3,):
         raise SceneError(f"center has shape {middle.shape}, expected three numbers")
     splats = _instances(scene)
-    extent = settings.radius or _extent(splats, middle)
+    worlds = [i.gaussians.means @ i.transform[:3, :3].T + i.transform[:3, 3] for i in splats]
+    extent = settings.radius or _extent(worlds, middle)
     radius = settings.radius or LIGHT_SEARCH_REACH * extent
     size = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
-    found = _evidence(splats, middle, radius, settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * extent)
+    apart = settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * extent
+    viewpoints = middle + apart * np.concatenate([np.zeros((1, 3)), _TETRAHEDRON])
+    found = _evidence(splats, worlds, viewpoints, radius)
 
     rows = _tail(found, settings.weakest, size)
     around = surroundings(found.means, found.scores, rows, size)
@@ -149,25 +154,20 @@ def _instances(scene: Scene | SplatInstance | Gaussians) -> tuple[SplatInstance,
     return scene.splats
 
 
-def _world(instance: SplatInstance) -> npt.NDArray[np.float64]:
-    return instance.gaussians.means @ instance.transform[:3, :3].T + instance.transform[:3, 3]
-
-
-def _extent(splats: tuple[SplatInstance, ...], center: npt.NDArray[np.float64]) -> float:
+def _extent(worlds: list[_Doubles], center: _Doubles) -> float:
     """Distance from the centre within which most of the capture is."""
-    distances = np.concatenate([np.linalg.norm(_world(instance) - center, axis=1) for instance in splats])
+    distances = np.concatenate([np.linalg.norm(world - center, axis=1) for world in worlds])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)
 
 
 def _evidence(
-    splats: tuple[SplatInstance, ...], center: npt.NDArray[np.float64], radius: float, viewpoint_distance: float
+    splats: tuple[SplatInstance, ...], worlds: list[_Doubles], viewpoints: _Doubles, radius: float
 ) -> _Evidence:
-    """What the viewpoints see of all Gaussians within the radius."""
-    viewpoints = center + viewpoint_distance * np.concatenate([np.zeros((1, 3)), _TETRAHEDRON])
+    """What the viewpoints see of all Gaussians, whose means are given in the world, within the radius of the first."""
+    center = viewpoints[0]
     parts, cues = [], []
     nearest = np.inf
-    for number, instance in enumerate(splats):
-        world = _world(instance)
+    for number, (instance, world) in enumerate(zip(splats, worlds, strict=True)):
         distances = np.linalg.norm(world - center, axis=1)
         nearest = min(nearest, float(distances.min()))
         near = np.flatnonzero(distances <= radius)
@@ -190,7 +190,7 @@ def _evidence(
 
 
 def _seen(
-    instance: SplatInstance, seen: Gaussians, viewpoints: npt.NDArray[np.float64]
+    instance: SplatInstance, seen: Gaussians, viewpoints: _Doubles
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Linear colours from the first viewpoint, shape (M, 3); of all, luminance's mean, maximum and steadiness 0..1."""
     object_from_world = np.linalg.inv(instance.transform)
@@ -231,7 +231,7 @@ def _tail(found: _Evidence, weakest: float, size: float) -> npt.NDArray[np.int64
 
 
 def _spread(
-    means: npt.NDArray[np.float64], weights: npt.NDArray, count: int, settings: LightEstimationConfig, size: float
+    means: _Doubles, weights: npt.NDArray, count: int, settings: LightEstimationConfig, size: float
 ) -> npt.NDArray[np.int64]:
     """Greedy non-maximum suppression: the best row, then the best that is not near it, and so on."""
     separation = settings.separation or LIGHT_SEARCH_SEPARATION * size

@@ -61,7 +61,6 @@ def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], deg
         Shape (N, 3).
     """
     basis = sh_basis(directions.astype(np.float32), min(degree, gaussians.sh_degree))
-    colors = np.full((gaussians.count, 3), 0.5, dtype=np.float32)
-    for number, values in enumerate(basis):
-        colors += values[:, None] * gaussians.sh[:, number]
-    return np.maximum(colors, 0.0)
+    # A product of small matrices for each Gaussian: one pass over its coefficients, which lie side by side.
+    sums = (basis.T[:, None, :] @ gaussians.sh[:, : len(basis)])[:, 0]
+    return np.maximum(sums + np.float32(0.5), 0.0)
