@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import sys
 from dataclasses import replace
 
 import av
@@ -333,6 +334,15 @@ def test_mistakes_come_before_any_frame(work, options, named):
     assert done.err.startswith("error: ") and done.err.count("\n") == 1
     assert named in done.err
     assert work.files() == before
+
+
+def test_a_missing_package_is_said_before_any_frame(work, monkeypatch):
+    """Without PyAV there is no video, which an hour of frames would be too late to say; frames alone do not need it."""
+    monkeypatch.setitem(sys.modules, "av", None)
+    done = animate(work, "frames", "--video", "@out.mp4")
+    assert done.status == 2 and "pip install 'lumisplat[video]'" in done.err
+    assert not work.path("frames").exists()
+    assert animate(work, "frames", "--frames", ":1").status == 0
 
 
 @pytest.mark.parametrize(
