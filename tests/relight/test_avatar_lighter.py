@@ -205,6 +205,14 @@ def test_meshes_cast_and_stay_meshes() -> None:
     np.testing.assert_array_equal(lit[~there], unlit[~there])
 
 
+def test_given_lights_all_light_meshes() -> None:
+    """One that casts no shadow and an environment are among the lights of the frame; no probe comes on top of that."""
+    lamps = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
+    stage = lighter(ls.Scene(splats=[floor()]), lamps, relight=True)
+    assert stage.lights == (LIGHT,)
+    assert stage.light([ls.MeshInstance(icosphere(0.4))]).lights == tuple(lamps[:3])
+
+
 def test_beside_mesh_actors_captures_stay_as_captured() -> None:
     """Lights that come with them are for meshes: sets that would reflect them lose their materials, actors too."""
     sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_only=True)]
@@ -290,6 +298,16 @@ def test_the_region_walks_with_the_actor() -> None:
     left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
     assert left[ground.means[:, 0] > 1.2].min() < 0.05
     assert (left[ground.means[:, 0] > 0.5 + 1.2] == 1.0).all()
+
+
+def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing is darkened, and a line says why."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]), shadow=replace(SHADOW, region_radius=0.5))
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        frames = [stage.light([puppet()]) for _ in range(2)]
+    assert all(frame.splats[0].gaussians is ground for frame in frames)
+    assert caplog.text.count("no receivers within 0.5 of the actors") == 1
 
 
 def test_shadows_can_be_switched_off() -> None:

@@ -64,7 +64,8 @@ class ActorShadows:
         self._means = [r.gaussians.means @ r.transform[:3, :3].T + r.transform[:3, 3] for r in self._receivers]
         count = sum(len(means) for means in self._means)
         self._static = np.ones((len(self._lights), count), dtype=np.float32)
-        self._told: set[int] = set()
+        self._told_inside: set[int] = set()
+        self._told_of_region = False
         if meshes:
             for row, light in enumerate(self._lights):
                 self._static[row] = self._built(meshes, light).transmittance_of(self._receivers)
@@ -101,6 +102,9 @@ class ActorShadows:
             center = np.average(placed.means, axis=0, weights=placed.opacities + 1e-9)
             far = np.abs(np.concatenate(self._means) - center).max(axis=1) > self._radius
             passing[:, far] = 1.0
+            if far.all() and not self._told_of_region:
+                self._told_of_region = True
+                _log.warning("no receivers within %g of the actors: they cast no shadow", self._radius)
         return passing
 
     def _built(self, casters: object, light: Light) -> DeepShadowMap:
@@ -116,14 +120,14 @@ class ActorShadows:
     def _warn_of_lights_inside(self, placed: PlacedGaussians) -> None:
         """Says so, once a light, where an actor has walked into a light: it then shadows nearly everything."""
         for row, light in enumerate(self._lights):
-            if isinstance(light, LightDirectional) or row in self._told:
+            if isinstance(light, LightDirectional) or row in self._told_inside:
                 continue
             offset = (np.array(light.position) - placed.means).astype(np.float32)  # type: ignore[union-attr]
             near = np.einsum("ij,ij->i", offset, offset) < (SHADOW_FOOTPRINT * placed.scales.max(axis=1)) ** 2
             axes = matrices_from_quaternions(placed.rotations_wxyz[near])
             local = np.einsum("nij,ni->nj", axes, offset[near]) / placed.scales[near]
             if (np.einsum("ij,ij->i", local, local) < SHADOW_FOOTPRINT**2).any():
-                self._told.add(row)
+                self._told_inside.add(row)
                 _log.warning(
                     "light %r is inside an actor, which then shadows all around it: move the light, or leave it out",
                     light.name or row,

@@ -50,8 +50,9 @@ class AvatarLighter:
 
     Args:
         scene: What does not move, as captured.
-        lights: Where the light in the captured colours comes from; None: the scene's own lights that cast shadows, or
-            if it has none, those that `estimate_lights` finds about the actors of the first frame.
+        lights: Where the light in the captured colours comes from; those that cast no shadows, and an environment, only
+            light meshes. None: the scene's own, or if none of them casts shadows, those that `estimate_lights` finds
+            about the actors of the first frame.
         config: Settings; None: the defaults.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
@@ -89,6 +90,7 @@ class AvatarLighter:
         self._renderer: Renderer | None = None
         self._probes: dict[bytes, EnvironmentProbe] = {}
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
+        self._given = tuple(light for light in lights or () if light.enabled)
         own = casting_lights(scene.lights)
         if lights is not None:
             self.lights = casting_lights(lights)
@@ -175,7 +177,7 @@ class AvatarLighter:
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """The lights for meshes, and around them what else of the scene's light there is."""
-        lights = self._found_lights(meshes)
+        lights = self._given or self._found_lights(meshes)
         if not self.config.relight or any(isinstance(light, LightEnvironment) for light in lights):
             return lights
         around = self._probe(_centroid(meshes)).light()
