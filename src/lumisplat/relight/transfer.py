@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, overload
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ from lumisplat.scene.panorama import panorama_directions
 from lumisplat.scene.recolor import scale_light
 from lumisplat.scene.scene import SplatInstance
 
+_Subject = TypeVar("_Subject", Gaussians, SplatInstance)
 _Doubles = npt.NDArray[np.float64]
 
 _NORMALS_AT_ONCE = 1024
@@ -38,26 +39,12 @@ class _Grid(NamedTuple):
     """In proportion to the sine of the polar angle, summing to 4 pi, shape (M,)."""
 
 
-@overload
 def relight(
-    subject: Gaussians,
+    subject: _Subject,
     probe: EnvironmentProbe,
     config: RelightConfig | None = None,
     normals: npt.ArrayLike | None = None,
-) -> Gaussians: ...
-@overload
-def relight(
-    subject: SplatInstance,
-    probe: EnvironmentProbe,
-    config: RelightConfig | None = None,
-    normals: npt.ArrayLike | None = None,
-) -> SplatInstance: ...
-def relight(
-    subject: Gaussians | SplatInstance,
-    probe: EnvironmentProbe,
-    config: RelightConfig | None = None,
-    normals: npt.ArrayLike | None = None,
-) -> Gaussians | SplatInstance:
+) -> _Subject:
     """Gaussians under the light of a probe: each colour times what a lobe about its normal gathers, ``light_scales``.
 
     Light is linear, colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`, which
@@ -93,7 +80,7 @@ def relight(
         own = float_array("normals", normals)
         check_shapes(means=(gaussians.means, "N 3"), normals=(own, "N 3"))
     relit = scale_light(gaussians, config.gamma * light_scales(probe, own @ turn.T, config))
-    return relit if isinstance(subject, Gaussians) else replace(subject, gaussians=relit)
+    return cast("_Subject", relit if isinstance(subject, Gaussians) else replace(subject, gaussians=relit))
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
