@@ -171,6 +171,10 @@ tails change the transmittance by 0.001."""
 SHADOW_ERF_MAX = 4.0
 """Argument from which on the error function is one: erfc(4) is 1.5e-8, below float32's last digit."""
 
+SHADOW_TEXEL_ANGLE = 12.0
+"""Radians, divided by the texels across a face, within which lookups find their texels: octahedral maps stretch up to 3
+radians over a unit of two, and a lookup reads a texel's diagonal away."""
+
 SHADOW_FOOTPRINT = 3.0
 """Standard deviations at which the points end that a receiver looks at: where splats end, too."""
 

@@ -4,9 +4,9 @@ import math
 
 import warp as wp
 
-from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT
-from lumisplat.device.atlas import Atlas, place_of_point, texel_number
-from lumisplat.device.deep_shadow_structs import Column, Look, Receivers
+from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT, SHADOW_TEXEL_ANGLE
+from lumisplat.device.atlas import PARALLEL, Atlas, place_of_point, texel_number
+from lumisplat.device.deep_shadow_structs import Column, Look, Receivers, Shade
 from lumisplat.device.random import mix, spread, strand_of
 
 wp.set_module_options({"enable_backward": False})
@@ -17,6 +17,8 @@ RANDOM = wp.constant(2)
 
 FOOTPRINT = wp.constant(wp.float32(SHADOW_FOOTPRINT))
 OUTER_WEIGHT = wp.constant(wp.float32(SHADOW_STENCIL_WEIGHT))
+TEXEL_ANGLE = wp.constant(wp.float32(SHADOW_TEXEL_ANGLE))
+PI = wp.constant(wp.float32(math.pi))
 SQRT_2 = wp.constant(wp.float32(math.sqrt(2.0)))
 ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
@@ -56,6 +58,22 @@ def look_point(receivers: Receivers, look: Look, receiver: int, sample: int) -> 
         return mean
     offset = wp.cw_mul(receivers.scales[receiver], look_offset(look, receiver, sample))
     return mean + wp.quat_rotate(receivers.rotations[receiver], offset)
+
+
+@wp.func
+def may_be_shaded(atlas: Atlas, shade: Shade, receivers: Receivers, receiver: int) -> bool:
+    """Whether a receiver looks at any texel that casters reach: a first look, which most end with."""
+    offset = receivers.means[receiver] - atlas.origin
+    radius = FOOTPRINT * wp.max(receivers.scales[receiver])
+    if atlas.layout == PARALLEL:
+        along = wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
+        across = wp.cross(along, offset - shade.axis)
+        return wp.length(across) <= shade.radius + radius + 2.0 * atlas.texel_length
+    distance = wp.length(offset)
+    if distance <= radius:
+        return True
+    angle = shade.radius + wp.asin(radius / distance) + TEXEL_ANGLE / float(atlas.size)
+    return angle >= PI or wp.dot(offset, shade.axis) >= wp.cos(angle) * distance
 
 
 @wp.func

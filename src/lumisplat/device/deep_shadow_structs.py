@@ -100,6 +100,16 @@ class Receivers:
 
 
 @struct
+class Shade:
+    """What surrounds all that casters can darken."""
+
+    axis: wp.vec3
+    """Unit, of a cone from the light; of parallel light, a point on the axis of a cylinder, from the atlas's origin."""
+    radius: float
+    """Half the cone's angle, radians; of parallel light, scene units."""
+
+
+@struct
 class Look:
     """Where receivers look."""
 

@@ -9,8 +9,10 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import AtlasLayout, DeepShadowConfig
-from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_TILE
+from lumisplat.constants import SHADOW_BOUND_MARGIN, SHADOW_FOOTPRINT, SHADOW_TILE
 from lumisplat.device.atlas import CUBEMAP, OCTAHEDRAL, PARALLEL, Atlas
+from lumisplat.device.deep_shadow import EVERYTHING, SOMETHING
+from lumisplat.device.deep_shadow_structs import Shade
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import float_array
 from lumisplat.scene.lights import LightDirectional, LightPoint, LightRect, LightSphere, LightSpot
@@ -53,6 +55,32 @@ def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) 
     else:
         _place_point(atlas, source, around, config)
     return atlas
+
+
+def shade_of(atlas: Atlas, footprints: np.ndarray | None) -> Shade:
+    """What surrounds the footprints of casters, rows of Footprint; None: everything."""
+    shade = Shade()
+    shade.axis, shade.radius = wp.vec3(0.0, 0.0, 1.0), math.inf
+    if footprints is None or (footprints["extent"] == int(EVERYTHING)).any():
+        return shade
+    met = footprints[footprints["extent"] == int(SOMETHING)]
+    if not len(met):
+        shade.radius = -math.inf
+    elif atlas.layout == int(PARALLEL):
+        first, second = met["first"].astype(np.float64), met["second"].astype(np.float64)
+        low, high = met["low"].astype(np.float64), met["high"].astype(np.float64)
+        middles = 0.5 * ((low + high)[:, :1] * first + (low + high)[:, 1:] * second)
+        center = 0.5 * (middles.min(axis=0) + middles.max(axis=0))
+        reach = np.linalg.norm(middles - center, axis=1) + 0.5 * np.linalg.norm(high - low, axis=1)
+        shade.axis, shade.radius = wp.vec3(*center), float(reach.max()) * (1.0 + SHADOW_BOUND_MARGIN)
+    else:
+        directions = met["direction"].astype(np.float64)
+        axis = directions.mean(axis=0)
+        if np.linalg.norm(axis) > SHADOW_BOUND_MARGIN:
+            axis /= np.linalg.norm(axis)
+            apart = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(directions - axis, axis=1), 1.0))
+            shade.axis, shade.radius = wp.vec3(*axis), float((apart + met["angle"]).max()) + SHADOW_BOUND_MARGIN
+    return shade
 
 
 def face_count(atlas: Atlas) -> int:

@@ -15,8 +15,8 @@ from lumisplat.device.deep_shadow import (
     passage_of,
     start_of,
 )
-from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, loss_at
-from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers
+from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, loss_at, may_be_shaded
+from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers, Shade
 
 # Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.
 wp.set_module_options(
@@ -210,6 +210,7 @@ def mark_looks(
 def look_up(
     start: int,
     atlas: Atlas,
+    shade: Shade,
     columns: wp.array(dtype=Column),
     table: wp.array(dtype=float),
     receivers: Receivers,
@@ -218,6 +219,9 @@ def look_up(
 ):
     """What of the light reaches a receiver, averaged over the points where it looks. One item is one receiver."""
     i = start + wp.tid()
+    transmittance_out[i] = 1.0
+    if not may_be_shaded(atlas, shade, receivers, i):
+        return
     total = float(0.0)
     weights = float(0.0)
     for sample in range(look.count):

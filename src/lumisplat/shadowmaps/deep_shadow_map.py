@@ -17,13 +17,13 @@ from lumisplat.config import Absorption, DeepShadowConfig, ReceiverSampling, che
 from lumisplat.device.atlas import Atlas
 from lumisplat.device.deep_shadow import AVERAGE, MASS, SIMPLE
 from lumisplat.device.deep_shadow_look import CENTER, RANDOM, STENCIL
-from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Look, Occluder, Receivers
+from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Look, Occluder, Receivers, Shade
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.scene.arrays import FloatArray, float_array
 from lumisplat.scene.placed import PlacedGaussians
 from lumisplat.shadowmaps import deep_shadow_kernels as kernels
-from lumisplat.shadowmaps.atlases import Source, atlas_of, source_of
+from lumisplat.shadowmaps.atlases import Source, atlas_of, shade_of, source_of
 from lumisplat.shadowmaps.casters import Content, MeshesAsGaussians, as_iterable
 from lumisplat.shadowmaps.culling import BANDS_PER_THREAD, OneList, TileLists
 from lumisplat.shadowmaps.region import (
@@ -101,6 +101,7 @@ class DeepShadowMap:
         self._texels: Any = None
         self._own_lists: Any = None
         self._table: Any = None
+        self._shade = Shade()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
         """Of the last build."""
 
@@ -225,6 +226,7 @@ class DeepShadowMap:
         shadow._lay_out(region, shadow._caster_lists())
         shadow._table = shadow._buffers.get("table", wp.float32, region.voxel_count)
         shadow._table.assign(table)
+        shadow._shade = shade_of(atlas, None)  # what casts is not in the file
         return shadow
 
     def _blockers(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
@@ -257,6 +259,7 @@ class DeepShadowMap:
             self._atlas = atlas_of(self._source, blockers, self.config)
         with launcher.stage("casters"):
             occluders, footprints = self._occluders(blockers)
+            self._shade = shade_of(self._atlas, footprints.numpy() if self.config.culling else None)
         with launcher.stage("cull"):
             lists = self._caster_lists()
             lists.update(footprints)
@@ -335,7 +338,7 @@ class DeepShadowMap:
         found = self._buffers.get("found", wp.float32, len(placed.means))
         self._launcher.run_banded(
             kernels.look_up,
-            *(len(placed.means), self._atlas, self._columns, self._table, receivers, look, found),
+            *(len(placed.means), self._atlas, self._shade, self._columns, self._table, receivers, look, found),
             bands=BANDS_PER_THREAD * self._launcher.threads,
         )
         return found.numpy().copy()  # on the CPU, the buffer itself
