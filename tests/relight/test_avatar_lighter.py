@@ -205,12 +205,31 @@ def test_meshes_cast_and_stay_meshes() -> None:
     np.testing.assert_array_equal(lit[~there], unlit[~there])
 
 
+def test_captures_do_not_shadow_mesh_actors() -> None:
+    """Within a lamp's own Gaussians a light would reach nothing by rays, and a probe's through no wall that it saw."""
+    shade = lamp(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
+    ceiling = captured(np.array([0.0, 4.0, 0.0]) + floor().means, np.full(3, 0.5), opacity=1.0, scale=0.2)
+    pose = np.eye(4)
+    pose[1, 3] = 1.0
+    actor = ls.MeshInstance(icosphere(0.4), pose)
+    camera = ls.Camera.look_at((0.0, 1.6, 3.0), (0.0, 1.0, 0.0), width=48, height=32, fov_y=0.4)
+    there = ls.render(ls.Scene(meshes=[actor]), camera, device="cpu").alpha == 1.0
+    alone = ls.Scene(splats=[captured(np.array([[0.0, -9.0, 0.0]]), np.ones(3))])
+    open_air, enclosed = (
+        ls.render(lighter(scene).light([actor]), camera, device="cpu").color[there].mean()
+        for scene in (alone, ls.Scene(splats=[floor(), shade, ceiling]))
+    )
+    assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
+
+
 def test_given_lights_all_light_meshes() -> None:
     """One that casts no shadow and an environment are among the lights of the frame; no probe comes on top of that."""
     lamps = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lamps, relight=True)
     assert stage.lights == (LIGHT,)
-    assert stage.light([ls.MeshInstance(icosphere(0.4))]).lights == tuple(lamps[:3])
+    frame = stage.light([ls.MeshInstance(icosphere(0.4))])
+    assert [light.name for light in frame.lights] == ["bulb", "bulb", "sky"]
+    assert [light.intensity for light in frame.lights] == [9.0, 9.0, 1.0]
 
 
 def test_beside_mesh_actors_captures_stay_as_captured() -> None:

@@ -42,9 +42,9 @@ class AvatarLighter:
     Gaussians are relit by a probe of the scene at their place. They do not shadow each other, nor themselves.
 
     Actors that are meshes stay meshes. Where there are any and the scene has no lights of its own, the frame is lit:
-    the lights and, for the rest, a probe at the meshes' place light all meshes of the scene, and captured sets are
-    shown as captured. Where the scene has lights of its own, those stay; sets that reflect them get their shadows from
-    the renderer's rays, and none from here.
+    the lights and, for the rest, a probe at the meshes' place light all meshes of the scene, without shadows on these,
+    and captured sets are shown as captured. Where the scene has lights of its own, those stay; sets that reflect them
+    get their shadows from the renderer's rays, and none from here.
 
     Not safe to share between threads.
 
@@ -176,12 +176,16 @@ class AvatarLighter:
         return relight(actor, self._probe(_centroid([actor])), self.config.transfer, self._normals[key][1])
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """The lights for meshes, and around them what else of the scene's light there is."""
+        """The lights for meshes, and around them what else of the scene's light there is.
+
+        None casts shadows by rays: a lamp that was found is inside its own Gaussians, and what the probe has gathered
+        came from the very walls that would block it.
+        """
         lights = self._given or self._found_lights(meshes)
-        if not self.config.relight or any(isinstance(light, LightEnvironment) for light in lights):
-            return lights
-        around = self._probe(_centroid(meshes)).light()
-        return (*lights, replace(around, intensity=1.0 - self.config.direct, name="around"))
+        if self.config.relight and not any(isinstance(light, LightEnvironment) for light in lights):
+            around = self._probe(_centroid(meshes)).light()
+            lights = (*lights, replace(around, intensity=1.0 - self.config.direct, name="around"))
+        return tuple(replace(light, casts_shadow=False) for light in lights)
 
     def _probe(self, place: npt.NDArray[np.float64]) -> EnvironmentProbe:
         """Of the scene, without actors; one that stands still is not asked for again."""
