@@ -256,7 +256,7 @@ def test_meshes_of_the_scene_cast_from_the_start() -> None:
 
 
 def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFixture) -> None:
-    """Its own lights cast; sets that reflect them or only take shadows get those from rays, and a line says so."""
+    """Its own lights cast; what reflects them or only takes shadows gets those from rays, and a line says so."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
         ls.SplatInstance(floor(), shadow_only=True),
@@ -269,6 +269,8 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
     assert "2 splat sets take their shadows from the renderer's rays" in caplog.text
     frame = stage.light([puppet()])
     assert frame.lights == scene.lights
+    shiny = replace(puppet(), material=ls.MaterialPbr())
+    assert lighter(ls.Scene(splats=sets[2:], lights=scene.lights), None, relight=True).light([shiny]).splats[1] is shiny
     assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
 
 
