@@ -24,7 +24,6 @@ DEPTH_MIN = wp.constant(wp.float32(SHADOW_DEPTH_MIN))
 ERF_MAX = wp.constant(wp.float32(SHADOW_ERF_MAX))
 SQRT_2 = wp.constant(wp.float32(math.sqrt(2.0)))
 SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
-PI = wp.constant(wp.float32(math.pi))
 MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 
@@ -173,13 +172,15 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
         footprint.low = middle - half - margin
         footprint.high = middle + half + margin
         return footprint
-    footprint.angle = wp.asin(reach / distance) + MARGIN
+    angle = wp.asin(reach / distance) + MARGIN
+    footprint.cosine = wp.cos(angle)
+    footprint.sine = wp.sin(angle)
     depth = wp.transpose(spread) * direction
     behind = distance * distance - wp.dot(depth, depth)
     skew = wp.vec2(wp.dot(first, depth), wp.dot(second, depth)) / behind
     width = wp.vec2(
-        wp.sqrt(skew[0] * skew[0] + half[0] * half[0] / behind) + MARGIN * footprint.angle,
-        wp.sqrt(skew[1] * skew[1] + half[1] * half[1] / behind) + MARGIN * footprint.angle,
+        wp.sqrt(skew[0] * skew[0] + half[0] * half[0] / behind) + MARGIN * angle,
+        wp.sqrt(skew[1] * skew[1] + half[1] * half[1] / behind) + MARGIN * angle,
     )
     footprint.low = -skew - width
     footprint.high = -skew + width
@@ -208,20 +209,21 @@ def meets(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
     """Whether a ray through a cell may have more than negligible depth in a Gaussian; never False where one has."""
     if footprint.extent != SOMETHING:
         return footprint.extent == EVERYTHING
+    forward = wp.dot(cell.axis, footprint.direction)
+    # The axes are farther apart than the two half angles together; by cosines, as most pairs end here.
+    if atlas.layout != PARALLEL and (
+        cell.cosine >= 0.0 and forward < cell.cosine * footprint.cosine - cell.sine * footprint.sine
+    ):
+        return False
     across = wp.dot(cell.axis, footprint.first)
     down = wp.dot(cell.axis, footprint.second)
     if atlas.layout == PARALLEL:
-        r = cell.radius
+        r = cell.sine
         low = footprint.low
         high = footprint.high
         return across - r <= high[0] and across + r >= low[0] and down - r <= high[1] and down + r >= low[1]
-    forward = wp.dot(cell.axis, footprint.direction)
-    reach = cell.radius + footprint.angle
-    if reach < PI and forward < wp.cos(reach):
-        return False
-    sine = wp.sin(cell.radius)
-    if forward <= sine or cell.radius > 0.5 * PI:
+    if cell.cosine < 0.0 or forward <= cell.sine:
         return True
-    return overlaps(across, forward, sine, footprint.low[0], footprint.high[0]) and overlaps(
-        down, forward, sine, footprint.low[1], footprint.high[1]
+    return overlaps(across, forward, cell.sine, footprint.low[0], footprint.high[0]) and overlaps(
+        down, forward, cell.sine, footprint.low[1], footprint.high[1]
     )

@@ -55,8 +55,9 @@ class Footprint:
     """NOTHING, SOMETHING or EVERYTHING."""
     direction: wp.vec3
     """From the light, unit."""
-    angle: float
-    """Of the circular cone around it, radians."""
+    cosine: float
+    """Of the angle between it and the circular cone around the caster."""
+    sine: float
     first: wp.vec3
     """An axis of the plane: the longer one of the occluder's shadow."""
     second: wp.vec3
@@ -71,8 +72,10 @@ class Cell:
 
     axis: wp.vec3
     """Unit, to the middle of a cone; of parallel light, the middle itself, from the light's origin."""
-    radius: float
-    """Half the cone's angle, radians; of parallel light, scene units."""
+    cosine: float
+    """Of half the cone's angle; below 0, the cell is not bounded."""
+    sine: float
+    """Of parallel light, the cell's radius, scene units."""
     parent: int
     """The cell, of those twice narrowed down before, that it lies in."""
 

@@ -64,7 +64,7 @@ def bound_cells(start: int, atlas: Atlas, corners: wp.array(dtype=wp.vec3i), sid
     middle = ray_at(atlas, face, x + 0.5 * width, y + 0.5 * height)
     if atlas.layout == PARALLEL:
         cells[i].axis = middle.origin - atlas.origin
-        cells[i].radius = 0.70710678 * float(side) * atlas.texel_length * (1.0 + MARGIN)
+        cells[i].sine = 0.70710678 * float(side) * atlas.texel_length * (1.0 + MARGIN)
         return
     farthest = float(0.0)
     steps = side // STEP
@@ -85,7 +85,9 @@ def bound_cells(start: int, atlas: Atlas, corners: wp.array(dtype=wp.vec3i), sid
         direction = ray_at(atlas, face, x + wp.min(px, width), y + wp.min(py, height)).direction
         farthest = wp.max(farthest, wp.length(direction - middle.direction))
     cells[i].axis = middle.direction
-    cells[i].radius = 2.0 * wp.asin(wp.min(0.5 * farthest, 1.0)) * (1.0 + MARGIN) + MARGIN
+    angle = 2.0 * wp.asin(wp.min(0.5 * farthest, 1.0)) * (1.0 + MARGIN) + MARGIN
+    cells[i].cosine = wp.cos(angle)
+    cells[i].sine = wp.sin(angle)
 
 
 @wp.func
