@@ -22,8 +22,8 @@ class LightEstimationConfig:
     """Gaussians farther than this from the character are not looked at, scene units; None: half as far again as 98 % of
     them are."""
     viewpoint_distance: float | None = None
-    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``, or of
-    what 98 % are within."""
+    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``, or
+    of what 98 % are within."""
     emitter_size: float | None = None
     """Largest size of what counts as a compact emitter, scene units; None: likewise a twelfth. What is nearer to the
     character is no light."""
