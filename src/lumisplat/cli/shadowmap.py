@@ -44,7 +44,7 @@ class ShadowMap(DeviceCommand):
         Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
     ] = None
     """Where a Gaussian of the capture looks at the map: its centre, 7 points, or points drawn from it."""
-    resolution: Annotated[int | None, setting("TEXELS", "1024")] = None
+    resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
     """Of the map, across all directions."""
 
     def run(self) -> None:

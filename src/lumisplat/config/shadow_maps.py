@@ -57,7 +57,7 @@ class DeepShadowConfig:
 
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
     """How directions are laid out; light that comes from far away has a plane of its own instead."""
-    resolution: int = 1024
+    resolution: int = 2048
     """Texels across and down, a multiple of 8, 8..8192."""
     bins: int = 256
     """Distances from the light that are tabulated, K, evenly from 0 to ``max_distance``, 1..4096."""
