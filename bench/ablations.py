@@ -35,6 +35,8 @@ class Variant:
     """Length of a scene unit, metres."""
     pipeline: ls.Pipeline = ls.Pipeline.RASTER
     """Of the picture."""
+    ahead: bool = False
+    """Whether all is turned so that the figure is along an axis of the atlas as the lamp sees it."""
     coarse: bool = False
     """Whether floor and wall have a sixteenth of their Gaussians, four times as wide."""
 
@@ -66,11 +68,14 @@ ABSORPTION = {
     "simple, kappa fitted": SIMPLE_FITTED,
     "mass, kappa fitted": MASS_FITTED,
 }
+CUBES_256 = with_settings(layout=ls.AtlasLayout.CUBEMAP, resolution=256)
 LAYOUT = {
     "cubemap": with_settings(layout=ls.AtlasLayout.CUBEMAP),
     "octahedral": Variant(),
-    "cubemap, 256 texels": with_settings(layout=ls.AtlasLayout.CUBEMAP, resolution=256),
+    "cubemap, 256 texels": CUBES_256,
     "octahedral, 256 texels": with_settings(resolution=256),
+    "cubemap, 256 texels, figure on an axis": replace(CUBES_256, ahead=True),
+    "octahedral, 256 texels, figure on an axis": replace(with_settings(resolution=256), ahead=True),
 }
 SETTINGS = {
     **{f"resolution {n}": with_settings(resolution=n) for n in (512, 1024, 2048, 4096)},
@@ -128,12 +133,13 @@ def row(stage: Stage, shots: list[Shot], variant: Variant) -> dict:
     """Means over the shots."""
     scenery = stage.coarse_scenery if variant.coarse else stage.scenery
     looking = replace(scenery, scales=variant.footprint * scenery.scales)
-    receivers = ls.SplatInstance(looking, in_units(np.eye(4), variant.unit))
     found = []
     for shot in shots:
-        casters = ls.SplatInstance(shot.casters.gaussians, in_units(shot.casters.transform, variant.unit))
+        frame = frame_of(variant, shot)
+        casters = ls.SplatInstance(shot.casters.gaussians, frame @ shot.casters.transform)
+        receivers, lamp = ls.SplatInstance(looking, frame), frame[:3, :3] @ shot.lamp
         begun = time.perf_counter()
-        shadow = ls.DeepShadowMap.build(casters, shot.lamp / variant.unit, receivers, variant.config, device="cpu")
+        shadow = ls.DeepShadowMap.build(casters, lamp, receivers, variant.config, device="cpu")
         built = time.perf_counter()
         transmittance = shadow.transmittance_of(receivers)
         sampled = time.perf_counter()
@@ -144,9 +150,16 @@ def row(stage: Stage, shots: list[Shot], variant: Variant) -> dict:
     return {name: statistics.mean(one[name] for one in found) for name in found[0]}
 
 
-def in_units(world_from_object: np.ndarray, unit: float) -> np.ndarray:
-    """A placement in metres, in units of so many metres."""
-    return np.diag([1.0 / unit, 1.0 / unit, 1.0 / unit, 1.0]) @ world_from_object
+def frame_of(variant: Variant, shot: Shot) -> np.ndarray:
+    """From the stage to the coordinates that the map is built in, shape (4, 4); the origin stays."""
+    turn = np.eye(3)
+    if variant.ahead:
+        forward = shot.casters.transform[:3, 3] + [0.0, 0.8, 0.0] - shot.lamp
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+        turn = np.stack([v / np.linalg.norm(v) for v in (right, np.cross(forward, right), forward)])
+    frame = np.eye(4)
+    frame[:3, :3] = turn / variant.unit
+    return frame
 
 
 def scores(picture: np.ndarray, shot: Shot) -> dict[str, float]:
