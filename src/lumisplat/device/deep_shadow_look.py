@@ -5,8 +5,8 @@ import math
 import warp as wp
 
 from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT, SHADOW_TEXEL_ANGLE
-from lumisplat.device.atlas import PARALLEL, Atlas, place_of_point, texel_number
-from lumisplat.device.deep_shadow_structs import Column, Look, Receivers, Shade
+from lumisplat.device.atlas import PARALLEL, TILE_TEXELS, Atlas, place_of_point, texel_number
+from lumisplat.device.deep_shadow_structs import Look, Receivers, Shade, Table
 from lumisplat.device.random import mix, spread, strand_of
 
 wp.set_module_options({"enable_backward": False})
@@ -83,19 +83,28 @@ def bin_below(atlas: Atlas, t: float) -> float:
 
 
 @wp.func
-def loss_in(columns: wp.array(dtype=Column), table: wp.array(dtype=float), texel: int, number: int) -> float:
-    """Share of the light that is lost at a bin's centre. Nothing is before a column begins, or without one.
-
-    Behind its last bin it is as there: light that was lost does not come back.
-    """
-    if texel < 0 or columns[texel].count == 0 or number < columns[texel].first:
-        return 0.0
-    last = columns[texel].count - 1
-    return 1.0 - table[columns[texel].offset + wp.min(number - columns[texel].first, last)]
+def column_number(table: Table, texel: int) -> int:
+    """Where the column of a texel is; -1: nowhere."""
+    if texel < 0:
+        return -1
+    slot = table.slots[texel // TILE_TEXELS]
+    return wp.where(slot < 0, -1, slot * TILE_TEXELS + texel % TILE_TEXELS)
 
 
 @wp.func
-def loss_at(atlas: Atlas, columns: wp.array(dtype=Column), table: wp.array(dtype=float), point: wp.vec3) -> float:
+def loss_in(table: Table, i: int, number: int) -> float:
+    """Share of the light that is lost at a bin's centre, by column. Nothing is before a column begins, or without one.
+
+    Behind its last bin it is as there: light that was lost does not come back.
+    """
+    if i < 0 or table.columns[i].count == 0 or number < table.columns[i].first:
+        return 0.0
+    last = table.columns[i].count - 1
+    return 1.0 - table.values[table.columns[i].offset + wp.min(number - table.columns[i].first, last)]
+
+
+@wp.func
+def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
     """Share of the light that is lost on the way to a point: trilinear between the nearest texels and bins.
 
     Of what is lost, not of what arrives: where nothing is in the way, weights whose sum is rounded do not matter.
@@ -109,9 +118,9 @@ def loss_at(atlas: Atlas, columns: wp.array(dtype=Column), table: wp.array(dtype
     for corner in range(4):
         x = corner % 2
         y = corner // 2
-        texel = texel_number(atlas, place.face, int(left) + x, int(top) + y)
-        near = loss_in(columns, table, texel, number)
-        far = loss_in(columns, table, texel, wp.min(number + 1, atlas.bins - 1))
+        i = column_number(table, texel_number(atlas, place.face, int(left) + x, int(top) + y))
+        near = loss_in(table, i, number)
+        far = loss_in(table, i, wp.min(number + 1, atlas.bins - 1))
         across = wp.where(x == 1, place.x - left, 1.0 - (place.x - left))
         down = wp.where(y == 1, place.y - top, 1.0 - (place.y - top))
         loss += across * down * wp.lerp(near, far, at - float(number))

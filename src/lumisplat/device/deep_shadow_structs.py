@@ -93,6 +93,18 @@ class Column:
 
 
 @struct
+class Table:
+    """The tabulated transmittances of an atlas."""
+
+    slots: wp.array(dtype=int)
+    """Of each tile of the atlas, where its columns are; -1: nowhere, nothing is in the way."""
+    columns: wp.array(dtype=Column)
+    """Those of a slot's texels follow one another."""
+    values: wp.array(dtype=float)
+    """Of each column, from its first bin on."""
+
+
+@struct
 class Receivers:
     """Gaussians that look at a shadow map, world space; points, if only ``means`` is there."""
 

@@ -15,8 +15,8 @@ from lumisplat.device.deep_shadow import (
     passage_of,
     start_of,
 )
-from lumisplat.device.deep_shadow_look import bin_below, look_point, look_weight, loss_at, may_be_shaded
-from lumisplat.device.deep_shadow_structs import Casters, Cell, Column, Footprint, Look, Occluder, Receivers, Shade
+from lumisplat.device.deep_shadow_look import bin_below, column_number, look_point, look_weight, loss_at, may_be_shaded
+from lumisplat.device.deep_shadow_structs import Casters, Cell, Footprint, Look, Occluder, Receivers, Shade, Table
 
 # Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.
 wp.set_module_options(
@@ -149,19 +149,18 @@ def tabulate(
     ends: wp.array(dtype=int),
     items: wp.array(dtype=int),
     occluders: wp.array(dtype=Occluder),
-    columns: wp.array(dtype=Column),
-    table_out: wp.array(dtype=float),
+    table: Table,
 ):
     """Transmittances of a texel's column (equations 2-4). One item is one of the ``texels`` that have one.
 
     The table first takes what each bin adds to the one before: a Gaussian that is passed costs nothing from there on.
     """
     i = start + wp.tid()
-    column = columns[texels[i]]
+    column = table.columns[column_number(table, texels[i])]
     place = texel_place(atlas, texels[i])
     ray = ray_at(atlas, place[0], float(place[1]), float(place[2]))
     for k in range(column.count):
-        table_out[column.offset + k] = 0.0
+        table.values[column.offset + k] = 0.0
     among = span(ends, lists[i])
     for k in range(among[0], among[1]):
         if culling != 0 and not may_block(occluders[items[k]], ray, atlas.origin):
@@ -176,14 +175,14 @@ def tabulate(
             while number < column.first + column.count and not passed:
                 distance = (float(number) + 0.5) * atlas.bin_length
                 depth = depth_until(passage, begin, distance)
-                table_out[column.offset + number - column.first] += depth - before
+                table.values[column.offset + number - column.first] += depth - before
                 before = depth
                 passed = distance >= passage.peak + width
                 number += 1
     depth = float(0.0)
     for k in range(column.count):
-        depth += table_out[column.offset + k]
-        table_out[column.offset + k] = wp.exp(-wp.max(depth, 0.0))
+        depth += table.values[column.offset + k]
+        table.values[column.offset + k] = wp.exp(-wp.max(depth, 0.0))
 
 
 @wp.kernel
@@ -213,8 +212,7 @@ def look_up(
     start: int,
     atlas: Atlas,
     shade: Shade,
-    columns: wp.array(dtype=Column),
-    table: wp.array(dtype=float),
+    table: Table,
     receivers: Receivers,
     look: Look,
     transmittance_out: wp.array(dtype=float),
@@ -229,6 +227,6 @@ def look_up(
     for sample in range(look.count):
         weight = look_weight(look, sample)
         point = look_point(receivers, look, i, sample)
-        total += weight * loss_at(atlas, columns, table, point)
+        total += weight * loss_at(atlas, table, point)
         weights += weight
     transmittance_out[i] = wp.max(1.0 - total / weights, 0.0)

@@ -17,7 +17,7 @@ from lumisplat.config import Absorption, DeepShadowConfig, ReceiverSampling, che
 from lumisplat.device.atlas import Atlas
 from lumisplat.device.deep_shadow import AVERAGE, MASS, SIMPLE
 from lumisplat.device.deep_shadow_look import CENTER, RANDOM, STENCIL
-from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Look, Occluder, Receivers, Shade
+from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Look, Occluder, Receivers, Shade, Table
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.scene.arrays import FloatArray, float_array
@@ -31,7 +31,6 @@ from lumisplat.shadowmaps.region import (
     all_tiles,
     region_of_casters,
     region_of_receivers,
-    texel_count,
     whole_region,
 )
 from lumisplat.shadowmaps.storage import read_map, write_map
@@ -97,10 +96,9 @@ class DeepShadowMap:
         """Of that region."""
         self._laid_out: Region | None = None
         """What the arrays are of that follow."""
-        self._columns: Any = None
         self._texels: Any = None
         self._own_lists: Any = None
-        self._table: Any = None
+        self._table = Table()
         self._shade = Shade()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
         """Of the last build."""
@@ -204,7 +202,7 @@ class DeepShadowMap:
             FormatError: The file cannot be written.
         """
         assert self._laid_out is not None
-        write_map(path, self.config, self._source, self._atlas, region=self._laid_out, table=self._table.numpy())
+        write_map(path, self.config, self._source, self._atlas, region=self._laid_out, table=self._table.values.numpy())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
@@ -224,8 +222,7 @@ class DeepShadowMap:
         shadow = cls(config, source, launcher)
         shadow._atlas, shadow._region = atlas, region
         shadow._lay_out(region, shadow._caster_lists())
-        shadow._table = shadow._buffers.get("table", wp.float32, region.voxel_count)
-        shadow._table.assign(table)
+        shadow._table.values.assign(table)
         shadow._shade = shade_of(atlas, None)  # what casts is not in the file
         return shadow
 
@@ -250,11 +247,11 @@ class DeepShadowMap:
             return
         with self._launcher.stage("region"):
             data, look = self._looking(placed)
-            self._region = region_of_receivers(self._launcher, self._buffers, self._atlas, data, look)
+            self._region = region_of_receivers(self._launcher, self._atlas, data, look)
 
     def _tabulate(self, blockers: PlacedGaussians) -> None:
         """Writes the table for casters, and the rest that follows them where nothing else says it."""
-        launcher, buffers = self._launcher, self._buffers
+        launcher = self._launcher
         if self._region is None:
             self._atlas = atlas_of(self._source, blockers, self.config)
         with launcher.stage("casters"):
@@ -267,14 +264,12 @@ class DeepShadowMap:
             region = self._region or region_of_casters(self._atlas, blockers, lists)
             if region is not self._laid_out:
                 self._lay_out(region, lists)
-            table = buffers.get("table", wp.float32, region.voxel_count)
             launcher.run_banded(
                 kernels.tabulate,
                 *(len(region.texels), self._atlas, int(self.config.culling), self._texels, self._own_lists),
-                *(lists.ends, lists.items, occluders, self._columns, table),
+                *(lists.ends, lists.items, occluders, self._table),
                 bands=BANDS_PER_THREAD * launcher.threads,
             )
-            self._table = table
             launcher.synchronize()
         pairs = int(lists.counts[lists.of_texels(region.texels)].sum(dtype=np.int64))
         self.stats = DeepShadowStats(
@@ -310,8 +305,12 @@ class DeepShadowMap:
 
     def _lay_out(self, region: Region, lists: TileLists | OneList) -> None:
         """Uploads where the columns of a region are."""
-        self._columns = self._buffers.get("columns", Column, texel_count(self._atlas))
-        self._columns.assign(region.columns(self._atlas))
+        slots, columns = region.columns(self._atlas)
+        self._table.slots = self._buffers.get("slots", wp.int32, len(slots))
+        self._table.slots.assign(slots)
+        self._table.columns = self._buffers.get("columns", Column, len(columns))
+        self._table.columns.assign(columns)
+        self._table.values = self._buffers.get("table", wp.float32, region.voxel_count)
         self._texels = self._buffers.get("texels", wp.int32, len(region.texels))
         self._texels.assign(region.texels)
         self._own_lists = self._buffers.get("own_lists", wp.int32, len(region.texels))
@@ -338,7 +337,7 @@ class DeepShadowMap:
         found = self._buffers.get("found", wp.float32, len(placed.means))
         self._launcher.run_banded(
             kernels.look_up,
-            *(len(placed.means), self._atlas, self._shade, self._columns, self._table, receivers, look, found),
+            *(len(placed.means), self._atlas, self._shade, self._table, receivers, look, found),
             bands=BANDS_PER_THREAD * self._launcher.threads,
         )
         return found.numpy().copy()  # on the CPU, the buffer itself

@@ -45,8 +45,8 @@ class Region:
         """Numbers of the tiles that have such texels, ascending."""
         return np.unique(self.texels // int(TILE_TEXELS))
 
-    def columns(self, atlas: Atlas) -> np.ndarray:
-        """A row for each texel of the atlas, as Column.
+    def columns(self, atlas: Atlas) -> tuple[_Ints, np.ndarray]:
+        """The slot of each tile, and rows of Column for the texels of each slot, as in Table.
 
         Raises:
             SceneError: There are more bins than can be numbered.
@@ -55,10 +55,14 @@ class Region:
             raise SceneError(
                 f"a deep shadow map of {self.voxel_count:,} bins is too large: give receivers, or lower its resolution"
             )
-        rows = np.zeros(texel_count(atlas), dtype=np.dtype(Column.numpy_dtype()))  # type: ignore[attr-defined]
-        rows["first"][self.texels], rows["count"][self.texels] = self.first, self.count
-        rows["offset"][self.texels] = np.cumsum([0, *self.count[:-1]]) if len(self.count) else 0
-        return rows
+        tiles, per_tile = self.tiles, int(TILE_TEXELS)
+        slots = np.full(texel_count(atlas) // per_tile, -1, np.int32)
+        slots[tiles] = np.arange(len(tiles))
+        rows = np.zeros(len(tiles) * per_tile, dtype=np.dtype(Column.numpy_dtype()))  # type: ignore[attr-defined]
+        places = slots[self.texels // per_tile] * per_tile + self.texels % per_tile
+        rows["first"][places], rows["count"][places] = self.first, self.count
+        rows["offset"][places] = np.cumsum(self.count) - self.count
+        return slots, rows
 
 
 def texel_count(atlas: Atlas) -> int:
@@ -93,8 +97,9 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, lists: TileLists |
     return Region(texels, np.full(len(texels), first, np.int32), np.full(len(texels), last - first + 1, np.int32))
 
 
-def region_of_receivers(launcher: Launcher, buffers: Buffers, atlas: Atlas, receivers: Receivers, look: Look) -> Region:
+def region_of_receivers(launcher: Launcher, atlas: Atlas, receivers: Receivers, look: Look) -> Region:
     """What receivers read, and no more."""
+    buffers = Buffers(launcher.device)  # of all texels, and not needed again
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))
     firsts.fill_(atlas.bins)
