@@ -110,6 +110,8 @@ def erf_between(low: float, high: float) -> float:
 def depth_until(passage: Passage, start: float, distance: float) -> float:
     """Optical depth of a Gaussian from ``start``, in units of its width from its peak, to a distance (equation 3)."""
     end = passage.sharpness * (distance - passage.peak)
+    if start <= -ERF_MAX and end >= ERF_MAX:
+        return passage.depth
     return 0.5 * passage.depth * erf_between(start, wp.max(end, start))
 
 
