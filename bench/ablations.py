@@ -104,7 +104,7 @@ def main() -> None:
     if unknown := sorted(set(names) - {*TABLES, "timings"}):
         parser.error(f"no table {', '.join(unknown)}: use {', '.join([*TABLES, 'timings'])}")
     stage = STAGES[given.size]
-    shots = stage.shots(given.frames)
+    shots = stage.shots(given.frames) if set(names) & {*TABLES} or given.pictures else []
     known: dict = {}
     found: dict = {}
     for name in names:
@@ -184,6 +184,7 @@ def timings() -> dict:
     }
     found: dict = {"casters": stage.casters, "receivers": stage.receivers, "resolution": 256, "bins": 64}
     builds: dict[str, float] = {}
+    build(shot, scenery, small)  # Warm.
     for name, config in configs.items():
         repeats = 1 if name == "neither" else REPEATS
         builds[name] = seconds(repeats, lambda config=config: build(shot, scenery, config))

@@ -34,12 +34,16 @@ TITLES = {
 
 def lines(facts: dict, found: dict) -> list[str]:
     """Markdown lines."""
-    out = [
+    measured = (
         f"Measured on {facts['date']} at revision `{facts['revision']}`: {facts['cpu']}, {facts['cores']} cores, "
-        f"Warp {facts['warp']}; pictures of {facts['size']}, {facts['frames']} moments of the walk, "
-        f"{facts['casters']:,} Gaussians of the figure, {facts['receivers']:,} of floor and wall. "
-        "Command: `python -m bench.ablations`."
-    ]
+        f"Warp {facts['warp']}"
+    )
+    if set(found) != {"timings"}:
+        measured += (
+            f"; pictures of {facts['size']}, {facts['frames']} moments of the walk, {facts['casters']:,} Gaussians of "
+            f"the figure, {facts['receivers']:,} of floor and wall"
+        )
+    out = [f"{measured}. Command: `python -m bench.ablations {' '.join(found)}`."]
     for name, rows in found.items():
         out += ["", *(timing_lines(rows) if name == "timings" else score_lines(name, rows))]
     return out
@@ -63,7 +67,7 @@ def timing_lines(rows: dict[str, dict]) -> list[str]:
     head = ["Build (4.4 D)", "seconds", "times both", "paper: seconds", "times both"]
     out = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     for variant, row in rows["build"].items():
-        cells = [variant, f"{row:.2f}", f"{row / rows['build']['both']:.0f}"]
+        cells = [variant, f"{row:.2f}", f"{row / rows['build']['both']:.1f}"]
         theirs = PAPER_BUILD_S.get(variant)
         cells += [f"{theirs:.2f}", f"{theirs / PAPER_BUILD_S['both']:.0f}"] if theirs else ["", ""]
         out.append("| " + " | ".join(cells) + " |")
