@@ -144,6 +144,26 @@ def test_culled_is_unculled(resolution: int, layout: ls.AtlasLayout, light: Any)
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
 
 
+@pytest.mark.parametrize("light", [(0.0, 0.0, -3.0), ls.LightDirectional((0.0, 0.0, 1.0))], ids=["point", "sun"])
+def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
+    """Receivers whose farthest looks only meet the shadow are not passed over when casters are looked up by tiles."""
+    caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
+    rng = np.random.default_rng(0)
+    turn, away = rng.uniform(0.0, 2.0 * np.pi, 40_000), rng.uniform(0.8, 1.4, 40_000)
+    receivers = replace(
+        random_gaussians(4, 40_000),
+        means=np.stack([away * np.cos(turn), away * np.sin(turn), np.ones_like(away)], axis=1).astype(np.float32),
+        scales=np.full((40_000, 3), 0.3, np.float32),
+    )
+    config = ls.DeepShadowConfig(resolution=1024, bins=8, samples=64)
+    culled, every = (
+        build(caster, light, replace(config, culling=culling), receivers).transmittance_of(receivers)
+        for culling in (True, False)
+    )
+    assert (every < 0.99).sum() > 5
+    np.testing.assert_allclose(culled, every, atol=3e-5)
+
+
 @pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
 def test_region_of_interest_is_the_whole_map(sampling: ls.ReceiverSampling) -> None:
     """Receivers see what they see in a map of everything, to rounding: bins are summed from where columns begin."""

@@ -25,9 +25,8 @@ ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
 @wp.func
 def normal_from_unit(u: float) -> float:
-    """The standard normal number that a share ``u`` of all is below, cut at the footprint's end."""
-    argument = wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX)
-    return wp.clamp(SQRT_2 * wp.erfinv(argument), -FOOTPRINT, FOOTPRINT)
+    """The standard normal number that a share ``u`` of all is below."""
+    return SQRT_2 * wp.erfinv(wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX))
 
 
 @wp.func
@@ -41,6 +40,8 @@ def look_offset(look: Look, receiver: int, sample: int) -> wp.vec3:
         u = spread(key, sample)
         w = spread(mix(key), sample)
         offset = wp.vec3(normal_from_unit(u[0]), normal_from_unit(u[1]), normal_from_unit(w[0]))
+        # Cut at the footprint's end, as an ellipsoid: what is taken to be out of reach must be.
+        offset = offset * (FOOTPRINT / wp.max(wp.length(offset), FOOTPRINT))
     return offset
 
 
