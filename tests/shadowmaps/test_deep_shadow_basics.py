@@ -163,6 +163,19 @@ def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture
     assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
 
 
+def test_region_radius_changes_nothing_for_near_receivers() -> None:
+    """Near receivers look where they do without one, wherever they stand among those that are left out."""
+    receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)
+    whole, part = (
+        ls.DeepShadowMap.build(casters, LIGHT, receivers, config, device="cpu").transmittance_of(receivers)
+        for config in (replace(SMALL, max_distance=12.0), replace(SMALL, max_distance=12.0, region_radius=2.0))
+    )
+    center = np.average(casters.means, axis=0, weights=casters.opacities)
+    near = np.abs(receivers.means - center).max(axis=1) < 1.99
+    assert 20 < near.sum() < 200 and whole[near].min() < 0.9
+    np.testing.assert_allclose(part[near], whole[near], atol=1e-6)
+
+
 def test_without_receivers_any_point_behind_may_ask() -> None:
     """A map for nobody in particular knows what is behind the casters as well as one for receivers does."""
     casters = random_gaussians(3, 40)
@@ -213,6 +226,20 @@ def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.transmittance_of(receivers), shadow.transmittance_of(receivers))
 
 
+@pytest.mark.parametrize("culling", [True, False])
+def test_maps_for_nobody_follow_casters_also_from_files(culling: bool, tmp_path: Path) -> None:
+    """A map without receivers is rebuilt for casters elsewhere, and so is what was saved of it."""
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, None, replace(SMALL, culling=culling), device="cpu")
+    shadow.save(tmp_path / "map.npz")
+    again = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
+    np.testing.assert_array_equal(again.transmittance(BEHIND), shadow.transmittance(BEHIND))
+    aside = np.array([[6.0, 0.0, 4.0]], np.float32)
+    for one in (shadow, again):
+        assert one.transmittance(aside) > 0.99
+        one.rebuild(replace(ball(), means=np.float32([[3.0, 0.0, 0.0]])))
+        assert one.transmittance(aside) < 0.1
+
+
 def test_bad_files_are_refused(tmp_path: Path) -> None:
     """Missing, foreign, truncated and tampered files each give one line that names the file."""
     good = tmp_path / "good.npz"
@@ -236,14 +263,41 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         "texels": arrays | {"texels": arrays["texels"] + 256 * 256},
         "table": arrays | {"table": arrays["table"][1:]},
         "nan": arrays | {"table": arrays["table"] * np.nan},
+        "bright": arrays | {"table": arrays["table"] + 1.0},
+        "nowhere": arrays | {"header": _tampered(header, origin=[0.0, float("nan"), 0.0])},
     }.items():
         np.savez(tmp_path / f"{name}.npz", **changed)
         with pytest.raises(ls.FormatError, match="damaged"):
             ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
-    newer = np.frombuffer(json.dumps(header | {"version": 9}).encode(), np.uint8)
-    np.savez(tmp_path / "newer.npz", **(arrays | {"header": newer}))
+    np.savez(tmp_path / "newer.npz", **(arrays | {"header": _tampered(header, version=9)}))
     with pytest.raises(ls.FormatError, match="version 9"):
         ls.DeepShadowMap.load(tmp_path / "newer.npz")
+    endless = header["atlas"] | {"size": float("inf")}
+    np.savez(tmp_path / "endless.npz", **(arrays | {"header": _tampered(header, atlas=endless)}))
+    with pytest.raises(ls.FormatError, match="is no deep shadow map"):
+        ls.DeepShadowMap.load(tmp_path / "endless.npz")
+
+
+def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
+    return np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
+
+
+def test_flipped_bits_are_refused(tmp_path: Path) -> None:
+    """A map in which any byte is another is refused in our words, or read."""
+    path, rng = tmp_path / "map.npz", np.random.default_rng(0)
+    ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
+    good = np.frombuffer(path.read_bytes(), np.uint8)
+    refused = 0
+    for place in rng.integers(0, len(good), 400):
+        bad = good.copy()
+        bad[place] ^= 1 << rng.integers(8)
+        path.write_bytes(bad.tobytes())
+        try:
+            ls.DeepShadowMap.load(path, device="cpu")
+        except ls.FormatError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert refused > 200
 
 
 @pytest.mark.parametrize(
@@ -258,6 +312,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         ({"light_position": ls.LightEnvironment()}, "LightEnvironment"),
         ({"receivers": np.full((4, 3), np.inf)}, "points has 12 non-finite"),
         ({"receivers": np.zeros((4, 2))}, "points has shape"),
+        ({"receivers": np.array(3.0)}, "points has shape"),
         ({"receivers": "floor"}, "points"),
     ],
 )

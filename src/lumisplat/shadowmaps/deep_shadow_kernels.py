@@ -189,12 +189,13 @@ def tabulate(
 def mark_looks(
     atlas: Atlas,
     receivers: Receivers,
+    rows: wp.array(dtype=int),
     look: Look,
     firsts: wp.array(dtype=int),
     lasts: wp.array(dtype=int),
 ):
-    """Widens the columns of texels to what a receiver looks up. One item is one receiver; not to be banded."""
-    i = wp.tid()
+    """Widens the columns of texels to what some receivers look up. One item is one of ``rows``; not to be banded."""
+    i = rows[wp.tid()]
     for sample in range(look.count):
         place = place_of_point(atlas, look_point(receivers, look, i, sample))
         number = int(wp.floor(bin_below(atlas, place.t)))

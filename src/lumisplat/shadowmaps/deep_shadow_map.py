@@ -202,7 +202,12 @@ class DeepShadowMap:
             FormatError: The file cannot be written.
         """
         assert self._laid_out is not None
-        write_map(path, self.config, self._source, self._atlas, region=self._laid_out, table=self._table.values.numpy())
+        write_map(
+            *(path, self.config, self._source, self._atlas),
+            region=self._laid_out,
+            table=self._table.values.numpy(),
+            follows=self._region is None,
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
@@ -216,11 +221,11 @@ class DeepShadowMap:
             DeviceError: There is no such device, or it is out of memory.
             FormatError: The file is missing, or is none of these.
         """
-        config, source, atlas, region, table = read_map(path)
+        config, source, atlas, region, table, follows = read_map(path)
         launcher = Launcher(device)
         launcher.load([kernels])
         shadow = cls(config, source, launcher)
-        shadow._atlas, shadow._region = atlas, region
+        shadow._atlas, shadow._region = atlas, None if follows else region
         shadow._lay_out(region, shadow._caster_lists())
         shadow._table.values.assign(table)
         shadow._shade = shade_of(atlas, None)  # what casts is not in the file
@@ -235,19 +240,20 @@ class DeepShadowMap:
     def _place_receivers(self, receivers: Receiving, blockers: PlacedGaussians) -> None:
         """Sets atlas and region by what will look at the map."""
         placed = _placed_receivers(receivers)
+        rows = np.arange(len(placed.means), dtype=np.int32)
         if self.config.region_radius is not None:
             center = np.average(blockers.means, axis=0, weights=blockers.opacities + TINY)
-            near = np.abs(placed.means - center).max(axis=1, initial=0.0) <= self.config.region_radius
-            placed = PlacedGaussians(*(column[near] for column in placed))
-        if not len(placed.means):
+            rows = rows[np.abs(placed.means - center).max(axis=1, initial=0.0) <= self.config.region_radius]
+        if not len(rows):
             _log.warning("there are no receivers near the casters: nothing is shadowed")
-        self._atlas = atlas_of(self._source, placed, self.config)
+        self._atlas = atlas_of(self._source, PlacedGaussians(*(column[rows] for column in placed)), self.config)
         if not self.config.region:
             self._region = whole_region(self._atlas)
             return
         with self._launcher.stage("region"):
+            # Where a receiver looks goes by its place among all: the far ones must not be left out here.
             data, look = self._looking(placed)
-            self._region = region_of_receivers(self._launcher, self._atlas, data, look)
+            self._region = region_of_receivers(self._launcher, self._atlas, data, rows, look)
 
     def _tabulate(self, blockers: PlacedGaussians) -> None:
         """Writes the table for casters, and the rest that follows them where nothing else says it."""
@@ -348,7 +354,7 @@ def _placed_receivers(receivers: Receiving) -> PlacedGaussians:
     if isinstance(receivers, Content):
         return MeshesAsGaussians().placed("receivers", receivers)
     items: Any = receivers if isinstance(receivers, np.ndarray) else list(as_iterable("receivers", receivers))
-    if len(items) and isinstance(items[0], Content):
+    if np.ndim(items) and len(items) and isinstance(items[0], Content):
         return MeshesAsGaussians().placed("receivers", items)
     return _points(items)
 

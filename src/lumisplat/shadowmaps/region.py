@@ -97,15 +97,17 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, lists: TileLists |
     return Region(texels, np.full(len(texels), first, np.int32), np.full(len(texels), last - first + 1, np.int32))
 
 
-def region_of_receivers(launcher: Launcher, atlas: Atlas, receivers: Receivers, look: Look) -> Region:
-    """What receivers read, and no more."""
+def region_of_receivers(launcher: Launcher, atlas: Atlas, receivers: Receivers, rows: _Ints, look: Look) -> Region:
+    """What some ``rows`` of receivers read, and no more."""
     buffers = Buffers(launcher.device)  # of all texels, and not needed again
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))
     firsts.fill_(atlas.bins)
     lasts.fill_(-1)
     # Not banded: the CPU's atomics are not atomic across threads.
-    launcher.run(kernels.mark_looks, receivers.means.shape[0], atlas, receivers, look, firsts, lasts)
+    uploaded = buffers.get("region.rows", wp.int32, len(rows))
+    uploaded.assign(rows)
+    launcher.run(kernels.mark_looks, len(rows), atlas, receivers, uploaded, look, firsts, lasts)
     first, last = firsts.numpy(), lasts.numpy()
     texels = np.flatnonzero(last >= 0).astype(np.int32)
     return Region(texels, first[texels].copy(), last[texels] - first[texels] + 1)

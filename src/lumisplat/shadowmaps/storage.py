@@ -6,6 +6,7 @@ import json
 import math
 import os
 import zipfile
+import zlib
 from dataclasses import asdict
 from enum import Enum
 from typing import Any
@@ -24,6 +25,11 @@ from lumisplat.shadowmaps.region import Region, texel_count
 
 _VERSION = 1
 _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption, "sampling": ReceiverSampling}
+_NOT_OURS = (
+    *(ArithmeticError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
+    *(LumisplatError, zipfile.BadZipFile, zlib.error),
+)
+"""What comes of reading a file that is another, or damaged."""
 _SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
 
 
@@ -35,8 +41,9 @@ def write_map(
     *,
     region: Region,
     table: FloatArray,
+    follows: bool,
 ) -> None:
-    """Writes a map; the file appears whole or not at all.
+    """Writes a map; the file appears whole or not at all. ``follows``: the region is that of its casters.
 
     Raises:
         FormatError: The name does not end in ``.npz``, or the file cannot be written.
@@ -52,6 +59,7 @@ def write_map(
         "parallel": list(source.direction) if isinstance(source, LightDirectional) else None,
         "atlas": {name: float(getattr(atlas, name)) for name in _SCALARS},
         "origin": [float(x) for x in atlas.origin],
+        "follows": follows,
         "axes": [float(x) for x in np.array(atlas.axes).ravel()],
     }
     arrays = {"texels": region.texels, "first": region.first, "count": region.count, "table": table}
@@ -59,8 +67,8 @@ def write_map(
         np.savez_compressed(temporary, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
 
 
-def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, Atlas, Region, FloatArray]:
-    """Reads what `write_map` wrote.
+def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, Atlas, Region, FloatArray, bool]:
+    """Reads what `write_map` wrote, in its order.
 
     Raises:
         FormatError: The file is missing, or is none of these.
@@ -72,16 +80,17 @@ def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, At
                 raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")
             region = Region(*(file[name].astype(np.int32) for name in ("texels", "first", "count")))
             table = file["table"].astype(np.float32)
+            follows = bool(header["follows"])
         config, source, atlas = _config(header["config"]), _source(header), _atlas(header)
     except FormatError:
         raise
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile, LumisplatError) as error:
+    except _NOT_OURS as error:
         raise FormatError(path, f"is no deep shadow map: {error}") from None
     if not _fits(atlas, region, table):
         raise FormatError(path, "is a damaged deep shadow map: what it tabulates does not fit its settings")
-    return config, source, atlas, region, table
+    return config, source, atlas, region, table, follows
 
 
 def _config(settings: dict[str, Any]) -> DeepShadowConfig:
@@ -112,6 +121,9 @@ def _fits(atlas: Atlas, region: Region, table: FloatArray) -> bool:
         return False
     if not (texels.ndim == 1 and texels.shape == first.shape == count.shape and table.shape == (region.voxel_count,)):
         return False
+    if not (np.isfinite(np.array(atlas.origin)).all() and np.isfinite(np.array(atlas.axes)).all()):
+        return False
     inside = (texels >= 0) & (texels < texel_count(atlas)) & (first >= 0) & (count >= 0)
     ascending = bool((np.diff(texels) > 0).all()) if len(texels) else True
-    return bool(inside.all() and (first + count <= atlas.bins).all() and ascending and np.isfinite(table).all())
+    shares = bool(((table >= 0.0) & (table <= 1.0)).all())
+    return bool(inside.all() and (first + count <= atlas.bins).all() and ascending and shares)
