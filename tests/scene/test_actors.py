@@ -58,6 +58,15 @@ def test_every_subject_is_shown(rig):
     assert instance.mesh is rig.mesh
 
 
+def test_captures_of_a_scene_stay_as_they_are_lit():
+    """Materials, harmonics and shadow-only captures come along, as do names unless the actor has one."""
+    settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_only": True, "name": "prop"}
+    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN, **settings)])
+    (instance,) = ls.Actor(scene, MOVE).at(1.0)
+    assert {name: getattr(instance, name) for name in settings} == settings
+    assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
+
+
 def test_an_animation_has_its_times(rig):
     """Frames are a steady time apart, and all actors are there in their order."""
     gaussians = random_gaussians(1, count=5)

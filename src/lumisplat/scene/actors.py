@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -100,8 +100,9 @@ class Actor:
         match self.subject:
             case Scene() as scene:
                 return tuple(
-                    SplatInstance(i.gaussians, world @ i.transform, name=self.name or i.name) for i in scene.splats
-                ) + tuple(MeshInstance(i.mesh, world @ i.transform, name=self.name or i.name) for i in scene.meshes)
+                    replace(i, world_from_object=world @ i.transform, name=self.name or i.name)
+                    for i in (*scene.splats, *scene.meshes)
+                )
             case Mesh() as mesh:
                 return (MeshInstance(mesh, world, name=self.name or mesh.name),)
             case Rig() as rig:
