@@ -164,6 +164,16 @@ def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
         loaded.pose(1.0)
 
 
+def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
+    """Poses share their triangles, by which shadow maps know a surface again, also where some are left out."""
+    rig = TubeRig(clips={"bend": BEND})
+    rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
+    read = load(rig, tmp_path)
+    early, late = read.pose(0.25), read.pose(0.75)
+    assert len(early.indices) == len(rig.triangles) - 1
+    assert early.indices is late.indices
+
+
 def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
     """A mesh that its node hides by a scale of 0 is left out with a line; a rig of nothing else is refused."""
     rig = TubeRig(clips={"bend": BEND})

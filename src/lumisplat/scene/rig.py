@@ -85,6 +85,8 @@ class RigSurface:
     uvs: FloatArray | None
     colors: FloatArray | None
     name: str
+    _left: dict[bytes, IntArray] = field(default_factory=dict, init=False, repr=False)
+    """Triangles of the last pose that lost some, by which were left."""
 
     def posed(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
         """Positions and normals (of any length) of all vertices in the world, shape (V, 3) each."""
@@ -105,13 +107,21 @@ class RigSurface:
             return None
         return Mesh(
             positions,
-            self.indices if usable.all() else handed_over(self.indices[usable]),
+            self.indices if usable.all() else self._some(usable),
             normals=None if normals is None else handed_over(_unit(normals)),
             uvs=self.uvs,
             material=self.material,
             colors=self.colors,
             name=self.name,
         )
+
+    def _some(self, usable: npt.NDArray[np.bool_]) -> IntArray:
+        """Triangles by a mask: the same array for poses that lose the same ones, by which a surface is known again."""
+        key = usable.tobytes()
+        if key not in self._left:
+            self._left.clear()
+            self._left[key] = handed_over(self.indices[usable])
+        return self._left[key]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
