@@ -280,6 +280,10 @@ def test_mistakes_are_told():
         ls.paa_y(points(np.zeros(4000)), avatar)
     with pytest.raises(ls.ConfigError, match="radius is nan"):
         ls.apf_y(avatar, avatar, radius=float("nan"))
+    with pytest.raises(ls.ConfigError, match="radius is 'wide', expected metres"):
+        ls.paa_y(avatar, avatar, radius="wide")  # type: ignore[arg-type]
+    with pytest.raises(ls.SceneError, match="around has 1 non-finite"):
+        ls.LitPoints.of(gaussians, around=(np.nan, 0, 0), radius=1.0)
     with pytest.raises(ls.ConfigError, match="samples is 0"):
         ls.ncm_ab(avatar, avatar, samples=0)
     with pytest.raises(ls.SceneError, match="has no Gaussians"):

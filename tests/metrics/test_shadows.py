@@ -158,9 +158,15 @@ def test_mistakes_are_told(metric):
         metric(shadow, shadow, region=shadow)
     with pytest.raises(ls.ConfigError, match="threshold is 2"):
         metric(shadow, shadow, threshold=2.0)
+    with pytest.raises(ls.ConfigError, match="threshold is None"):
+        metric(shadow, shadow, threshold=None)
+    with pytest.raises(ls.SceneError, match="shadow is not an array of numbers"):
+        metric([[0.0], [0.0, 1.0]], shadow)
 
 
 def test_tolerance_is_checked():
     """A negative tolerance is refused."""
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
         ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
+    with pytest.raises(ls.ConfigError, match="tolerance is None"):
+        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=None)  # type: ignore[arg-type]

@@ -107,6 +107,8 @@ def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None
         ({"lights": [], "transmittances": np.ones((0, 2))}, ls.SceneError, "at least one light"),
         ({"lights": [ls.LightEnvironment()]}, ls.SceneError, "shines from everywhere"),
         ({"receivers": 3}, ls.SceneError, "got a int"),
+        ({"lights": [3]}, ls.SceneError, "lights holds a int"),
+        ({"lights": ls.LightPoint((0, 0, 3))}, ls.SceneError, "lights is one LightPoint, expected a list"),
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )

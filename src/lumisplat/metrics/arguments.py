@@ -53,7 +53,10 @@ def same_masks(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.Arra
 
 
 def _unit(name: str, values: npt.ArrayLike) -> Image:
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of several lengths
+        raise SceneError(f"{name} is not an array of numbers") from None
     if array.dtype.kind not in "fiub":
         raise SceneError(f"{name} is not an array of numbers")
     pixels = array / 255.0 if array.dtype == np.uint8 else array.astype(np.float64)

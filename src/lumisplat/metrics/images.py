@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config import check_range
 from lumisplat.constants import FLIP_PIXELS_PER_DEGREE, SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.errors import ConfigError, MissingExtraError, SceneError
+from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.metrics.arguments import same_images
 
 
@@ -85,8 +86,7 @@ def flip(image: npt.ArrayLike, reference: npt.ArrayLike, *, pixels_per_degree: f
         MissingExtraError: flip-evaluator is not installed.
     """
     tested, wanted = same_images(image, reference)
-    if not 1.0 <= pixels_per_degree <= 1000.0:
-        raise ConfigError(f"pixels_per_degree is {pixels_per_degree}, expected 1 to 1000")
+    check_range("pixels_per_degree", pixels_per_degree, 1, 1000)
     try:
         import flip_evaluator
     except ImportError:

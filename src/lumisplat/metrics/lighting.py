@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from lumisplat.config import check_whole
 from lumisplat.constants import CHROMATICITY_SAMPLES_MAX, NEIGHBOURHOOD_RADIUS
-from lumisplat.errors import ConfigError, MissingExtraError, SceneError
+from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.metrics.chromaticity import lab
 from lumisplat.metrics.irradiance import fit_irradiance, robust_fit
-from lumisplat.metrics.lit_points import Lit, LitPoints
+from lumisplat.metrics.lit_points import Lit, LitPoints, check_radius
 
 Points = LitPoints | Lit
 
@@ -117,8 +117,7 @@ def ncm_ab(
 
 def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, LitPoints]:
     """The avatar, and the scene within ``radius`` of the mean of its points."""
-    if not 0.0 < radius < np.inf:
-        raise ConfigError(f"radius is {radius}, expected metres above 0")
+    check_radius(radius)
     figure = avatar if isinstance(avatar, LitPoints) else LitPoints.of(avatar)
     center = figure.positions.mean(axis=0, dtype=np.float64)
     if not isinstance(scene, LitPoints):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number, told
 from lumisplat.constants import SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
 from lumisplat.metrics.chromaticity import luminance
@@ -59,11 +60,13 @@ class LitPoints:
 
         Raises:
             ConfigError: ``radius`` is not above 0.
-            SceneError: There are no Gaussians, or none is near; says where the nearest one is.
+            SceneError: There are no Gaussians, or none is near (says where the nearest one is); ``around`` is no point.
         """
-        if around is not None and not (radius is not None and 0.0 < radius < np.inf):
-            raise ConfigError(f"radius is {radius}, expected metres above 0")
-        center = None if around is None else np.asarray(around, np.float64)
+        center = None
+        if around is not None:
+            check_radius(radius)
+            center = float_array("around", around).astype(np.float64)
+            check_shapes(around=(center, "3"))
         parts = list(_instances(subject))
         if not parts:
             raise SceneError("the scene has no Gaussians: there is no light to compare")
@@ -88,6 +91,16 @@ class LitPoints:
     def luminance(self) -> npt.NDArray[np.float64]:
         """CIE Y, linear, white 1, shape (N,)."""
         return luminance(self.rgb)
+
+
+def check_radius(radius: object) -> None:
+    """Refuses what is no length.
+
+    Raises:
+        ConfigError: ``radius`` is not a finite number above 0.
+    """
+    if not is_number(radius) or not 0.0 < radius < np.inf:
+        raise ConfigError(f"radius is {told(radius)}, expected metres above 0")
 
 
 def _instances(subject: Lit) -> Iterator[SplatInstance]:

@@ -10,8 +10,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config import check_range
 from lumisplat.constants import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
-from lumisplat.errors import ConfigError
 from lumisplat.metrics.arguments import Image, same_masks
 
 _Mask = npt.NDArray[np.bool_]
@@ -105,8 +105,7 @@ def boundary_f(
         ConfigError: ``tolerance`` or ``threshold`` is out of range.
         SceneError: These are no two images of one size and range.
     """
-    if not 0.0 <= tolerance <= 100.0:
-        raise ConfigError(f"tolerance is {tolerance}, expected 0 to 100 pixels")
+    check_range("tolerance", tolerance, 0, 100)
     tested, wanted = (_boundary(image, threshold) for image in _checked(shadow, reference, threshold, region))
     if not tested.any() or not wanted.any():
         return float(tested.any() == wanted.any())
@@ -118,8 +117,7 @@ def boundary_f(
 def _checked(
     shadow: npt.ArrayLike, reference: npt.ArrayLike, threshold: float, region: npt.ArrayLike | None
 ) -> tuple[Image, Image]:
-    if not 0.0 <= threshold <= 1.0:
-        raise ConfigError(f"threshold is {threshold}, expected 0 to 1")
+    check_range("threshold", threshold, 0, 1)
     return same_masks(shadow, reference, region)
 
 

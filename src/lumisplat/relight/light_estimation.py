@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import LightEstimationConfig
+from lumisplat.config import LightEstimationConfig, check_kind
 from lumisplat.constants import (
     LIGHT_SEARCH_BROAD,
     LIGHT_SEARCH_CLIP,
@@ -104,9 +104,8 @@ def estimate_lights(
         ConfigError: ``count`` or ``config`` is none.
         SceneError: There are no Gaussians in the region, or none stands out; the message says what helps.
     """
-    settings = config or LightEstimationConfig()
-    if not isinstance(settings, LightEstimationConfig):
-        raise ConfigError(f"config is a {type(settings).__name__}, expected a LightEstimationConfig")
+    settings = LightEstimationConfig() if config is None else config
+    check_kind("config", settings, LightEstimationConfig)
     if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
         raise ConfigError(f"count is {count}, expected a whole number of at least 1")
     middle = float_array("center", center).astype(np.float64)

@@ -23,7 +23,7 @@ from lumisplat.render.renderer import Renderer, create_renderer
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 
 _log = logging.getLogger("lumisplat")
 
@@ -60,7 +60,8 @@ class AvatarLighter:
     Raises:
         ConfigError: ``config`` is no AvatarLightingConfig.
         DeviceError: There is no such device.
-        SceneError: The scene is none, it has no captured sets, or none of ``lights`` casts shadows from somewhere.
+        SceneError: The scene is none, it has no captured sets, ``lights`` is no list of lights, or none of them casts
+            shadows from somewhere.
     """
 
     def __init__(
@@ -90,10 +91,11 @@ class AvatarLighter:
         self._renderer: Renderer | None = None
         self._probes: dict[bytes, EnvironmentProbe] = {}
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        self._given = tuple(light for light in lights or () if light.enabled)
+        given = () if lights is None else checked_lights(lights)
+        self._given = tuple(light for light in given if light.enabled)
         own = casting_lights(scene.lights)
         if lights is not None:
-            self.lights = casting_lights(lights)
+            self.lights = casting_lights(given)
             if not self.lights:
                 raise SceneError("none of the lights is enabled, casts shadows and shines from somewhere")
         elif own:

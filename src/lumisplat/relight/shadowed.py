@@ -16,7 +16,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.light_at import facing_irradiance
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.recolor import scale_light
-from lumisplat.scene.scene import SplatInstance
+from lumisplat.scene.scene import SplatInstance, checked_lights
 
 _Receivers = TypeVar("_Receivers", Gaussians, SplatInstance)
 
@@ -41,12 +41,14 @@ def shadowed(
 
     Raises:
         ConfigError: ``direct`` is outside 0..1.
-        SceneError: The receivers are none, there is no light, or transmittances do not fit or leave 0..1.
+        SceneError: The receivers are none, there is no light, or something that is none, or transmittances do not fit
+            or leave 0..1.
     """
     check_range("direct", direct, 0.0, 1.0)
     if not isinstance(receivers, Gaussians | SplatInstance):
         raise SceneError(f"shadowed takes Gaussians or a SplatInstance, got a {type(receivers).__name__}")
     instance = receivers if isinstance(receivers, SplatInstance) else SplatInstance(receivers)
+    lights = checked_lights(lights)
     checked = float_array("transmittances", transmittances)
     shape = (len(lights), instance.gaussians.count)
     if not lights or checked.shape != shape:

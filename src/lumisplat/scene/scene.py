@@ -105,7 +105,7 @@ class Scene:
     """At most one of those that are enabled is a `LightEnvironment`."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lights", _checked_lights(self.lights))
+        object.__setattr__(self, "lights", checked_lights(self.lights))
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
 
@@ -159,7 +159,12 @@ def refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
         )
 
 
-def _checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
+def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
+    """The lights of a list.
+
+    Raises:
+        SceneError: It is none, holds something else, or two environments that are enabled.
+    """
     if not isinstance(lights, Iterable):
         raise SceneError(f"lights is one {type(lights).__name__}, expected a list")
     checked = []
