@@ -44,7 +44,7 @@ class ReceiverSampling(Enum):
     STENCIL = "stencil"
     """At its mean and one scale along each axis, 7 points."""
     MONTE_CARLO = "monte-carlo"
-    """At ``samples`` points drawn from it, always the same for the same Gaussian."""
+    """At ``samples`` points drawn from it, always the same for a Gaussian of the same number in the list."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,8 @@ class DeepShadowConfig:
     region: bool = True
     """Tabulate only the texels and distances where there are receivers."""
     region_radius: float | None = None
-    """Receivers farther than this from the casters' centre along x, y or z stay lit, scene units; None: none do."""
+    """Nothing is tabulated for receivers farther than this from the casters' centre along x, y or z, scene units: they
+    stay lit, of a map by itself but where nearer ones look at the same texels. None: it is for all."""
     culling: bool = True
     """Look up, tile by tile, which casters a texel's ray can meet, instead of asking them all."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
