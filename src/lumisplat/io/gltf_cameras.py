@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lumisplat.config.checks import is_number
 from lumisplat.constants import NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf_file import GltfFile
 from lumisplat.io.gltf_nodes import Matrix, node_label, scene_nodes, world_transforms
 from lumisplat.io.source import PathLike, parsing
-from lumisplat.scene.arrays import is_number
 from lumisplat.scene.camera import Camera, CameraModel
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
+from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import is_number, matrix_4x4
+from lumisplat.scene.arrays import matrix_4x4
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.keyframes import Keyframes, check_time

@@ -61,11 +61,6 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     return matrix
 
 
-def is_number(value: object) -> bool:
-    """Whether ``value`` is one real number, Python's or NumPy's; True and False are none."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
 def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
     """Raises a `SceneError` that counts the rows where ``offenders`` is true, if there are any."""
     count = np.count_nonzero(offenders)

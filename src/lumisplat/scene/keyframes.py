@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import is_number
 from lumisplat.scene.rotations import matrices_from_quaternions, slerp
 
 _Floats = npt.NDArray[np.float64]

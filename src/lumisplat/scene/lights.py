@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import FLOAT32_MAX, FloatArray, float_array, is_number
+from lumisplat.scene.arrays import FLOAT32_MAX, FloatArray, float_array
 
 Vector = tuple[float, float, float]
 

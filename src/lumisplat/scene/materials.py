@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import FLOAT32_MAX, is_number, kept
+from lumisplat.scene.arrays import FLOAT32_MAX, kept
 
 Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lumisplat.config.checks import is_number
 from lumisplat.constants import SEQUENCE_FRAMES_KEPT, SEQUENCE_TIME_SLACK
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import is_number
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.keyframes import check_time
 
