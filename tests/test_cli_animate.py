@@ -137,7 +137,9 @@ def test_an_interrupted_animation_goes_on(work, monkeypatch):
         return render(self, scene, camera, **options)
 
     monkeypatch.setattr(Renderer, "render", interrupted)
-    assert animate(work, "frames", "--video", "@out.mp4").status == 130
+    stopped = animate(work, "frames", "--video", "@out.mp4")
+    assert (stopped.status, stopped.out) == (130, "")
+    assert stopped.err == f"interrupted: {work.path('frames')} holds 2 of 4 frames; the same command goes on\n"
     assert list(frames(work, "frames")) == names(0, 1)
     assert {path.name for path in work.path("frames").iterdir()} == {*names(0, 1), STAMP}
     assert not work.path("out.mp4").exists() and not list(work.folder.glob(".*"))
@@ -245,6 +247,36 @@ def test_videos(work):
     assert work.path("out.gif").read_bytes().startswith(b"GIF89a")
 
 
+@pytest.mark.parametrize("kept", [0, 200])
+def test_a_damaged_frame_is_not_taken_for_one(work, kept):
+    """A frame that was cut short elsewhere cannot be part of a video: the line says what helps, and it does."""
+    assert animate(work, "frames").status == 0
+    made, frame = frames(work, "frames"), work.path("frames") / names(1)[0]
+    frame.write_bytes(frame.read_bytes()[:kept])
+    done = animate(work, "frames", "--video", "@out.gif")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert done.err.startswith(f"error: {frame}: ")
+    assert done.err.endswith("; delete it and run the command again, which makes it anew\n")
+    assert not work.path("out.gif").exists()
+    frame.unlink()
+    done = animate(work, "frames", "--video", "@out.gif")
+    assert done.out.startswith(f"4 frames in {work.path('frames')}, 3 of them were there\n")
+    assert frames(work, "frames") == made
+
+
+def test_interrupted_while_frames_are_made_anew(work, monkeypatch):
+    """The same command would remove them again: it goes on without --overwrite."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Renderer, "render", interrupted)
+    done = animate(work, "frames", "--frames", "0:1", "--overwrite")
+    assert done.status == 130
+    told = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite goes on"
+    assert done.err == f"interrupted: {told}\n"
+
+
 def test_another_rate_takes_as_long(work):
     """Half the frames a second are half as many, each second one of the others."""
     assert animate(work, "whole").status == 0
@@ -292,10 +324,13 @@ def test_meshes_alone(work):
 
 
 def test_options_without_effect_are_said(work, caplog):
-    """Once, of the scene as it is lit: the lamp lights meshes, and shows the captures as they are."""
+    """Once, of the scene as it is lit: the lamp says where shadows fall, and there are no meshes for it to light."""
     assert animate(work, "frames", "--frames", "0:2", "--kernel-degree", "2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
-    assert lines == ["not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)"]
+    assert lines == [
+        "not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)",
+        "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
+    ]
 
 
 def test_formats_and_stats(work):
@@ -315,7 +350,8 @@ def test_formats_and_stats(work):
         (("--frames", "2:2"), "--frames is '2:2', of an animation of 4 frames"),
         (("--fps", "0"), "--fps is 0"),
         (("--direct", "2"), "direct is 2"),
-        (("--video", "@out.avi"), "unknown extension '.avi' of an animation"),
+        (("--fps", "1e9"), "frame_count is 400,000,000 at 1e+09 frames a second, expected at most 1,000,000"),
+        (("--video", "@out.avi"), "/out.avi: unknown extension '.avi' of an animation"),
         (("--video", "@out.png"), "out.png: is a picture's name"),
         (("--video", "@out.gif", "--fps", "60"), "fps is 60"),
         (("--video", "@out.mp4", "--format", "exr"), "--video is made of the PNGs"),

@@ -487,7 +487,10 @@ RIG_SHEAR_MIN = 1e-5
 """Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: above float32's rounding, by
 which round discs would else turn."""
 
-# --- Sequences of frames ---
+# --- Sequences of frames, animations ---
+
+ANIMATION_FRAMES_MAX = 1_000_000
+"""Frames of an animation: more than eleven hours at 24 a second. More are a slip of the pen, and end out of memory."""
 
 SEQUENCE_FRAMES_KEPT = 2
 """Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""

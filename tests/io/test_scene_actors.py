@@ -149,6 +149,12 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation]\nframes = 0", "line 5, animation: frames is 0, expected at least 1"),
         (ACTOR + "[animation]\nduration = inf", "line 5, animation: duration is inf, expected a positive number"),
         (ACTOR + "[animation]\nduration = 1\nframes = 5", "line 6, animation: has both duration and frames"),
+        (ACTOR + "[animation]\nduration = 1e9", "line 5, animation: has 2.5e+10 frames at fps = 25, expected at most"),
+        (
+            ACTOR + "[animation]\nfps = 2\nframes = 1000001",
+            "line 6, animation: has 1,000,001 frames at fps = 2, expected",
+        ),
+        (ACTOR + "[animation]\nduration = 1e308", "line 5, animation: has inf frames"),
         (ACTOR + "[animation]\nrate = 5", "line 5, animation: unknown 'rate'"),
         (ACTOR + "[animation.lighting]\ndirekt = 0.5", "line 5, animation.lighting: unknown 'direkt', did you mean"),
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),

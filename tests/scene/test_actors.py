@@ -112,6 +112,7 @@ def test_a_clip_that_is_not_there_is_refused(rig):
         ({"fps": 0.0}, "fps is 0.0"),
         ({"frame_count": 0}, "frame_count is 0"),
         ({"frame_count": 2.5}, "frame_count is 2.5"),
+        ({"frame_count": 1_000_001}, "frame_count is 1,000,001 at 25 frames a second, expected at most 1,000,000"),
         ({"lighting": 1}, "lighting is a int"),
     ],
 )

@@ -95,7 +95,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(command: Command) -> int:
     try:
         command.run()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        print(f"interrupted: {stop}" if stop.args else "interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # nobody reads what is printed: no mistake, and nobody to tell
         raise

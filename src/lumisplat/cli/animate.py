@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.console import Report, progress_bars
+from lumisplat.cli.console import Report, counted, progress_bars
 from lumisplat.cli.filming import Filming, with_actors
 from lumisplat.cli.frame_folder import FrameFolder
 from lumisplat.cli.lighting import LightGroup, LightOptions
@@ -98,19 +98,30 @@ class Animate(DeviceCommand):
             folder = FrameFolder(self.output, self.format)
             folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
             missing = [index for index in wanted if not folder.is_finished(index)]
-            if missing:
-                remarks = partial(unused_options, config, raster=[], trace=self.trace, light=self.light)
-                Filming(animation, cameras, renderer, folder, stats=self.stats, remarks=remarks).film(missing, report)
-            if self.video is not None:
-                pictures = _read([folder.path(index) for index in wanted], report)
-                ls.save_animation(self.video, pictures, animation.fps)
+            try:
+                if missing:
+                    remarks = partial(unused_options, config, raster=[], trace=self.trace, light=self.light)
+                    filming = Filming(animation, cameras, renderer, folder, stats=self.stats, remarks=remarks)
+                    filming.film(missing, report)
+                if self.video is not None:
+                    pictures = _read([folder.path(index) for index in wanted], report)
+                    ls.save_animation(self.video, pictures, animation.fps)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(self._progress(folder, wanted)) from None
         there = len(wanted) - len(missing)
-        print(f"{len(wanted)} frames in {self.output}" + f", {there} of them were there" * bool(there))
+        were = "was" if there == 1 else "were"
+        print(f"{counted(len(wanted), 'frame')} in {self.output}" + f", {there} of them {were} there" * bool(there))
         if self.video is not None:
             print(f"{self.video} ({animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """The settings of the scene file, and what was given in their place."""
+    def _progress(self, folder: FrameFolder, wanted: range) -> str:
+        """What is there already, and how to go on."""
+        there = sum(folder.is_finished(index) for index in wanted)
+        again = "the same command without --overwrite" if self.overwrite else "the same command"
+        return f"{self.output} holds {there} of {counted(len(wanted), 'frame')}; {again} goes on"
+
         changes: dict[str, Any] = {}
         if self.pipeline is not None:
             changes["pipeline"] = ls.Pipeline(self.pipeline)
@@ -134,8 +145,10 @@ class Animate(DeviceCommand):
             return animation
         if not 0.0 < self.fps < math.inf:
             raise ls.ConfigError(f"--fps is {self.fps}, expected a positive number")
-        count = max(1, round(animation.duration * self.fps))
-        return replace(animation, fps=self.fps, frame_count=count)
+        length = animation.duration * self.fps
+        if length == math.inf:
+            raise ls.ConfigError(f"--fps is {self.fps}, of an animation of {animation.duration:g} s: too many frames")
+        return replace(animation, fps=self.fps, frame_count=max(1, round(length)))
 
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
         """One camera for each frame."""
@@ -175,7 +188,10 @@ class Animate(DeviceCommand):
         import numpy as np
 
         trial = path.with_name(f".trial.{path.name}")
-        ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
+        try:
+            ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
+        except ls.FormatError as error:
+            raise ls.FormatError(path, str(error).removeprefix(f"{trial}: ")) from None
         trial.unlink()
 
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
@@ -216,7 +232,10 @@ def _read(paths: list[Path], report: Report) -> Iterator[np.ndarray]:
     """Pictures one by one."""
     for done, path in enumerate(paths):
         report("writing the video", done / len(paths))
-        yield ls.load_image(path)
+        try:
+            yield ls.load_image(path)
+        except ls.FormatError as error:
+            raise ls.SceneError(f"{error}; delete it and run the command again, which makes it anew") from None
     report("writing the video", 1.0)
 
 

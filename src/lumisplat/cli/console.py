@@ -79,6 +79,11 @@ def print_columns(header: list[str], rows: list[list[str]]) -> None:
     Console(highlight=False, markup=False, emoji=False).print(table)
 
 
+def counted(count: int, noun: str) -> str:
+    """How many of something there are, for people: ``1 frame``, ``2,000 frames``."""
+    return f"{count:,} {noun}{'s' * (count != 1)}"
+
+
 def byte_size(count: float) -> str:
     """``count`` bytes for people: ``3.6 MB`` (powers of 1000)."""
     for unit in ("B", "kB", "MB"):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from lumisplat.config import AvatarLightingConfig
+from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.config_file import read_settings
 from lumisplat.io.scene_actors import Load, read_actors
 from lumisplat.io.scene_cameras import LoadCameras, read_scene_cameras
@@ -47,7 +48,14 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
         if "frames" in given:
             count = given["frames"]
         else:
-            count = max(1, round(given.get("duration", max(map(_own_duration, actors))) * fps))
+            count = given.get("duration", max(map(_own_duration, actors))) * fps
+        if count > ANIMATION_FRAMES_MAX:
+            raise table.error(
+                f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
+                "lower duration or frames, or fps",
+                "frames" if "frames" in given else "duration",
+            )
+        count = max(1, round(count))
         cameras = read_scene_cameras(document, load_cameras)
         return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
 

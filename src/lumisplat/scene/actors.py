@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
 from lumisplat.config.checks import is_number
+from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.scene.arrays import matrix_4x4
 from lumisplat.scene.camera import Camera
@@ -149,7 +150,7 @@ class Animation:
     fps: float = 25.0
     """Frames a second, above 0."""
     frame_count: int = 1
-    """Number of frames, at least 1."""
+    """Number of frames, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
     """How actors take light and cast shadows."""
 
@@ -169,6 +170,11 @@ class Animation:
         count = self.frame_count
         if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
             raise SceneError(f"frame_count is {count}, expected a whole number, at least 1")
+        if count > ANIMATION_FRAMES_MAX:
+            raise SceneError(
+                f"frame_count is {count:,.10g} at {self.fps:g} frames a second, expected at most {ANIMATION_FRAMES_MAX:,}: "
+                "lower duration or frames, or fps"
+            )
 
     @property
     def times(self) -> npt.NDArray[np.float64]:
