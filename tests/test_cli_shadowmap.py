@@ -41,7 +41,7 @@ def test_capture_is_saved_in_shadow(work: Workplace) -> None:
     expected = ls.shadowed(before, [ls.LightPoint((0, 0, -6))], light[None], 1.0)
     np.testing.assert_array_equal(after.sh, expected.sh)
     np.testing.assert_array_equal(after.sh[light == 1.0], before.sh[light == 1.0])
-    assert f"{(light < 1.0).sum()} of {before.count} Gaussians" in out
+    assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
 
 
 def test_map_is_saved(work: Workplace) -> None:

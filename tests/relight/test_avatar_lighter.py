@@ -363,3 +363,57 @@ def test_bad_flags_are_told() -> None:
     """One an actor."""
     with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
+
+
+def test_lights_of_a_bare_capture_are_those_it_was_captured_in() -> None:
+    """Where nothing reflects a scene's lights, they are as if given: none is left to be blocked by captured walls."""
+    sky = ls.LightEnvironment(intensity=0.5, name="sky")
+    bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
+    for lights in ((LIGHT,), (LIGHT, sky), (sky,)):
+        own, given = lighter(ls.Scene(splats=bare, lights=lights), None, relight=True), None
+        if LIGHT in lights:
+            given = lighter(ls.Scene(splats=bare), lights, relight=True).light([ball]).lights
+            frame = own.light([ball])
+            assert [(o.name, o.intensity, o.casts_shadow) for o in frame.lights] == [
+                (g.name, g.intensity, g.casts_shadow) for g in given
+            ]
+        # Without meshes only what is seen behind everything is left.
+        assert own.light([]).lights == tuple(light for light in lights if light is sky)
+    shiny = replace(puppet(), material=ls.MaterialPbr())
+    assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
+
+
+def test_probes_see_the_background() -> None:
+    """A capture without surroundings is as bright around as what stands behind it."""
+    scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
+    actor = puppet()
+    colors = []
+    for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)):
+        stage = ls.AvatarLighter(scene, [LIGHT], config(relight=True), background=background, device="cpu")
+        colors.append(stage.light([actor]).splats[1].gaussians.sh[:, 0].mean() * SH_C0 + 0.5)
+    assert colors[0] < 0.02
+    assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
+
+
+def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """With what would brighten them; not where that is set already."""
+    scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
+    gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
+    for gamma, lines in ((1.0, 1), (2.0, 0)):
+        settings = config(relight=True, transfer=ls.RelightConfig(gamma=gamma))
+        stage = ls.AvatarLighter(scene, [LIGHT], settings, background=gray, device="cpu")
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, logger="lumisplat"):
+            for x in (0.0, 0.3):
+                stage.light([puppet(x)])
+        assert caplog.text.count("actors stand in 0.21 of display white") == lines
+        assert ("gamma of up to 4.7" in caplog.text) == bool(lines)
+
+
+def test_a_light_that_reaches_next_to_nothing_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Inside of a hollow actor, say: nothing is inside of any Gaussian, and all of the room is dark."""
+    stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        for x in (0.0, 0.1):
+            stage.light([puppet(x)])
+    assert caplog.text.count("light 'torch' hardly reaches the capture") == 1

@@ -70,6 +70,8 @@ class Animate(DeviceCommand):
     """Actors keep the colours that they have."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
     """Share of a capture's light that comes from the lights, and that shadows take away."""
+    gamma: Annotated[float | None, setting("FACTOR", "1")] = None
+    """Brightness of relit actors: above 1 where a place is much darker than display white."""
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
     stats: Flag = False
@@ -114,14 +116,14 @@ class Animate(DeviceCommand):
         if self.video is not None:
             print(f"{self.video} ({animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
 
-    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """The settings of the scene file, and what was given in their place."""
     def _progress(self, folder: FrameFolder, wanted: range) -> str:
         """What is there already, and how to go on."""
         there = sum(folder.is_finished(index) for index in wanted)
         again = "the same command without --overwrite" if self.overwrite else "the same command"
         return f"{self.output} holds {there} of {counted(len(wanted), 'frame')}; {again} goes on"
 
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        """The settings of the scene file, and what was given in their place."""
         changes: dict[str, Any] = {}
         if self.pipeline is not None:
             changes["pipeline"] = ls.Pipeline(self.pipeline)
@@ -139,6 +141,8 @@ class Animate(DeviceCommand):
             changes["relight"] = False
         if self.direct is not None:
             changes["direct"] = self.direct
+        if self.gamma is not None:
+            changes["transfer"] = replace(animation.lighting.transfer, gamma=self.gamma)
         lit = self.light.lit_scene(animation.scene, environment, resolved_up(animation.scene, self.up))
         animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
         if self.fps is None:

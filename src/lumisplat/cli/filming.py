@@ -48,7 +48,11 @@ class Filming:
         report("frames", 0.0)
         if self._animation.scene.splats:
             self._lighter = ls.AvatarLighter(
-                self._animation.scene, config=self._animation.lighting, device=self._renderer.device, progress=report
+                self._animation.scene,
+                config=self._animation.lighting,
+                background=self._renderer.config.background or (0.0, 0.0, 0.0),
+                device=self._renderer.device,
+                progress=report,
             )
             if indices[0] != 0:
                 # Lights are looked for about the actors of the first frame, whichever frame comes first here.
@@ -57,7 +61,7 @@ class Filming:
             with self._timed("lighting"):
                 scene = self._lit(index)
             # Of a lit scene, for actors may bring light into one that has none.
-            for line in self._remarks(scene) if done == 1 else ():
+            for line in (*self._remarks(scene), *self._told_of(scene)) if done == 1 else ():
                 _log.warning("%s", line)
             with self._timed("rendering"):
                 frame = self._renderer.render(scene, self._cameras[index], progress=report)
@@ -82,6 +86,15 @@ class Filming:
             relit=[actor.relight for _, actor in placed],
         )
 
+    def _told_of(self, scene: ls.Scene) -> Iterable[str]:
+        """What is worth knowing of how the first frame is lit."""
+        estimate = self._lighter.estimate if self._lighter is not None else None
+        if estimate is not None:
+            yield f"no lights are given, shadows fall from what was found: {told_lights(estimate.lights)}"
+        environment = any(isinstance(light, ls.LightEnvironment) and light.enabled for light in scene.lights)
+        if environment and scene.meshes and self._renderer.config.samples == 1:
+            yield "meshes are lit from all around by chance: --samples 16 or more takes out the noise"
+
     def _timed(self, name: str) -> _Watch:
         return _Watch(self._seconds, name)
 
@@ -99,6 +112,11 @@ class _Watch:
 
     def __exit__(self, *_: object) -> None:
         self.sums[self.name] += time.perf_counter() - self.begun
+
+
+def told_lights(lights: Iterable[ls.LightPoint]) -> str:
+    """Where lights are, in a line."""
+    return ", ".join("({:.3g}, {:.3g}, {:.3g})".format(*light.position) for light in lights)
 
 
 def with_actors(scene: ls.Scene, actors: list[Any]) -> ls.Scene:

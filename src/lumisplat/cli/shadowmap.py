@@ -11,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.console import byte_size, progress_bars, quiet_warp
+from lumisplat.cli.filming import told_lights
 from lumisplat.cli.options import DeviceCommand, load_scene, setting, without_none
 
 _CAPTURES = (".ply", ".spz")
@@ -74,9 +75,11 @@ class ShadowMap(DeviceCommand):
         lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device)
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
-        found = len(lighter.lights or ())
         changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
-        return f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in the shadow of {found} lights"
+        told = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
+        if lighter.estimate is not None:
+            told += f"\nno lights were given, it falls from what was found: {told_lights(lighter.estimate.lights)}"
+        return told
 
     def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
         if len(lights) != 1:

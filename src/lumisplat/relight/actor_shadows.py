@@ -23,6 +23,9 @@ from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
 
 _log = logging.getLogger("lumisplat")
 
+_MOSTLY = 0.9
+"""Share of the receivers in shadow from which on something is likely to be wrong."""
+
 
 def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
     """Those that shine, cast shadows, and do so from somewhere: all but environments."""
@@ -64,7 +67,7 @@ class ActorShadows:
         self._means = [r.gaussians.means @ r.transform[:3, :3].T + r.transform[:3, 3] for r in self._receivers]
         count = sum(len(means) for means in self._means)
         self._static = np.ones((len(self._lights), count), dtype=np.float32)
-        self._told_inside: set[int] = set()
+        self._told_lights: set[int] = set()
         self._told_of_region = False
         if meshes:
             for row, light in enumerate(self._lights):
@@ -98,6 +101,7 @@ class ActorShadows:
         else:
             self._maps = [self._built(blockers, light) for light in self._lights]
         passing = np.array([shadow.transmittance_of(self._receivers) for shadow in self._maps])
+        self._warn_of_darkness(passing)
         if self._radius is not None:
             center = np.average(placed.means, axis=0, weights=placed.opacities + 1e-9)
             far = np.abs(np.concatenate(self._means) - center).max(axis=1) > self._radius
@@ -106,6 +110,16 @@ class ActorShadows:
                 self._told_of_region = True
                 _log.warning("no receivers within %g of the actors: they cast no shadow", self._radius)
         return passing
+
+    def _warn_of_darkness(self, passing: npt.NDArray[np.float32]) -> None:
+        """Says so, once a light, where hardly anything is left of it: it is among the casters, or they are the room."""
+        for row in np.flatnonzero((passing < 0.5).mean(axis=1) > _MOSTLY):
+            if row not in self._told_lights:
+                self._told_lights.add(int(row))
+                _log.warning(
+                    "light %r hardly reaches the capture: it is inside of what casts, or the capture itself is cast",
+                    self._lights[row].name or int(row),
+                )
 
     def _built(self, casters: object, light: Light) -> DeepShadowMap:
         return DeepShadowMap.build(
@@ -120,14 +134,14 @@ class ActorShadows:
     def _warn_of_lights_inside(self, placed: PlacedGaussians) -> None:
         """Says so, once a light, where an actor has walked into a light: it then shadows nearly everything."""
         for row, light in enumerate(self._lights):
-            if isinstance(light, LightDirectional) or row in self._told_inside:
+            if isinstance(light, LightDirectional) or row in self._told_lights:
                 continue
             offset = (np.array(light.position) - placed.means).astype(np.float32)  # type: ignore[union-attr]
             near = np.einsum("ij,ij->i", offset, offset) < (SHADOW_FOOTPRINT * placed.scales.max(axis=1)) ** 2
             axes = matrices_from_quaternions(placed.rotations_wxyz[near])
             local = np.einsum("nij,ni->nj", axes, offset[near]) / placed.scales[near]
             if (np.einsum("ij,ij->i", local, local) < SHADOW_FOOTPRINT**2).any():
-                self._told_inside.add(row)
+                self._told_lights.add(row)
                 _log.warning(
                     "light %r is inside an actor, which then shadows all around it: move the light, or leave it out",
                     light.name or row,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AvatarLightingConfig, check_kind
+from lumisplat.config import AvatarLightingConfig, RenderConfig, check_kind
 from lumisplat.constants import LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
 from lumisplat.launcher import Progress
@@ -27,6 +27,8 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 
 _log = logging.getLogger("lumisplat")
 
+_DARK = 0.3
+"""Mean light, display white is 1, below which actors come out less than half as bright as they are shown."""
 _PROBES_HELD = 64
 """Probes that are kept, at most: more than there are actors."""
 
@@ -41,10 +43,10 @@ class AvatarLighter:
     rebuilt a frame, and from the scene's own meshes, which count as put there after the capture. Actors made of
     Gaussians are relit by a probe of the scene at their place. They do not shadow each other, nor themselves.
 
-    Actors that are meshes stay meshes. Where there are any and the scene has no lights of its own, the frame is lit:
-    the lights and, for the rest, a probe at the meshes' place light all meshes of the scene, without shadows on these,
-    and captured sets are shown as captured. Where the scene has lights of its own, those stay; sets that reflect them
-    get their shadows from the renderer's rays, and none from here.
+    Actors that are meshes stay meshes. Where there are any, the frame is lit: the lights and, for the rest, a probe at
+    the meshes' place light all meshes of the scene, without shadows on these, and captured sets are shown as captured.
+    A scene that has lights and something that they light already, a mesh or a set with a material, is another matter:
+    its lights stay as they are, and what reflects them gets its shadows from the renderer's rays, and none from here.
 
     Not safe to share between threads.
 
@@ -54,6 +56,7 @@ class AvatarLighter:
             light meshes. None: the scene's own, or if none of them casts shadows, those that `estimate_lights` finds
             about the actors of the first frame.
         config: Settings; None: the defaults.
+        background: Display-referred sRGB that probes see behind everything, 0..1 each.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
 
@@ -70,6 +73,7 @@ class AvatarLighter:
         lights: Sequence[Light] | None = None,
         config: AvatarLightingConfig | None = None,
         *,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         device: str = "auto",
         progress: Progress | None = None,
     ) -> None:
@@ -85,14 +89,19 @@ class AvatarLighter:
         self.lights: tuple[Light, ...] | None = None
         """Those that cast the shadows of actors; None as long as they have not been looked for."""
         self._device, self._progress = device, progress
-        self._keeps_lights = any(light.enabled for light in scene.lights)
+        self._around = RenderConfig(background=background)
+        shining = tuple(light for light in scene.lights if light.enabled)
+        # Lights of a scene where nothing reflects them yet can only be those that it was captured in.
+        are_captured = lights is None and not scene.meshes and all(map(is_untouched, scene.splats))
+        self._keeps_lights = bool(shining) and not are_captured
         self._receivers = _receivers(scene, self._keeps_lights)
         self._shadows: ActorShadows | None = None
         self._renderer: Renderer | None = None
         self._probes: dict[bytes, EnvironmentProbe] = {}
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
-        given = () if lights is None else checked_lights(lights)
+        given = checked_lights(lights) if lights is not None else shining if are_captured else ()
         self._given = tuple(light for light in given if light.enabled)
+        self._told_dark = False
         own = casting_lights(scene.lights)
         if lights is not None:
             self.lights = casting_lights(given)
@@ -130,17 +139,27 @@ class AvatarLighter:
         takes = _flags("relit", relit, len(placed))
         shown = {id(a.gaussians) for a in placed if isinstance(a, SplatInstance)}
         self._normals = {key: held for key, held in self._normals.items() if key in shown}
-        splats = [self._relit(a, flag) for a, flag in zip(placed, takes, strict=True) if isinstance(a, SplatInstance)]
+        # What reflects is lit by the scene's lights, where there are some.
+        reflecting = any(isinstance(a, SplatInstance) and not is_untouched(a) for a in placed)
+        keeps = self._keeps_lights or (reflecting and bool(self.scene.lights))
+        splats = [
+            self._relit(a) if flag and not (keeps and not is_untouched(a)) else a
+            for a, flag in zip(placed, takes, strict=True)
+            if isinstance(a, SplatInstance)
+        ]
         meshes = [a for a in placed if isinstance(a, MeshInstance)]
         static = list(self.scene.splats)
         if self.config.shadows and self._receivers and (casting or self.scene.meshes):
             for row, instance in zip(self._receivers, self._darkened(casting), strict=True):
                 static[row] = instance
         lights = self.scene.lights
-        if meshes and not self._keeps_lights:
+        if not keeps:
+            # An environment is seen behind everything; what there is besides has nothing to light.
+            lights = tuple(light for light in lights if isinstance(light, LightEnvironment))
+        if meshes and not keeps:
             # What reflected light in another frame's lights is shown as captured here: only meshes are to be lit.
             static, splats = [_as_captured(i) for i in static], [_as_captured(i) for i in splats]
-            lights = (*lights, *self._mesh_lights(meshes))
+            lights = self._mesh_lights(meshes)
         return Scene(splats=(*static, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
     def _darkened(self, casting: list[Actor]) -> list[SplatInstance]:
@@ -167,15 +186,25 @@ class AvatarLighter:
             self.lights = tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
         return self.lights
 
-    def _relit(self, actor: SplatInstance, wanted: bool) -> SplatInstance:
-        """An actor in the light of its place; one that reflects the scene's lights is left to the renderer."""
-        if not (wanted and self.config.relight) or (self._keeps_lights and not is_untouched(actor)):
+    def _relit(self, actor: SplatInstance) -> SplatInstance:
+        """An actor in the light of its place."""
+        if not self.config.relight:
             return actor
         # Normals of what only moves stay the same, and are slow to tell from shapes alone.
         key, gaussians = id(actor.gaussians), actor.gaussians
         if key not in self._normals:
             self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
-        return relight(actor, self._probe(_centroid([actor])), self.config.transfer, self._normals[key][1])
+        probe = self._probe(_centroid([actor]))
+        self._tell_dark(probe)
+        return relight(actor, probe, self.config.transfer, self._normals[key][1])
+
+    def _tell_dark(self, probe: EnvironmentProbe) -> None:
+        """Says so, once, where actors come out much darker than they are."""
+        mean = _mean_luminance(probe)
+        if not self._told_dark and mean * self.config.transfer.gamma < _DARK:
+            self._told_dark = True
+            advice = f": a gamma of up to {1.0 / mean:.2g} brightens them" if mean > 1e-3 else ""
+            _log.warning("actors stand in %.2g of display white, and come out as dark%s", mean, advice)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """The lights for meshes, and around them what else of the scene's light there is.
@@ -183,7 +212,7 @@ class AvatarLighter:
         None casts shadows by rays: a lamp that was found is inside its own Gaussians, and what the probe has gathered
         came from the very walls that would block it.
         """
-        lights = self._given or self._found_lights(meshes)
+        lights = self._given if casting_lights(self._given) else (*self._found_lights(meshes), *self._given)
         if self.config.relight and not any(isinstance(light, LightEnvironment) for light in lights):
             around = self._probe(_centroid(meshes)).light()
             lights = (*lights, replace(around, intensity=1.0 - self.config.direct, name="around"))
@@ -194,7 +223,7 @@ class AvatarLighter:
         key = place.tobytes()
         if key not in self._probes:
             if self._renderer is None:
-                self._renderer = create_renderer(device=self._device, progress=self._progress)
+                self._renderer = create_renderer(self._around, self._device, progress=self._progress)
             if len(self._probes) >= _PROBES_HELD:
                 self._probes.clear()
             self._probes[key] = EnvironmentProbe.capture(self.scene, place, renderer=self._renderer)
