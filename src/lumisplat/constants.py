@@ -309,6 +309,10 @@ PROBE_IMAGE_ROWS = 64
 NORMAL_NEIGHBOURS = 24
 """Others in the median around a Gaussian whose plane is its normal: more than two rings of them on a surface."""
 
+NORMAL_NEIGHBOURS_PER_CELL = 16
+"""Others that count in a cube of the search radius, twice as many as a surface has there: dense clusters would pair
+all with all."""
+
 NORMAL_NEIGHBOURS_MIN = 4
 """Below this many a plane says nothing."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.relight.normals import _neighbours
 from lumisplat.scene import shapes, shapes_swept
 from scenes import joined, one_gaussian, random_gaussians, similarity
 from sphere import unit
@@ -163,3 +164,22 @@ def test_normals_of_meshes_that_are_open(data_dir) -> None:
     assert isinstance(bunny, ls.Mesh)
     gaussians, truth = bare(bunny, 20_000)
     assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(gaussians), truth) > 0.0) > 0.99
+
+
+def test_a_dense_cluster_is_looked_at_in_part() -> None:
+    """Thousands of Gaussians in one place do not pair all with all, and planes elsewhere stay what they are."""
+    rng = np.random.default_rng(0)
+    sphere = rng.normal(size=(6000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    means = np.concatenate([sphere, [1.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(2500, 3))]).astype(np.float32)
+    count = len(means)
+    gaussians = ls.Gaussians(
+        means,
+        np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        np.full((count, 3), 0.01),
+        np.full(count, 0.9),
+        np.zeros((count, 1, 3)),
+    )
+    assert len(_neighbours(gaussians.means)[0].first) < 60 * count
+    normals = ls.estimate_normals(gaussians, PLANE)[: len(sphere)]
+    assert (np.abs(np.sum(normals * sphere, axis=1)) > 0.9).mean() > 0.98

@@ -128,11 +128,12 @@ def estimate_lights(
     chosen = _spread(found.means[rows], np.where(compact, weights, 0.0), count, settings, size)
     if chosen.size == 0:
         raise SceneError(
-            f"no light found within {radius:g} of {tuple(middle.tolist())}: nothing bright stands out from its "
+            f"no light found within {radius:.3g} of {_told(middle)}: nothing bright stands out from its "
             "surroundings; give lights yourself, or lower compactness to take bright walls and windows"
         )
     if chosen.size < count:
-        _log.warning("%d lights found of the %d asked for: nothing else stands out", chosen.size, count)
+        lights = "light" if chosen.size == 1 else "lights"
+        _log.warning("%d %s found of the %d asked for: nothing else stands out", chosen.size, lights, count)
     picked = rows[chosen]
     return LightEstimate(
         lights=_lights(found, picked, settings.irradiance),
@@ -141,6 +142,11 @@ def estimate_lights(
         instances=found.instances[picked],
         indices=found.indices[picked],
     )
+
+
+def _told(place: _Doubles) -> str:
+    """A place, for people."""
+    return f"({', '.join(f'{x:.3g}' for x in place)})"
 
 
 def _instances(scene: Scene | SplatInstance | Gaussians) -> tuple[SplatInstance, ...]:
@@ -178,7 +184,7 @@ def _evidence(
         cues.append((mean, top, steadiness * _constant_share(seen, instance.sh_degree) * seen.opacities))
     if not parts:
         raise SceneError(
-            f"no Gaussians within {radius:g} of {tuple(center.tolist())}: the nearest is {nearest:g} away, "
+            f"no Gaussians within {radius:.3g} of {_told(center)}: the nearest is {nearest:.3g} away, "
             "give a larger radius"
         )
     mean, top, trust = (np.concatenate(column) for column in zip(*cues, strict=True))

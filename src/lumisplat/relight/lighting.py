@@ -262,6 +262,8 @@ def _placed(actors: Iterable[Actor | Gaussians | Mesh]) -> list[Actor]:
 def _flags(name: str, flags: Sequence[bool] | None, count: int) -> Sequence[bool]:
     if flags is None:
         return [True] * count
+    if not isinstance(flags, Sequence) or not all(isinstance(flag, bool | np.bool_) for flag in flags):
+        raise SceneError(f"{name} is {flags!r:.60}, expected a list of True and False, one an actor")
     if len(flags) != count:
         raise SceneError(f"{name} has {len(flags)} entries, expected {count}, one an actor")
     return flags

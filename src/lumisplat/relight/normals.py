@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import NormalEstimate, check_enum
-from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN
+from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN, NORMAL_NEIGHBOURS_PER_CELL
 from lumisplat.errors import SceneError
 from lumisplat.relight.outside import outward_signs
 from lumisplat.scene.arrays import FloatArray, handed_over
-from lumisplat.scene.blue_noise import Pairs, neighbour_pairs
+from lumisplat.scene.blue_noise import Pairs, cross_pairs
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.rotations import matrices_from_quaternions
 
@@ -63,9 +63,8 @@ def _plane_normals(gaussians: Gaussians, fallback: _Doubles) -> _Doubles:
     pairs, radius = _neighbours(gaussians.means)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
     count = gaussians.count
-    first, second = np.concatenate([pairs.first, pairs.second]), np.concatenate([pairs.second, pairs.first])
-    closeness = np.exp(-0.5 * (2.0 * pairs.distance.astype(np.float64) / radius) ** 2)
-    weights = np.concatenate([closeness, closeness]) * opacities[second]
+    first, second = pairs.first, pairs.second
+    weights = np.exp(-0.5 * (2.0 * pairs.distance.astype(np.float64) / radius) ** 2) * opacities[second]
     step = means[second] - means[first]
     # About the neighbours' own centre, the Gaussian itself (offset 0) included.
     total = np.bincount(first, weights, count) + opacities
@@ -82,16 +81,27 @@ def _plane_normals(gaussians: Gaussians, fallback: _Doubles) -> _Doubles:
 
 
 def _neighbours(means: FloatArray) -> tuple[Pairs, float]:
-    """Pairs within a radius at which Gaussians have `NORMAL_NEIGHBOURS` others around them in the median."""
+    """Each Gaussian with others within a radius at which there are `NORMAL_NEIGHBOURS` of them in the median."""
     low, high = np.quantile(means, [0.25, 0.75], axis=0)
     # On a surface the number grows with the square of the radius: a first guess, then corrected by what it finds.
     radius = max(float(np.linalg.norm(high - low)) * np.sqrt(NORMAL_NEIGHBOURS / len(means)), 1e-6)
-    pairs = neighbour_pairs(means, radius)
+    pairs = _pairs_within(means, radius)
     for _ in range(3):
-        degrees = np.bincount(pairs.first, minlength=len(means)) + np.bincount(pairs.second, minlength=len(means))
+        degrees = np.bincount(pairs.first, minlength=len(means))
         typical = max(float(np.median(degrees)), 1.0)
         if 0.7 < typical / NORMAL_NEIGHBOURS < 1.5:
             break
         radius *= float(np.clip(np.sqrt(NORMAL_NEIGHBOURS / typical), 0.25, 3.0))
-        pairs = neighbour_pairs(means, radius)
+        pairs = _pairs_within(means, radius)
     return pairs, radius
+
+
+def _pairs_within(means: FloatArray, radius: float) -> Pairs:
+    """Each Gaussian (``first``) with others near it, of which cubes hold no more than `NORMAL_NEIGHBOURS_PER_CELL`."""
+    _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
+    order = np.argsort(cells.ravel(), kind="stable")
+    starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])
+    kept = np.sort(order[np.arange(len(means)) - starts < NORMAL_NEIGHBOURS_PER_CELL]).astype(np.int32)
+    pairs = cross_pairs(means, means[kept], radius)
+    pairs = pairs._replace(second=kept[pairs.second])
+    return pairs.where(pairs.first != pairs.second)

@@ -23,8 +23,12 @@ Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
 
+SURFACES_HELD = 64
+"""Meshes that are remembered as Gaussians, those that came last."""
+
+
 class MeshesAsGaussians:
-    """Meshes turned into Gaussians, once each, as long as they keep coming back.
+    """Meshes turned into Gaussians, once each: also after they have been away, their shadow is the same.
 
     Meshes that share their ``indices``, as poses of a rig do, are one surface that deforms: its Gaussians follow it.
     """
@@ -42,21 +46,23 @@ class MeshesAsGaussians:
         Raises:
             SceneError: Something else is among them.
         """
-        before, self._surfaces = self._surfaces, {}
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
-                items += [*one.splats, *(self._turned(i, before) for i in one.meshes)]
+                items += [*one.splats, *(self._turned(i) for i in one.meshes)]
             elif isinstance(one, Mesh | MeshInstance):
-                items.append(self._turned(MeshInstance(one) if isinstance(one, Mesh) else one, before))
+                items.append(self._turned(MeshInstance(one) if isinstance(one, Mesh) else one))
             else:
                 items.append(SplatInstance(one) if isinstance(one, Gaussians) else one)
         return placed_gaussians(items)
 
-    def _turned(self, instance: MeshInstance, before: dict[int, _Surface]) -> SplatInstance:
+    def _turned(self, instance: MeshInstance) -> SplatInstance:
         mesh, matrix = instance.mesh, instance.transform
-        key = id(mesh.indices)
-        self._surfaces[key] = surface = self._surfaces.get(key) or before.get(key) or _Surface.of(mesh)
+        # Held until enough others have come: what is new in every frame must not pile up.
+        surface = self._surfaces.pop(id(mesh.indices), None) or _Surface.of(mesh)
+        self._surfaces[id(mesh.indices)] = surface
+        if len(self._surfaces) > SURFACES_HELD:
+            self._surfaces.pop(next(iter(self._surfaces)))
         if mesh is surface.mesh and _is_similar(matrix[:3, :3]):
             return SplatInstance(surface.gaussians, matrix)
         # What no splat instance can do, deforming, mirroring and shearing, is done to the triangles.

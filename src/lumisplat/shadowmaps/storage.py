@@ -86,8 +86,8 @@ def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, At
         raise
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except _NOT_OURS as error:
-        raise FormatError(path, f"is no deep shadow map: {error}") from None
+    except _NOT_OURS:
+        raise FormatError(path, "is no deep shadow map, or a damaged one") from None
     if not _fits(atlas, region, table):
         raise FormatError(path, "is a damaged deep shadow map: what it tabulates does not fit its settings")
     return config, source, atlas, region, table, follows
