@@ -93,7 +93,10 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("info", "@views.toml"), "views.toml: line 4, cameras[0]: lacks eye"),
         (("convert", "@missing.ply", "@out.spz"), "missing.ply"),
         (("convert", "@capture.ply", "@out.xyz"), "out.xyz"),
-        (("convert", "@mesh.obj", "@out.ply"), "mesh.obj"),
+        (
+            ("convert", "@mesh.obj", "@out.ply"),
+            "mesh.obj: is not a capture: convert takes Gaussians only (Python: ls.gau",
+        ),
         (("convert", "@capture.ply", "@a_file/out.ply"), "a_file"),
         (("bench", "@missing.ply"), "missing.ply"),
         (("bench", "@capture.ply", "--repeats", "0"), "repeats"),
@@ -242,14 +245,14 @@ def test_debug_shows_the_traceback(work):
 
 
 def test_interrupt(work, monkeypatch):
-    """Ctrl-C is status 130 without a traceback."""
+    """Ctrl-C is status 130 and one word, without a traceback."""
 
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("lumisplat.load", interrupt)
     outcome = work.run("info", "@capture.ply")
-    assert (outcome.status, outcome.err) == (130, "")
+    assert (outcome.status, outcome.err) == (130, "interrupted\n")
 
 
 def test_a_reader_that_has_gone(work):

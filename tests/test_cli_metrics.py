@@ -129,6 +129,20 @@ def test_an_avatar_in_a_scene(work):
     assert all(math.isfinite(float(cell)) for cell in table["APF-Y"])
 
 
+def test_invalid_gaussians_are_left_out(work):
+    """What is advised where a capture is refused works: the figures are those of the valid ones."""
+    data = bytearray(work.path("avatar.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    args = ("metrics", "@nan.ply", "--scene", "@room.ply", "--radius", "2", "--json")
+    refused = work.run(*args)
+    assert refused.status == 2 and "--drop-invalid" in refused.err
+    told = json.loads(work.run(*args, "--drop-invalid").out)
+    avatar, room = (ls.load(work.path(name)) for name in ("avatar.ply", "room.ply"))
+    assert isinstance(avatar, ls.Gaussians)
+    assert told["ncm_ab"] == ls.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
+
+
 def test_one_avatar_is_one_column(work):
     """Without an original there is nothing to gain."""
     table = rows(work.run("metrics", "@avatar.ply", "--scene", "@room.ply").out)
@@ -152,6 +166,7 @@ def test_one_avatar_is_one_column(work):
         (("@a.png", "@b.png", "--metrics", ""), "--metrics has ''"),
         (("@a.png", "@b.png", "--before", "@a.png"), "--before is about an avatar's light"),
         (("@a.png", "@b.png", "--radius", "2"), "--radius is about an avatar's light"),
+        (("@a.png", "@b.png", "--drop-invalid"), "--drop-invalid is about an avatar's light"),
         (("@avatar.ply", "@room.ply", "--scene", "@room.ply"), "2 files given, expected one avatar"),
         (("@avatar.ply", "--scene", "@room.ply", "--metrics", "psnr"), "--metrics chooses those of pictures"),
         (("@avatar.ply", "--scene", "@mesh.obj"), "mesh.obj: has no Gaussians"),

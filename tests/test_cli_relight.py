@@ -96,6 +96,12 @@ def test_a_dim_place_is_told(work):
     assert "to keep the avatar about as bright as it was: --gamma" in told
 
 
+def test_darkness_is_told(work):
+    """Where no gamma would help, none is suggested."""
+    told = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
+    assert "there is next to no light there" in told and "--gamma" not in told
+
+
 @pytest.mark.parametrize(
     ("args", "named"),
     [
@@ -103,6 +109,7 @@ def test_a_dim_place_is_told(work):
         (("@ball.ply", "@missing.ply"), "missing.ply"),
         (("@ball.ply",), "no scene given"),
         (("@mesh.obj", "@room.ply"), "mesh.obj: is not a capture"),
+        (("@mesh.obj", "@room.ply"), "ls.gaussians_from_mesh"),
         (("@two.toml", "@room.ply"), "two.toml: is not a capture"),
         (("@ball.ply", "@room.ply", "-o", "@relit.png"), "relit.png: unknown extension, expected .ply"),
         (("@ball.ply", "@room.ply", "--probe", "@probe.hdr"), "probe.hdr: unknown extension"),
@@ -110,7 +117,7 @@ def test_a_dim_place_is_told(work):
         (("@ball.ply", "@room.ply", "--exponent", "0"), "exponent is 0.0"),
         (("@ball.ply", "@room.ply", "--degree", "9"), "degree is 9, expected a whole number from 0 to 8"),
         (("@ball.ply", "@room.ply", "--near", "0"), "near is 0.0"),
-        (("@ball.ply", "@room.ply", "--at", "nan", "0", "0"), "position has 1 non-finite"),
+        (("@ball.ply", "@room.ply", "--at", "nan", "0", "0"), "--at is nan 0 0, expected finite numbers"),
         (("@ball.ply", "@room.ply", "--background", "mauve"), "mauve"),
         (("@ball.ply", "@room.ply", "--device", "cuda:7"), "cuda:7"),
     ],

@@ -56,10 +56,25 @@ def test_map_is_saved(work: Workplace) -> None:
     assert shadow.transmittance_of(capture).min() < 0.5
 
 
+def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
+    """What is advised where a file is refused works: for the capture and for what casts."""
+    data = bytearray(work.path("capture.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    args = ("shadowmap", "@nan.ply", "--onto", "@nan.ply", "--light", LIGHT, "-o", "@dark.ply", "--device", "cpu")
+    refused = work.run(*args)
+    assert refused.status == 2 and "--drop-invalid" in refused.err
+    assert work.run(*args, "--drop-invalid").status == 0
+    dark = ls.load(work.path("dark.ply"))
+    assert isinstance(dark, ls.Gaussians) and dark.count == 59
+
+
 @pytest.mark.parametrize(
     ("args", "problem"),
     [
         (("--light", "1,2", "-o", "@a.ply"), "--light is '1,2'"),
+        (("--light", "nan,2,3", "-o", "@a.ply"), "--light is 'nan,2,3', expected finite numbers"),
+        (("--sun", "0,0,inf", "-o", "@a.ply"), "--sun is '0,0,inf', expected finite numbers"),
         (("--sun", "0,0,0", "-o", "@a.ply"), "direction has no length"),
         (("--sun", "0,0,1", "--light", LIGHT, "-o", "@a.ply"), "choose one"),
         (("--light", LIGHT, "-o", "@a.png"), "a.png: expected .ply"),

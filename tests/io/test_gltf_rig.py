@@ -290,6 +290,16 @@ def test_damaged_rigs_are_refused_or_read(tmp_path):
     assert 10 < refused < 80
 
 
+def test_other_kinds_of_files_are_no_rigs(tmp_path):
+    """By their names, before what is in them is taken for a glTF that breaks off; capital letters are fine."""
+    (tmp_path / "spot.obj").write_text("v 0 0 0\n")
+    with pytest.raises(
+        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
+    ):
+        ls.load_rig(tmp_path / "spot.obj")
+    assert ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
+
+
 def test_a_matrix_is_not_animated(tmp_path):
     """A node that is given as a matrix has no parts that a clip could move."""
     rig = TubeRig(clips={"bend": BEND})

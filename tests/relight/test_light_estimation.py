@@ -66,7 +66,7 @@ def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> No
         found = ls.estimate_lights(room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3)
     assert len(found.lights) == 1
     assert_at(found.lights[0], PLACES[1])
-    assert "1 lights found of the 3 asked for" in caplog.text
+    assert "1 light found of the 3 asked for" in caplog.text
 
 
 def test_broad_emitters_count_where_they_are_wanted() -> None:
@@ -174,6 +174,10 @@ def test_an_outlier_does_not_drown_the_lamps() -> None:
     ("change", "said"),
     [
         ({"center": (100.0, 0.0, 0.0), "config": ls.LightEstimationConfig(radius=1.0)}, "no Gaussians within 1 of"),
+        (
+            {"center": (100 / 3, 1e-7 / 3, 0.0), "config": ls.LightEstimationConfig(radius=1 / 3)},
+            r"no Gaussians within 0\.333 of \(33\.3, 3\.33e-08, 0\): the nearest is \d\d\.\d away",
+        ),
         ({"center": (0.0, 0.0)}, "center has shape"),
         ({"center": (np.nan, 0.0, 0.0)}, "1 non-finite"),
         ({"scene": ls.Scene()}, "the scene has none"),

@@ -123,6 +123,28 @@ def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
     np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
 
 
+def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
+    """What an animation showed before does not change a frame."""
+    sphere = icosphere(radius=0.5)
+    moved = replace(sphere, positions=sphere.positions * np.float32([3.0, 1.0, 1.0]), normals=None)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.rebuild(moved)
+    expected = shadow.transmittance(BEHIND)
+    shadow.rebuild(ball())
+    shadow.rebuild(moved)
+    np.testing.assert_array_equal(shadow.transmittance(BEHIND), expected)
+    assert sampled == [sphere]
+
+
+def test_meshes_that_are_new_each_time_do_not_pile_up() -> None:
+    """Only so many are remembered."""
+    turned = casters.MeshesAsGaussians()
+    tiny = ls.Mesh([[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]], [[0, 1, 2]])
+    for _ in range(casters.SURFACES_HELD + 5):
+        turned.placed("casters", replace(tiny, indices=tiny.indices.copy()))
+    assert len(turned._surfaces) == casters.SURFACES_HELD
+
+
 def test_light_inside_a_caster_shines_through_half_of_it() -> None:
     """From the middle of a ball, light passes half of its depth, in any direction."""
     points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
@@ -252,8 +274,9 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("no archive")
     (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:300])
     np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
-    for name in ("text", "cut", "foreign"):
-        with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map"):
+    np.savez(tmp_path / "pickled.npz", header=np.array([{}], dtype=object))
+    for name in ("text", "cut", "foreign", "pickled"):
+        with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map, or a damaged one$"):
             ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
     with np.load(good) as file:
         arrays = dict(file)
@@ -274,7 +297,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         ls.DeepShadowMap.load(tmp_path / "newer.npz")
     endless = header["atlas"] | {"size": float("inf")}
     np.savez(tmp_path / "endless.npz", **(arrays | {"header": _tampered(header, atlas=endless)}))
-    with pytest.raises(ls.FormatError, match="is no deep shadow map"):
+    with pytest.raises(ls.FormatError, match=r"is no deep shadow map, or a damaged one$"):
         ls.DeepShadowMap.load(tmp_path / "endless.npz")
 
 

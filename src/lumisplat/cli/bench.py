@@ -13,8 +13,8 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.console import byte_size, print_table, progress_bars
-from lumisplat.cli.options import DeviceCommand, load_scene, scene_file, setting, settled, without_none
+from lumisplat.cli.console import Report, byte_size, print_table, progress_bars
+from lumisplat.cli.options import DeviceCommand, Flag, load_scene, scene_file, setting, settled, without_none
 from lumisplat.cli.stats import count_rows, stage_rows, stage_times
 from lumisplat.cli.tracing import PipelineName, StrategyName
 
@@ -39,6 +39,8 @@ class Bench(DeviceCommand):
     """As for render."""
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
     """As for render, with --pipeline trace and hybrid."""
+    drop_invalid: Flag = False
+    """As for render."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Steady frames to time."""
 
@@ -54,7 +56,7 @@ class Bench(DeviceCommand):
             started = time.perf_counter()
             renderer = self.start_renderer(report, config)
             ready = time.perf_counter()
-            scene = load_scene(self.scene, drop_invalid=False, report=report) if self.scene else ls.demo_scene(report)
+            scene = self._scene(report)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
             frame = renderer.render(scene, camera)
@@ -79,6 +81,11 @@ class Bench(DeviceCommand):
         if peak is not None:
             rows.append(("peak of the process", byte_size(peak)))
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
+
+    def _scene(self, report: Report) -> ls.Scene:
+        if not self.scene:
+            return ls.demo_scene(report)
+        return load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})

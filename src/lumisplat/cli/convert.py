@@ -32,7 +32,9 @@ class Convert(Command):
                 self.source, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {self.source.name}")
             )
             if not isinstance(gaussians, ls.Gaussians):
-                raise ls.FormatError(self.source, "is not a capture: convert takes Gaussians only")
+                raise ls.FormatError(
+                    self.source, "is not a capture: convert takes Gaussians only (Python: ls.gaussians_from_mesh)"
+                )
             report("writing", 0.0)
             ls.save(self.target, gaussians)
         before, after = size_on_disk(self.source), size_on_disk(self.target)

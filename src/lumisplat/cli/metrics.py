@@ -45,6 +45,8 @@ class Metrics(Command):
     """The avatar before it was relit: shows what was gained, original minus relit."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """How far from the avatar's centre the scene counts."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
     json: Flag = False
     """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf"."""
 
@@ -53,7 +55,8 @@ class Metrics(Command):
         if self.scene is not None:
             self._compare_light(self.scene)
             return
-        for option, value in (("--before", self.before), ("--radius", self.radius)):
+        about_light = {"--before": self.before, "--radius": self.radius, "--drop-invalid": self.drop_invalid or None}
+        for option, value in about_light.items():
             if value is not None:
                 raise ls.ConfigError(f"{option} is about an avatar's light: give the --scene that it stands in")
         if len(self.files) != 2:
@@ -83,8 +86,8 @@ class Metrics(Command):
             raise ls.ConfigError(f"{_counted(self.files)}, expected one avatar to compare with --scene")
         paths = [path for path in (self.before, self.files[0]) if path is not None]
         with progress_bars() as report:
-            surroundings = _capture(scene, report)
-            avatars = [_capture(path, report) for path in paths]
+            surroundings = self._capture(scene, report)
+            avatars = [self._capture(path, report) for path in paths]
             figures = []
             for index, avatar in enumerate(avatars):
                 report("comparing light", index / len(avatars))
@@ -107,6 +110,12 @@ class Metrics(Command):
             return
         rows = [[_OF_LIGHT[name], *(_digits(name, value) for value in row.values())] for name, row in table.items()]
         print_columns(["", "original", "relit", "delta"], rows)
+
+    def _capture(self, path: Path, report: Report) -> ls.Gaussians | ls.Scene:
+        asset = ls.load(path, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {path.name}"))
+        if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
+            raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
+        return asset
 
     def _light_figures(self, avatar: Any, scene: Any) -> _Figures:
         own = ls.LitPoints.of(avatar)
@@ -155,13 +164,6 @@ def _shadow_strength(path: Path) -> np.ndarray:
     """The mean of the channels: of linear files as it is, of others as they are shown."""
     linear = path.suffix.lower() in (".exr", ".hdr")
     return (ls.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
-
-
-def _capture(path: Path, report: Report) -> ls.Gaussians | ls.Scene:
-    asset = ls.load(path, progress=partial(report, f"loading {path.name}"))
-    if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
-        raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
-    return asset
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.console import Report, progress_bars
+from lumisplat.cli.console import Report, counted, progress_bars
 from lumisplat.cli.lighting import UPRIGHT
 from lumisplat.cli.options import (
     DeviceCommand,
@@ -26,6 +26,8 @@ from lumisplat.cli.options import (
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
 """A probe's first coefficient times this is its mean radiance."""
+_GAMMA_MAX = 1000.0
+"""That `RelightConfig` takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +79,8 @@ class Relight(DeviceCommand):
             gamma=self.gamma,
             normals=ls.NormalEstimate(self.normals),
         )
+        if self.at is not None and not all(map(math.isfinite, self.at)):
+            raise ls.ConfigError(f"--at is {' '.join(f'{x:g}' for x in self.at)}, expected finite numbers")
         self._check_outputs()
         file = scene_file(self.scene)
         rendering = ls.RenderConfig() if file is None else ls.load_config(file)
@@ -112,7 +116,10 @@ class Relight(DeviceCommand):
             return ls.SplatInstance(asset)
         if isinstance(asset, ls.Scene) and len(asset.splats) == 1:
             return asset.splats[0]
-        raise ls.FormatError(self.avatar, "is not a capture, nor a scene.toml with one: relight takes Gaussians")
+        raise ls.FormatError(
+            self.avatar,
+            "is not a capture, nor a scene.toml with one: relight takes Gaussians (Python: ls.gaussians_from_mesh)",
+        )
 
     def _place(self, avatar: ls.SplatInstance) -> tuple[float, float, float]:
         if self.at is not None:
@@ -125,10 +132,14 @@ class Relight(DeviceCommand):
 
     def _tell(self, relit: ls.Gaussians, probe: ls.EnvironmentProbe, place: tuple[float, float, float]) -> None:
         mean = _CONSTANT_HARMONIC * probe.coefficients[0]
-        print(f"{self.output}: {relit.count:,} Gaussians in the light at ({', '.join(f'{x:g}' for x in place)})")
+        print(
+            f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at ({', '.join(f'{x:g}' for x in place)})"
+        )
         print(f"mean light there, red green blue, 1 is display white: {' '.join(f'{x:.3f}' for x in mean)}")
         brightness = float(mean.mean())
-        if self.gamma == 1.0 and brightness > 0.0 and not 0.5 < brightness < 2.0:
+        if brightness * _GAMMA_MAX < 1.0:
+            print("there is next to no light there: look for it elsewhere by --at, or give a --background")
+        elif self.gamma == 1.0 and not 0.5 < brightness < 2.0:
             print(f"to keep the avatar about as bright as it was: --gamma {1.0 / brightness:.2g}")
         if self.probe is not None:
             print(f"{self.probe}: the light as an image")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.console import byte_size, progress_bars, quiet_warp
 from lumisplat.cli.filming import told_lights
-from lumisplat.cli.options import DeviceCommand, load_scene, setting, without_none
+from lumisplat.cli.options import DeviceCommand, Flag, load_scene, setting, without_none
 
 _CAPTURES = (".ply", ".spz")
 
@@ -47,6 +48,8 @@ class ShadowMap(DeviceCommand):
     """Where a Gaussian of the capture looks at the map: its centre, 7 points, or points drawn from it."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
     """Of the map, across all directions."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
 
     def run(self) -> None:
         """Casts, and saves."""
@@ -57,8 +60,10 @@ class ShadowMap(DeviceCommand):
         if not self.debug:
             quiet_warp()
         with progress_bars() as report:
-            casters = load_scene(self.casters, drop_invalid=False, report=report)
-            capture = ls.load(self.onto, progress=partial(report, f"loading {self.onto.name}"))
+            casters = load_scene(self.casters, drop_invalid=self.drop_invalid, report=report)
+            capture = ls.load(
+                self.onto, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {self.onto.name}")
+            )
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(self.onto, "is not a capture: shadows are cast onto Gaussians only")
             report("casting shadows", 0.0)
@@ -116,4 +121,6 @@ def _vector(option: str, text: str) -> tuple[float, float, float]:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise ls.ConfigError(f"{option} is '{text}', expected three numbers with commas, such as 0,-2.5,1") from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ls.ConfigError(f"{option} is '{text}', expected finite numbers")
     return x, y, z

@@ -38,6 +38,8 @@ class _Piece(NamedTuple):
 def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
     """As `lumisplat.io.load_rig`."""
     path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         check_extensions(file)

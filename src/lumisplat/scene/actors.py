@@ -172,8 +172,8 @@ class Animation:
             raise SceneError(f"frame_count is {count}, expected a whole number, at least 1")
         if count > ANIMATION_FRAMES_MAX:
             raise SceneError(
-                f"frame_count is {count:,.10g} at {self.fps:g} frames a second, expected at most {ANIMATION_FRAMES_MAX:,}: "
-                "lower duration or frames, or fps"
+                f"frame_count is {count:,.10g} at {self.fps:g} frames a second, "
+                f"expected at most {ANIMATION_FRAMES_MAX:,}: lower duration or frames, or fps"
             )
 
     @property
