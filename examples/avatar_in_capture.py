@@ -1,4 +1,7 @@
-"""Walks a figure through a captured room: it takes on the room's light, and its shadow falls on the capture."""
+"""Walks a figure through a captured room: it takes on the room's light, and its shadow falls on the capture.
+
+python examples/avatar_in_capture.py walk.glb
+"""
 
 from __future__ import annotations
 
@@ -34,8 +37,17 @@ def lathed(outline: tuple[tuple[float, float], ...], sides: int = 48) -> ls.Mesh
 def figure() -> ls.Gaussians | ls.RiggedGaussians:
     """The avatar: of a rigged glTF, if one is given, else a pawn."""
     if len(sys.argv) > 1:
-        return ls.bind_gaussians(ls.load_rig(sys.argv[1]), 20_000)
+        # Characters often keep masks in their vertex colours; see the guide's page on animation.
+        return ls.bind_gaussians(ls.load_rig(sys.argv[1], vertex_colors=False), 20_000)
     return ls.gaussians_from_mesh(lathed(PAWN), 8_000)
+
+
+def on_the_floor(subject: ls.Gaussians | ls.RiggedGaussians) -> np.ndarray:
+    """Where the figure is placed: its lowest point, as it stands at first, at height 0."""
+    first = subject.at(0.0) if isinstance(subject, ls.RiggedGaussians) else subject
+    world_from_figure = np.eye(4)
+    world_from_figure[1, 3] = -first.means[:, 1].min()
+    return world_from_figure
 
 
 def main(width: int = 240, fps: int = 1) -> None:
@@ -48,7 +60,9 @@ def main(width: int = 240, fps: int = 1) -> None:
     path = ls.Keyframes(
         times=[0.0, 3.0], positions=[(-0.42, 0.0, 1.12), (0.62, 0.0, 0.95)], rotations_wxyz=[(1, 0, 0, 0), (0, 0, 1, 0)]
     )
-    animation = ls.Animation(room, [ls.Actor(figure(), path, name="figure")], fps=fps, frame_count=3 * fps + 1)
+    subject = figure()
+    actor = ls.Actor(subject, path, on_the_floor(subject), name="figure")
+    animation = ls.Animation(room, [actor], fps=fps, frame_count=3 * fps + 1)
 
     # Where the capture's own light comes from: through the window on the left. Without `lights`, small bright spots of
     # the capture would be looked for.

@@ -5,9 +5,11 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import lumisplat as ls
+from rig_files import BEND, TubeRig
 from scenes import random_gaussians
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
@@ -32,3 +34,18 @@ def test_example_runs(example, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", [str(example), *arguments])
     runpy.run_path(str(example), run_name="__main__")
     assert any((tmp_path / "out").rglob("*.*"))
+
+
+def test_a_walking_figure_stands_on_the_floor(tmp_path, monkeypatch):
+    """A rig begins with its lowest point at height 0."""
+    rig = TubeRig(clips={"bend": BEND})
+    path = rig.write(tmp_path / "tube.glb")
+    (example,) = (path for path in EXAMPLES if path.stem == "avatar_in_capture")
+    monkeypatch.setattr("sys.argv", [str(example), str(path)])
+    names = runpy.run_path(str(example))
+    subject = names["figure"]()
+    assert isinstance(subject, ls.RiggedGaussians)
+    (instance,) = ls.Actor(subject, world_from_object=names["on_the_floor"](subject)).at(0.0)
+    heights = instance.gaussians.means[:, 1] + instance.transform[1, 3]
+    assert subject.at(0.0).means[:, 1].min() != 0.0
+    np.testing.assert_allclose(heights.min(), 0.0, atol=1e-6)
