@@ -36,13 +36,13 @@ class Metrics(Command):
         Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
     ] = ()
     """Two pictures (.png, .jpg, .webp, .exr, .hdr), or two folders of pictures with the same names. Or, with --scene,
-    the capture of an avatar where it stands."""
+    the capture of an avatar where it stands, or a scene.toml that places it."""
     metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
     """Some of psnr, ssim, flip and, of pictures of shadow strength in which white is black shadow, sae, sm-iou, bf."""
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """The capture or scene.toml that the avatar is compared with: PAA-Y, APF-Y, NCM-ab, lower is better."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The avatar before it was relit: shows what was gained, original minus relit."""
+    """The avatar before it was relit, also where it stands: shows what was gained, original minus relit."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """How far from the avatar's centre the scene counts."""
     drop_invalid: Flag = False

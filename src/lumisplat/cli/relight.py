@@ -40,7 +40,8 @@ class Relight(DeviceCommand):
 
     avatar: Positional[Annotated[Path, arg(metavar="AVATAR")]]
     """A capture (.ply, .compressed.ply, .spz, .sog), or a scene.toml with one, whose position and rotation_wxyz say how
-    it stands in the scene. What is written is in the capture's own coordinates."""
+    it stands in the scene. What is written is in the capture's own coordinates: to show it, or to compare it by
+    metrics, name it in a second scene.toml."""
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """What gives light: captures, meshes or a scene.toml, whose settings and background count. Without the avatar."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
