@@ -171,6 +171,9 @@ tails change the transmittance by 0.001."""
 SHADOW_ERF_MAX = 4.0
 """Argument from which on the error function is one: erfc(4) is 1.5e-8, below float32's last digit."""
 
+SHADOW_BLOCKING_REACH = 6.0
+"""Standard deviations from a mean at which a Gaussian absorbs no more: erfc(6 / sqrt(2)) is 2e-9."""
+
 SHADOW_TEXEL_ANGLE = 12.0
 """Radians, divided by the texels across a face, within which lookups find their texels: octahedral maps stretch up to 3
 radians over a unit of two, and a lookup reads a texel's diagonal away."""

@@ -7,6 +7,7 @@ import warp as wp
 from lumisplat.constants import ALPHA_MAX, SHADOW_BOUND_MARGIN, SHADOW_DEPTH_MIN, SHADOW_ERF_MAX
 from lumisplat.device.atlas import PARALLEL, Atlas, LightRay
 from lumisplat.device.deep_shadow_structs import Casters, Cell, Footprint, Occluder, Passage
+from lumisplat.device.directions import around
 from lumisplat.device.particle import canonical_from_object
 
 wp.set_module_options({"enable_backward": False})
@@ -22,7 +23,6 @@ MASS = wp.constant(2)
 OPACITY_MAX = wp.constant(wp.float32(ALPHA_MAX))
 DEPTH_MIN = wp.constant(wp.float32(SHADOW_DEPTH_MIN))
 ERF_MAX = wp.constant(wp.float32(SHADOW_ERF_MAX))
-SQRT_2 = wp.constant(wp.float32(math.sqrt(2.0)))
 SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
@@ -124,15 +124,6 @@ def start_of(atlas: Atlas, passage: Passage) -> float:
 
 
 @wp.func
-def perpendicular_to(direction: wp.vec3) -> wp.vec3:
-    """Some unit vector across a unit direction."""
-    other = wp.vec3(1.0, 0.0, 0.0)
-    if wp.abs(direction[0]) > 0.5:
-        other = wp.vec3(0.0, 1.0, 0.0)
-    return wp.normalize(wp.cross(direction, other))
-
-
-@wp.func
 def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
     """What Gaussian ``i`` covers: the ellipsoid outside which lines have negligible depth in it, seen from the light.
 
@@ -158,7 +149,7 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
 
     # The ellipsoid's axes, from the mean to where it ends, in the frame of the light's direction.
     spread = wp.sqrt(reach2) * (wp.quat_to_matrix(casters.rotations[i]) * wp.diag(scale))
-    u = perpendicular_to(direction)
+    u = around(direction, 0.0, 1.0, 0.0)
     v = wp.cross(direction, u)
     along_u = wp.transpose(spread) * u
     along_v = wp.transpose(spread) * v

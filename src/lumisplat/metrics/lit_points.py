@@ -114,12 +114,8 @@ def _instances(subject: Lit) -> Iterator[SplatInstance]:
         raise SceneError(f"metrics of lighting take Gaussians or LitPoints, got a {type(subject).__name__}")
 
 
-def _world(instance: SplatInstance) -> npt.NDArray[np.float64]:
-    return instance.gaussians.means @ instance.transform[:3, :3].T + instance.transform[:3, 3]
-
-
 def _distances(instance: SplatInstance, center: npt.NDArray | None) -> npt.NDArray[np.float64]:
-    return np.linalg.norm(_world(instance) - (0.0 if center is None else center), axis=1)
+    return np.linalg.norm(instance.world_means - (0.0 if center is None else center), axis=1)
 
 
 def _near(instance: SplatInstance, center: npt.NDArray | None, radius: float | None) -> npt.NDArray[np.bool_]:
@@ -133,7 +129,7 @@ def _points(
 ) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
     """Positions, normals and linear colours of some of an instance's Gaussians."""
     kept = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
-    positions = _world(instance)[rows]
+    positions = instance.world_means[rows]
     normals = kept.normals
     if normals is None:
         from lumisplat.relight.normals import estimate_normals

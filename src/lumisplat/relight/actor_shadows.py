@@ -15,7 +15,7 @@ from lumisplat.launcher import Progress
 from lumisplat.relight.shadowed import light_factors, light_shares, recolored
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
-from lumisplat.scene.placed import PlacedGaussians
+from lumisplat.scene.placed import PlacedGaussians, center_of
 from lumisplat.scene.rotations import matrices_from_quaternions
 from lumisplat.scene.scene import MeshInstance, SplatInstance
 from lumisplat.shadowmaps.casters import MeshesAsGaussians
@@ -64,7 +64,7 @@ class ActorShadows:
         self._turned = MeshesAsGaussians()
         self._maps: list[DeepShadowMap] = []
         self._shares = [light_shares(self._lights, receiver) for receiver in self._receivers]
-        self._means = [r.gaussians.means @ r.transform[:3, :3].T + r.transform[:3, 3] for r in self._receivers]
+        self._means = [receiver.world_means for receiver in self._receivers]
         count = sum(len(means) for means in self._means)
         self._static = np.ones((len(self._lights), count), dtype=np.float32)
         self._told_lights: set[int] = set()
@@ -103,8 +103,7 @@ class ActorShadows:
         passing = np.array([shadow.transmittance_of(self._receivers) for shadow in self._maps])
         self._warn_of_darkness(passing)
         if self._radius is not None:
-            center = np.average(placed.means, axis=0, weights=placed.opacities + 1e-9)
-            far = np.abs(np.concatenate(self._means) - center).max(axis=1) > self._radius
+            far = np.abs(np.concatenate(self._means) - center_of(placed)).max(axis=1) > self._radius
             passing[:, far] = 1.0
             if far.all() and not self._told_of_region:
                 self._told_of_region = True

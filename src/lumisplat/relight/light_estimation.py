@@ -112,7 +112,7 @@ def estimate_lights(
     if middle.shape != (3,):
         raise SceneError(f"center has shape {middle.shape}, expected three numbers")
     splats = _instances(scene)
-    worlds = [i.gaussians.means @ i.transform[:3, :3].T + i.transform[:3, 3] for i in splats]
+    worlds = [instance.world_means for instance in splats]
     extent = settings.radius or _extent(worlds, middle)
     radius = settings.radius or LIGHT_SEARCH_REACH * extent
     size = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent

@@ -82,8 +82,7 @@ def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArra
     for light in lights:
         if isinstance(light, LightEnvironment):
             raise SceneError("an environment shines from everywhere: it has no deep shadow map")
-    points = receivers.gaussians.means @ receivers.transform[:3, :3].T + receivers.transform[:3, 3]
-    arriving = np.array([facing_irradiance(light, points) for light in lights])
+    arriving = np.array([facing_irradiance(light, receivers.world_means) for light in lights])
     total = arriving.sum(axis=0)
     return np.divide(arriving, total, out=np.zeros_like(arriving), where=total > 0.0).astype(np.float32)
 

@@ -33,11 +33,17 @@ def placed_gaussians(instances: Iterable[SplatInstance]) -> PlacedGaussians:
     return PlacedGaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+def center_of(placed: PlacedGaussians) -> npt.NDArray[np.floating]:
+    """Mean of the Gaussians, weighted by opacity, shape (3,)."""
+    # All transparent: they have a place nevertheless.
+    return np.average(placed.means, axis=0, weights=placed.opacities + 1e-9)
+
+
 def _placed(instance: SplatInstance) -> tuple[FloatArray, ...]:
     gaussians, matrix, scale = instance.gaussians, instance.transform, instance.scale
     if np.array_equal(matrix, np.eye(4)):
         return gaussians.means, gaussians.rotations_wxyz, gaussians.scales, gaussians.opacities
-    means = gaussians.means @ matrix[:3, :3].T + matrix[:3, 3]
+    means = instance.world_means
     turned = _product(quaternions_from_matrices(matrix[None, :3, :3] / scale)[0], gaussians.rotations_wxyz)
     scales = gaussians.scales * scale
     return means.astype(np.float32), turned.astype(np.float32), scales.astype(np.float32), gaussians.opacities

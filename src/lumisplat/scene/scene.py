@@ -61,6 +61,11 @@ class SplatInstance:
         return self.world_from_object
 
     @property
+    def world_means(self) -> npt.NDArray[np.float64]:
+        """Means in world space, shape (N, 3)."""
+        return self.gaussians.means @ self.transform[:3, :3].T + self.transform[:3, 3]
+
+    @property
     def scale(self) -> float:
         """Uniform scale factor of the transform."""
         return float(np.cbrt(np.linalg.det(self.transform[:3, :3])))

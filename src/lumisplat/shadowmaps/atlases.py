@@ -79,10 +79,8 @@ def shade_of(atlas: Atlas, footprints: np.ndarray | None) -> Shade:
         if np.linalg.norm(axis) > SHADOW_BOUND_MARGIN:
             axis /= np.linalg.norm(axis)
             apart = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(directions - axis, axis=1), 1.0))
-            shade.axis, shade.radius = (
-                wp.vec3(*axis),
-                float((apart + np.arctan2(met["sine"], met["cosine"])).max()) + SHADOW_BOUND_MARGIN,
-            )
+            angles = np.arctan2(met["sine"], met["cosine"])
+            shade.axis, shade.radius = wp.vec3(*axis), float((apart + angles).max()) + SHADOW_BOUND_MARGIN
     return shade
 
 

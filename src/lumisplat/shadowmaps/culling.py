@@ -40,9 +40,7 @@ class OneList:
 
     def update(self, footprints: Any) -> None:
         """Lists as many casters as there are footprints."""
-        self.items = all_casters(self._buffers, footprints)
-        self.ends = self._buffers.get("culling.all", wp.int32, 1)
-        self.ends.fill_(self.items.shape[0])
+        self.ends, self.items = list_of_all(self._buffers, footprints)
         self.counts[0] = self.items.shape[0]
 
     def of_texels(self, texels: _Ints) -> _Ints:
@@ -80,9 +78,7 @@ class TileLists:
 
     def update(self, footprints: Any) -> None:
         """Looks casters up anew, by what each of them covers."""
-        items = all_casters(self._buffers, footprints)
-        ends = self._buffers.get("culling.all", wp.int32, 1)
-        ends.fill_(items.shape[0])
+        ends, items = list_of_all(self._buffers, footprints)
         ends, items, _ = self._narrow("blocks", self._blocks, footprints, ends, items)
         self.ends, self.items, self.counts = self._narrow("tiles", self._tiles, footprints, ends, items)
 
@@ -117,9 +113,11 @@ class TileLists:
         return cells
 
 
-def all_casters(buffers: Buffers, footprints: Any) -> Any:
-    """The numbers of all casters, on the device."""
+def list_of_all(buffers: Buffers, footprints: Any) -> tuple[Any, Any]:
+    """Where the one list of all casters ends, and their numbers."""
     count = footprints.shape[0]
     items = buffers.get("culling.items", wp.int32, count)
     items.assign(np.arange(count, dtype=np.int32))
-    return items
+    ends = buffers.get("culling.all", wp.int32, 1)
+    ends.fill_(count)
+    return ends, items

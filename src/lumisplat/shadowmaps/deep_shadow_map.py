@@ -21,7 +21,7 @@ from lumisplat.device.deep_shadow_structs import Casters, Column, Footprint, Loo
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.launcher import Launcher, Progress
 from lumisplat.scene.arrays import FloatArray, float_array
-from lumisplat.scene.placed import PlacedGaussians
+from lumisplat.scene.placed import PlacedGaussians, center_of
 from lumisplat.shadowmaps import deep_shadow_kernels as kernels
 from lumisplat.shadowmaps.atlases import Source, atlas_of, shade_of, source_of
 from lumisplat.shadowmaps.casters import Content, MeshesAsGaussians, as_iterable
@@ -49,8 +49,6 @@ _PATTERN = {
     ReceiverSampling.MONTE_CARLO: int(RANDOM),
 }
 STENCIL_POINTS = 7
-TINY = 1e-9
-"""Added to weights, which may all be zero."""
 
 Receiving = Content | Iterable[Content] | npt.ArrayLike
 """What looks at a map: Gaussians, or what can be turned into them, or points."""
@@ -242,8 +240,9 @@ class DeepShadowMap:
         placed = _placed_receivers(receivers)
         rows = np.arange(len(placed.means), dtype=np.int32)
         if self.config.region_radius is not None:
-            center = np.average(blockers.means, axis=0, weights=blockers.opacities + TINY)
-            rows = rows[np.abs(placed.means - center).max(axis=1, initial=0.0) <= self.config.region_radius]
+            rows = rows[
+                np.abs(placed.means - center_of(blockers)).max(axis=1, initial=0.0) <= self.config.region_radius
+            ]
         if not len(rows):
             _log.warning("there are no receivers near the casters: nothing is shadowed")
         self._atlas = atlas_of(self._source, PlacedGaussians(*(column[rows] for column in placed)), self.config)

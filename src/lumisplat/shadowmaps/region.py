@@ -9,6 +9,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.buffers import Buffers
+from lumisplat.constants import SHADOW_BLOCKING_REACH
 from lumisplat.device.atlas import PARALLEL, TILE_TEXELS, Atlas
 from lumisplat.device.deep_shadow_structs import Column, Look, Receivers
 from lumisplat.errors import SceneError
@@ -19,9 +20,6 @@ from lumisplat.shadowmaps.atlases import face_count
 from lumisplat.shadowmaps.culling import OneList, TileLists
 
 _Ints = npt.NDArray[np.int32]
-
-BLOCKING_REACH = 6.0
-"""Standard deviations from a mean at which a Gaussian absorbs no more: erfc(6 / sqrt(2)) is 2e-9."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, lists: TileLists |
         first, last = 0, atlas.bins - 1
     else:
         distances = np.linalg.norm(casters.means - np.array(atlas.origin), axis=1)
-        reach = BLOCKING_REACH * casters.scales.max(axis=1)
+        reach = SHADOW_BLOCKING_REACH * casters.scales.max(axis=1)
         first, last = (int(t / atlas.bin_length - 0.5) for t in ((distances - reach).min(), (distances + reach).max()))
         first, last = max(first, 0), min(last + 1, atlas.bins - 1)
     texels = lists.tiles[lists.counts > 0, None] * int(TILE_TEXELS) + np.arange(int(TILE_TEXELS))
@@ -104,9 +102,9 @@ def region_of_receivers(launcher: Launcher, atlas: Atlas, receivers: Receivers, 
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))
     firsts.fill_(atlas.bins)
     lasts.fill_(-1)
-    # Not banded: the CPU's atomics are not atomic across threads.
     uploaded = buffers.get("region.rows", wp.int32, len(rows))
     uploaded.assign(rows)
+    # Not banded: the CPU's atomics are not atomic across threads.
     launcher.run(kernels.mark_looks, len(rows), atlas, receivers, uploaded, look, firsts, lasts)
     first, last = firsts.numpy(), lasts.numpy()
     texels = np.flatnonzero(last >= 0).astype(np.int32)
