@@ -32,7 +32,7 @@ from lumisplat.scene.gaussians import Gaussians
 REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(REPOSITORY / "tests"))
 
-import scenes  # noqa: E402  (lives with the tests)
+from support.scenes import raster_scenes as scenes  # noqa: E402
 
 NEAR, EPS2D, TILE = 0.01, 0.3, 16
 ALPHA_THRESHOLD, ALPHA_LIMIT, TRANSMITTANCE_STOP, EXTENT_LIMIT = 1.0 / 255.0, 0.999, 1e-4, 3.33

@@ -1,7 +1,7 @@
 """Writes tests/reference/mitsuba_light_*.npz: lit meshes as Mitsuba's path tracer shows them.
 
 Only light that comes to a surface straight from a light: its integrator ``path`` of depth 2, on the scenes of
-tests/light_scenes.py. Its own materials carry rays over mirrors and through glass, every way that there is. Its shadow
+tests/support/scenes/light_scenes.py. Its own materials carry rays over mirrors and through glass, every way that there is. Its shadow
 rays end at glass, where ours go on: pixels that this bears on are marked as not compared.
 
 Rays go through the centres of pixels where nothing is random; elsewhere pixels are means over their area. Needs the
@@ -22,8 +22,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(REPOSITORY / "tests")]
 
 import lumisplat as ls  # noqa: E402
-from light_scenes import SUN, LightScene, directions_of, light_scenes, sky  # noqa: E402
-from oracles import rotation_from_quaternion  # noqa: E402
+from support.oracles.raster_oracle import rotation_from_quaternion  # noqa: E402
+from support.scenes.light_scenes import SUN, LightScene, directions_of, light_scenes, sky  # noqa: E402
 
 SAMPLES = 16384
 """Of what is random; stratified, they leave about 0.2 % of noise."""

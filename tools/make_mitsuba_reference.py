@@ -18,7 +18,7 @@ sys.path[:0] = [str(REPOSITORY), str(REPOSITORY / "tests")]
 
 from bench.mitsuba_peer import describe, load_mitsuba  # noqa: E402
 
-from scenes import mitsuba_frames  # noqa: E402
+from support.scenes.raster_scenes import mitsuba_frames  # noqa: E402
 
 SAMPLES = 1024
 STEPS = 4096

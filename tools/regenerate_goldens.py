@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import lumisplat as ls  # noqa: E402
-from goldens import CASES, FOLDER  # noqa: E402
-from lumisplat.io.image import write_png  # noqa: E402
+from lumisplat.io.images.image import write_png  # noqa: E402
+from support.compare.goldens import CASES, FOLDER  # noqa: E402
 
 
 def main() -> None:

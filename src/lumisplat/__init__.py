@@ -29,14 +29,10 @@ if TYPE_CHECKING:
         TraceConfig,
         TraceStrategy,
     )
-    from lumisplat.errors import (
-        ConfigError,
-        DeviceError,
-        FormatError,
-        LumisplatError,
-        MissingExtraError,
-        SceneError,
-    )
+    from lumisplat.demo.scene import demo_cameras, demo_scene
+    from lumisplat.demo.scene_lit import demo_scene_lit
+    from lumisplat.errors import ConfigError, DeviceError, FormatError, LumisplatError, MissingExtraError, SceneError
+    from lumisplat.frame.frame import Frame
     from lumisplat.io import (
         load,
         load_animation,
@@ -55,67 +51,57 @@ if TYPE_CHECKING:
     from lumisplat.metrics.lighting import apf_y, ncm_ab, paa_y
     from lumisplat.metrics.lit_points import LitPoints
     from lumisplat.metrics.shadows import boundary_f, sae, sm_iou
-    from lumisplat.relight.light_estimation import LightEstimate, estimate_lights
-    from lumisplat.relight.lighting import AvatarLighter
-    from lumisplat.relight.normals import estimate_normals
-    from lumisplat.relight.probe import EnvironmentProbe
-    from lumisplat.relight.shadowed import shadowed
-    from lumisplat.relight.transfer import relight
-    from lumisplat.render.calls import render, trace_rays, transmittance
-    from lumisplat.render.frame import Frame
-    from lumisplat.render.rays import RayHits
-    from lumisplat.render.renderer import Renderer, create_renderer
-    from lumisplat.scene.actors import Actor, Animation
+    from lumisplat.relighting.avatar_lighter import AvatarLighter
+    from lumisplat.relighting.captured_shadow import shadowed
+    from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
+    from lumisplat.relighting.probe import EnvironmentProbe
+    from lumisplat.relighting.probe_transfer import relight
+    from lumisplat.renderer.one_shot import render, trace_rays, transmittance
+    from lumisplat.renderer.ray_queries import RayHits
+    from lumisplat.renderer.renderer import Renderer, create_renderer
+    from lumisplat.scene.animation.actors import Actor, Animation
+    from lumisplat.scene.animation.bound_gaussians import RiggedGaussians, bind_gaussians
+    from lumisplat.scene.animation.keyframes import Keyframes
+    from lumisplat.scene.animation.rig import Rig
+    from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera, CameraModel
-    from lumisplat.scene.demo import demo_cameras, demo_scene
-    from lumisplat.scene.demo_lit import demo_scene_lit
     from lumisplat.scene.gaussians import Gaussians
-    from lumisplat.scene.keyframes import Keyframes
-    from lumisplat.scene.lights import (
-        LightDirectional,
-        LightEnvironment,
-        LightPoint,
-        LightRect,
-        LightSphere,
-        LightSpot,
-    )
+    from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
-    from lumisplat.scene.recolor import scale_light
-    from lumisplat.scene.rig import Rig
-    from lumisplat.scene.rigged import RiggedGaussians, bind_gaussians
-    from lumisplat.scene.sampling import gaussians_from_mesh
+    from lumisplat.scene.ops.estimate_normals import estimate_normals
+    from lumisplat.scene.ops.recolor import scale_light
+    from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-    from lumisplat.scene.sequence import GaussianSequence
-    from lumisplat.shadowmaps.deep_shadow_map import DeepShadowMap
+    from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 
 __version__ = "0.1.0"
 
 # Public name -> module, imported on first use: `lumisplat --help` must not pay for Warp, and io not for a GPU.
 _HOME = {
     "Absorption": "config",
-    "Actor": "scene.actors",
-    "Animation": "scene.actors",
+    "Actor": "scene.animation.actors",
+    "Animation": "scene.animation.actors",
     "Antialiasing": "config",
     "AtlasLayout": "config",
-    "AvatarLighter": "relight.lighting",
+    "AvatarLighter": "relighting.avatar_lighter",
     "AvatarLightingConfig": "config",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
     "ConfigError": "errors",
     "DeepShadowConfig": "config",
-    "DeepShadowMap": "shadowmaps.deep_shadow_map",
+    "DeepShadowMap": "shadow_maps.deep_shadow_map",
     "DeviceError": "errors",
-    "EnvironmentProbe": "relight.probe",
+    "EnvironmentProbe": "relighting.probe",
     "FormatError": "errors",
-    "Frame": "render.frame",
-    "GaussianSequence": "scene.sequence",
+    "Frame": "frame.frame",
+    "GaussianSequence": "scene.animation.sequence",
     "Gaussians": "scene.gaussians",
     "HitDistance": "config",
-    "Keyframes": "scene.keyframes",
+    "Keyframes": "scene.animation.keyframes",
     "LightDirectional": "scene.lights",
     "LightEnvironment": "scene.lights",
-    "LightEstimate": "relight.light_estimation",
+    "LightEstimate": "relighting.light_estimation",
     "LightEstimationConfig": "config",
     "LightPoint": "scene.lights",
     "LightRect": "scene.lights",
@@ -133,13 +119,13 @@ _HOME = {
     "Pipeline": "config",
     "RasterConfig": "config",
     "RasterStrategy": "config",
-    "RayHits": "render.rays",
+    "RayHits": "renderer.ray_queries",
     "ReceiverSampling": "config",
     "RelightConfig": "config",
     "RenderConfig": "config",
-    "Renderer": "render.renderer",
-    "Rig": "scene.rig",
-    "RiggedGaussians": "scene.rigged",
+    "Renderer": "renderer.renderer",
+    "Rig": "scene.animation.rig",
+    "RiggedGaussians": "scene.animation.bound_gaussians",
     "Scene": "scene.scene",
     "SceneError": "errors",
     "ShadowConfig": "config",
@@ -150,16 +136,16 @@ _HOME = {
     "TraceConfig": "config",
     "TraceStrategy": "config",
     "apf_y": "metrics.lighting",
-    "bind_gaussians": "scene.rigged",
+    "bind_gaussians": "scene.animation.bound_gaussians",
     "boundary_f": "metrics.shadows",
-    "create_renderer": "render.renderer",
-    "demo_cameras": "scene.demo",
-    "demo_scene": "scene.demo",
-    "demo_scene_lit": "scene.demo_lit",
-    "estimate_lights": "relight.light_estimation",
-    "estimate_normals": "relight.normals",
+    "create_renderer": "renderer.renderer",
+    "demo_cameras": "demo.scene",
+    "demo_scene": "demo.scene",
+    "demo_scene_lit": "demo.scene_lit",
+    "estimate_lights": "relighting.light_estimation",
+    "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
-    "gaussians_from_mesh": "scene.sampling",
+    "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "load": "io",
     "load_animation": "io",
     "load_cameras": "io",
@@ -171,19 +157,19 @@ _HOME = {
     "ncm_ab": "metrics.lighting",
     "paa_y": "metrics.lighting",
     "psnr": "metrics.images",
-    "relight": "relight.transfer",
-    "render": "render.calls",
+    "relight": "relighting.probe_transfer",
+    "render": "renderer.one_shot",
     "sae": "metrics.shadows",
     "save": "io",
     "save_animation": "io",
     "save_cameras": "io",
     "save_config": "io",
-    "scale_light": "scene.recolor",
-    "shadowed": "relight.shadowed",
+    "scale_light": "scene.ops.recolor",
+    "shadowed": "relighting.captured_shadow",
     "sm_iou": "metrics.shadows",
     "ssim": "metrics.images",
-    "trace_rays": "render.calls",
-    "transmittance": "render.calls",
+    "trace_rays": "renderer.one_shot",
+    "transmittance": "renderer.one_shot",
 }
 
 __all__ = [

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from lumisplat.device.random import branch_stream, draw, stream_of
-from lumisplat.device.ray_structs import LensData, Ray
-from lumisplat.device.rays import camera_ray
+from lumisplat.device.camera.camera import camera_ray
+from lumisplat.device.math.random import branch_stream, draw, stream_of
+from lumisplat.device.structs.rays import LensData, Ray
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from lumisplat.device.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
-from lumisplat.device.environment import environment_density, environment_radiance, sample_environment
-from lumisplat.device.light import sample_light
-from lumisplat.device.light_structs import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
+from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
+from lumisplat.device.light.light import sample_light
+from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
+from lumisplat.device.structs.light import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
 
 wp.set_module_options({"enable_backward": False})
 

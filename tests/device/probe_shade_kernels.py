@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from lumisplat.device.random import draw_stratified
-from lumisplat.device.ray_triangle import owns_crossing, ray_shear
-from lumisplat.device.shade import shadow_key
-from lumisplat.device.trace_structs import ShadowData
+from lumisplat.device.light.shadow import shadow_key
+from lumisplat.device.math.random import draw_stratified
+from lumisplat.device.mesh.ray_triangle import owns_crossing, ray_shear
+from lumisplat.device.structs.bvh import ShadowData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -2,12 +2,18 @@
 
 import warp as wp
 
-from lumisplat.device.bundle import bundle_of
-from lumisplat.device.particle import alpha_of_degree, ellipsoid_normal, particle_box, particle_of, reach_squared
-from lumisplat.device.ray_structs import RayData
-from lumisplat.device.structs import GaussianData
-from lumisplat.device.trace_structs import Box, Children, KernelData, Node, Particle, Slabs, TreeInstance
-from lumisplat.device.traverse import enter_children
+from lumisplat.device.bvh.node_test import enter_children
+from lumisplat.device.bvh.ray_packet import bundle_of
+from lumisplat.device.gaussian.particle import (
+    alpha_of_degree,
+    ellipsoid_normal,
+    particle_box,
+    particle_of,
+    reach_squared,
+)
+from lumisplat.device.structs.bvh import Box, Children, KernelData, Node, Particle, Slabs, TreeInstance
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import GaussianData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

@@ -11,10 +11,10 @@ import probe_light_kernels
 import pytest
 import warp as wp
 
-from bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
-from chi_square import LIMIT, chi_square_z
-from lumisplat.device.light_structs import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
-from lumisplat.launcher import Launcher
+from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
+from lumisplat.runtime.launcher import Launcher
+from support.compare.chi_square import LIMIT, chi_square_z
+from support.oracles.bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 

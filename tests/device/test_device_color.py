@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.device import color
-from lumisplat.scene.color import decode_srgb
+from lumisplat.device.math import color
+from lumisplat.math.color import decode_srgb
 
 
 def test_decoding_follows_the_standard() -> None:

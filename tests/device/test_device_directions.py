@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.device.directions import angle_of, around
+from lumisplat.device.math.directions import angle_of, around
 
 AXES = [np.array(axis) for axis in ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0))]
 AXES += [v / np.linalg.norm(v) for v in np.random.default_rng(0).normal(size=(20, 3))]

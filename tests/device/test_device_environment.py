@@ -10,15 +10,15 @@ import probe_light_kernels
 import pytest
 import warp as wp
 
-from chi_square import LIMIT, chi_square_z
-from light_oracle import Array, cell_density, cell_sizes, direction_at, image_coordinates, lookup
-from lumisplat.buffers import Buffers
-from lumisplat.device.light_structs import EnvironmentData, LightSample
-from lumisplat.launcher import Launcher
-from lumisplat.render.lights import LightTable
+from lumisplat.device.structs.light import EnvironmentData, LightSample
+from lumisplat.renderer.scene.lights import LightTable
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
+from support.compare.chi_square import LIMIT, chi_square_z
+from support.oracles.light_oracle import Array, cell_density, cell_sizes, direction_at, image_coordinates, lookup
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 CAMERA = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=8, height=8)

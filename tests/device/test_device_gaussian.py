@@ -8,13 +8,13 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import oracles
 from lumisplat.config import RenderConfig
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
-from lumisplat.device.gaussian import alpha_from_log, gaussian_normal, projection_jacobian
-from lumisplat.device.structs import CameraData
-from lumisplat.render.device_scene import camera_table
-from scenes import front_camera
+from lumisplat.device.gaussian.projection import alpha_from_log, gaussian_normal, projection_jacobian
+from lumisplat.device.structs.scene import CameraData
+from lumisplat.renderer.scene.device_scene import camera_table
+from support.oracles import raster_oracle as oracles
+from support.scenes.raster_scenes import front_camera
 
 unit = st.floats(-1.0, 1.0)
 rotations = st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q) > 0.1)

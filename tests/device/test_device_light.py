@@ -11,8 +11,7 @@ import probe_light_kernels
 import pytest
 import warp as wp
 
-from light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window
-from lumisplat.device.light_structs import (
+from lumisplat.device.structs.light import (
     LIGHT_DIRECTIONAL,
     LIGHT_ENVIRONMENT,
     LIGHT_HEADLIGHT,
@@ -22,7 +21,8 @@ from lumisplat.device.light_structs import (
     LightData,
     LightSample,
 )
-from lumisplat.launcher import Launcher
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 POSITION = (1.0, 2.0, -0.5)

@@ -10,14 +10,14 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-import oracles
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BOX_MARGIN, KERNEL_LINEAR_SLOPE
-from lumisplat.device.particle import canonical_from_object
-from lumisplat.device.trace_structs import FAR, Box, KernelData, Particle
-from lumisplat.launcher import Launcher
-from lumisplat.render.tree_scene import kernel_data
-from lumisplat.render.upload import upload_gaussians
-from scenes import random_gaussians
+from lumisplat.device.gaussian.particle import canonical_from_object
+from lumisplat.device.structs.bvh import FAR, Box, KernelData, Particle
+from lumisplat.renderer.scene.bvh_scene import kernel_data
+from lumisplat.renderer.scene.upload import upload_gaussians
+from lumisplat.runtime.launcher import Launcher
+from support.oracles import raster_oracle as oracles
+from support.scenes.raster_scenes import random_gaussians
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 DEGREES = range(6)

@@ -9,9 +9,9 @@ import probe_kernels
 import pytest
 import warp as wp
 
-from lumisplat.device import random
-from lumisplat.launcher import Launcher
-from random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, streams
+from lumisplat.device.math import random
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, streams
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 PIXELS = np.arange(1 << 18, dtype=np.uint32)

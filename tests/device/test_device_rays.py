@@ -10,17 +10,17 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from camera_oracle import camera_rays, unit
 from lumisplat.config import RenderConfig, TraceConfig
 from lumisplat.constants import SUBPIXEL_STEPS
-from lumisplat.device.ray_structs import LensData, Ray
-from lumisplat.device.rays import camera_ray, disk_point, turned
-from lumisplat.device.structs import CameraData
-from lumisplat.device.surface import pixel_ray
-from lumisplat.launcher import Launcher
-from lumisplat.render.device_scene import table_dtype
-from lumisplat.render.lens import lens_table, subpixel
-from scenes import front_camera, rotation
+from lumisplat.device.camera.camera import camera_ray, disk_point, turned
+from lumisplat.device.gaussian.compositing import pixel_ray
+from lumisplat.device.structs.rays import LensData, Ray
+from lumisplat.device.structs.scene import CameraData
+from lumisplat.renderer.scene.camera_table import lens_table, subpixel
+from lumisplat.renderer.scene.device_scene import table_dtype
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.camera_oracle import camera_rays, unit
+from support.scenes.raster_scenes import front_camera, rotation
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 MODELS = list(ls.CameraModel)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-import oracles
-from lumisplat.device.sh import sh_color
+from lumisplat.device.math.sh import sh_color
+from support.oracles import raster_oracle as oracles
 
 wp.set_module_options({"enable_backward": False})
 

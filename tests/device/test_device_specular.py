@@ -8,10 +8,10 @@ import warp as wp
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from lumisplat.device.ray_structs import Bounce, SmoothData
-from lumisplat.device.scatter import bounce_of
-from lumisplat.device.specular import cosine2_beyond, fresnel, reflect, refract, schlick
-from lumisplat.scene.color import encode_srgb
+from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
+from lumisplat.device.material.specular_bounce import bounce_of
+from lumisplat.device.structs.rays import Bounce, SmoothData
+from lumisplat.math.color import encode_srgb
 
 component = st.floats(-1.0, 1.0)
 vectors = st.tuples(component, component, component)

@@ -8,13 +8,13 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import oracles
-from lumisplat.device.color import encode_srgb
-from lumisplat.device.structs import CameraData, Pixel, Splat
-from lumisplat.device.surface import blend, pixel_ray
-from lumisplat.device.triangle import barycentric, setup_triangle
-from lumisplat.scene.color import encode_srgb as encode_srgb_host
-from scenes import front_camera
+from lumisplat.device.gaussian.compositing import blend, pixel_ray
+from lumisplat.device.math.color import encode_srgb
+from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle
+from lumisplat.device.structs.scene import CameraData, Pixel, Splat
+from lumisplat.math.color import encode_srgb as encode_srgb_host
+from support.oracles import raster_oracle as oracles
+from support.scenes.raster_scenes import front_camera
 
 unit = st.floats(-1.0, 1.0)
 points = st.tuples(unit, unit, st.floats(0.5, 3.0))

@@ -12,14 +12,14 @@ import probe_tree_kernels
 import pytest
 import warp as wp
 
-from lumisplat.buffers import Buffers
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.ray_structs import RayData
-from lumisplat.device.trace_structs import FAR, Children, Node, Slabs, TreeInstance
-from lumisplat.launcher import Launcher
-from lumisplat.render.tree_scene import empty_node
-from oracles import normalized
-from scenes import rotation
+from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs, TreeInstance
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.scene.bvh_scene import empty_node
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.raster_oracle import normalized
+from support.scenes.raster_scenes import rotation
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 LANES = probe_tree_kernels.LANES

@@ -12,11 +12,11 @@ from scipy.optimize import linear_sum_assignment, minimize
 from scipy.spatial.transform import Rotation
 
 import lumisplat as ls
+from lumisplat.math.color import encode_srgb
 from lumisplat.metrics.chromaticity import lab, luminance
 from lumisplat.metrics.irradiance import fit_irradiance, robust_fit
-from lumisplat.scene.color import encode_srgb
-from lumisplat.scene.harmonics import sh_basis
-from scenes import random_gaussians
+from lumisplat.scene.ops.sh_colors import sh_basis
+from support.scenes.raster_scenes import random_gaussians
 
 METRICS = (ls.paa_y, ls.apf_y, ls.ncm_ab)
 Y00, Y10 = math.sqrt(1.0 / (4.0 * math.pi)), math.sqrt(3.0 / (4.0 * math.pi))

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from lumisplat.render.raster import refuse_lens
-from scenes import front_camera, one_gaussian, rotation
+from lumisplat.renderer.raster.splat_raster import refuse_lens
+from support.scenes.raster_scenes import front_camera, one_gaussian, rotation
 
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from scenes import front_camera
+from support.scenes.raster_scenes import front_camera
 
 coordinates = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from scenes import random_gaussians
+from support.scenes.raster_scenes import random_gaussians
 
 
 def fields(**changes: object) -> dict[str, object]:

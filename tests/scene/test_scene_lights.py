@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from scenes import quad, random_gaussians
+from support.scenes.raster_scenes import quad, random_gaussians
 
 ORIGIN = (0.0, 0.0, 0.0)
 DOWN = (0.0, -1.0, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from scenes import quad, random_gaussians, rotation, similarity
+from support.scenes.raster_scenes import quad, random_gaussians, rotation, similarity
 
 
 def test_similarity_is_kept() -> None:

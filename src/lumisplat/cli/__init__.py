@@ -15,17 +15,17 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, subcommand
 
 import lumisplat as ls
-from lumisplat.cli.animate import Animate
-from lumisplat.cli.arguments import ArgumentsError, panels_as_errors
-from lumisplat.cli.bench import Bench
-from lumisplat.cli.convert import Convert
-from lumisplat.cli.demo import Demo
-from lumisplat.cli.info import Info
-from lumisplat.cli.metrics import Metrics
-from lumisplat.cli.options import Command
-from lumisplat.cli.relight import Relight
-from lumisplat.cli.render import Render
-from lumisplat.cli.shadowmap import ShadowMap
+from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.bench import Bench
+from lumisplat.cli.commands.convert import Convert
+from lumisplat.cli.commands.demo import Demo
+from lumisplat.cli.commands.info import Info
+from lumisplat.cli.commands.metrics import Metrics
+from lumisplat.cli.commands.relight import Relight
+from lumisplat.cli.commands.render import Render
+from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.options.argument_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.options.common import Command
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
 

@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-from lumisplat.config.checks import (
-    check_enum,
-    check_flag,
-    check_kind,
-    check_range,
-    check_whole,
-)
-from lumisplat.config.lighting import (
-    AvatarLightingConfig,
-    LightEstimationConfig,
-)
-from lumisplat.config.relight import (
-    NormalEstimate,
-    RelightConfig,
-)
+from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
+from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole
+from lumisplat.config.relighting import NormalEstimate, RelightConfig
 from lumisplat.config.render import (
     AOVS,
     Antialiasing,
@@ -33,12 +21,7 @@ from lumisplat.config.render import (
     TraceConfig,
     TraceStrategy,
 )
-from lumisplat.config.shadow_maps import (
-    Absorption,
-    AtlasLayout,
-    DeepShadowConfig,
-    ReceiverSampling,
-)
+from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 
 __all__ = [
     "AOVS",

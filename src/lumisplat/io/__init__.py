@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumisplat.errors import FormatError
-from lumisplat.io.source import PathLike
+from lumisplat.io.files.source import PathLike
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from lumisplat.config import RenderConfig
-    from lumisplat.io.columns import SplatColumns
-    from lumisplat.scene.actors import Animation
-    from lumisplat.scene.arrays import FloatArray
+    from lumisplat.io.splats.columns import SplatColumns
+    from lumisplat.math.arrays import FloatArray
+    from lumisplat.scene.animation.actors import Animation
+    from lumisplat.scene.animation.rig import Rig
+    from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh
-    from lumisplat.scene.rig import Rig
     from lumisplat.scene.scene import Scene
-    from lumisplat.scene.sequence import GaussianSequence
 
 __all__ = [
     "load",
@@ -66,7 +66,7 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
         FormatError: The file is missing, unknown, damaged, truncated, empty of Gaussians, holds invalid values, or
             claims more than memory holds. The message names it.
     """
-    from lumisplat.io.columns import SplatColumns, gaussians_from_columns
+    from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
     try:
         loaded = _read(Path(path), drop_invalid, progress)
@@ -86,19 +86,19 @@ def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatCol
         case ".ply":
             return _read_ply(path, progress)
         case ".toml":
-            from lumisplat.io.scene_file import read_scene_file
+            from lumisplat.io.scene_toml.scene_file import read_scene_file
 
             return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
         case ".spz":
-            from lumisplat.io.spz import read_spz as read
+            from lumisplat.io.splats.spz import read_spz as read
         case ".sog":
-            from lumisplat.io.sog import read_sog as read
+            from lumisplat.io.splats.sog import read_sog as read
         case ".obj":
-            from lumisplat.io.mesh_obj import read_obj as read
+            from lumisplat.io.meshes.obj import read_obj as read
         case ".stl":
-            from lumisplat.io.mesh_stl import read_stl as read
+            from lumisplat.io.meshes.stl import read_stl as read
         case ".glb" | ".gltf":
-            from lumisplat.io.gltf import read_gltf as read
+            from lumisplat.io.gltf.scene import read_gltf as read
         case _:
             raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     return read(path)
@@ -118,16 +118,16 @@ def _extension(path: Path) -> str:
 
 
 def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:
-    from lumisplat.io.compressed_ply import is_compressed_header, read_compressed_ply
-    from lumisplat.io.ply import read_ply_header
-    from lumisplat.io.splat_ply import is_gaussian_element, read_splat_ply
+    from lumisplat.io.ply.ply_rows import read_ply_header
+    from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
+    from lumisplat.io.splats.splat_ply import is_gaussian_element, read_splat_ply
 
     header = read_ply_header(path)
     if is_compressed_header(header):
         return read_compressed_ply(header)
     vertex, face = header.element("vertex"), header.element("face")
     if face is not None and face.count and not (vertex and is_gaussian_element(vertex)):
-        from lumisplat.io.mesh_ply import read_ply_mesh
+        from lumisplat.io.meshes.mesh_ply import read_ply_mesh
 
         return read_ply_mesh(header)
     return read_splat_ply(header, progress)
@@ -156,11 +156,11 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     if not isinstance(gaussians, Gaussians):
         raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
     if name.endswith(".compressed.ply"):
-        from lumisplat.io.compressed_ply import write_compressed_ply as write
+        from lumisplat.io.splats.compressed_ply import write_compressed_ply as write
     elif name.endswith(".ply"):
-        from lumisplat.io.splat_ply import write_splat_ply as write
+        from lumisplat.io.splats.splat_ply import write_splat_ply as write
     elif name.endswith(".spz"):
-        from lumisplat.io.spz import write_spz as write
+        from lumisplat.io.splats.spz import write_spz as write
     else:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
     write(path, gaussians)
@@ -185,21 +185,21 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
     Raises:
         FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
     """
-    from lumisplat.io import cameras
+    from lumisplat.io.cameras import camera_json
 
     if Path(path).suffix.lower() in (".glb", ".gltf"):
-        from lumisplat.io.gltf_cameras import read_gltf_cameras
+        from lumisplat.io.gltf.cameras import read_gltf_cameras
 
-        return cameras.unique_names(read_gltf_cameras(path, width, height))
+        return camera_json.unique_names(read_gltf_cameras(path, width, height))
     if Path(path).suffix.lower() == ".toml":
-        from lumisplat.io.scene_cameras import read_scene_cameras
-        from lumisplat.io.scene_file import read_document
+        from lumisplat.io.scene_toml.cameras import read_scene_cameras
+        from lumisplat.io.scene_toml.scene_file import read_document
 
         def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
             return load_cameras(file, width=width, height=height)
 
         return read_scene_cameras(read_document(path), load_sized, width, height)
-    return cameras.load_cameras(path, width, height)
+    return camera_json.load_cameras(path, width, height)
 
 
 def load_config(path: PathLike) -> RenderConfig:
@@ -211,8 +211,8 @@ def load_config(path: PathLike) -> RenderConfig:
     Raises:
         FormatError: The file cannot be read, or a setting is unknown or bad; names the line and the setting.
     """
-    from lumisplat.io.config_file import read_config
-    from lumisplat.io.scene_file import read_document
+    from lumisplat.io.scene_toml.config_file import read_config
+    from lumisplat.io.scene_toml.scene_file import read_document
 
     return read_config(read_document(path))
 
@@ -228,7 +228,7 @@ def save_config(path: PathLike, config: RenderConfig) -> None:
         ConfigError: These are no settings.
         FormatError: The file cannot be written.
     """
-    from lumisplat.io.config_file import write_config
+    from lumisplat.io.scene_toml.config_file import write_config
 
     write_config(path, config)
 
@@ -246,7 +246,7 @@ def load_image(path: PathLike) -> FloatArray:
     Raises:
         FormatError: The file is missing, damaged, or no picture.
     """
-    from lumisplat.io.picture import read_picture
+    from lumisplat.io.images.picture import read_picture
 
     return read_picture(path)
 
@@ -265,7 +265,7 @@ def load_radiance(path: PathLike) -> FloatArray:
     Raises:
         FormatError: The file is missing, damaged, truncated, or holds display colours of 8 bit.
     """
-    from lumisplat.io.environment import read_radiance
+    from lumisplat.io.images.environment import read_radiance
 
     return read_radiance(path)
 
@@ -285,7 +285,7 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
         FormatError: The file is malformed, has neither skin nor animation, is skinned without weights or with weights
             that sum to 0, or has keys that are not finite or not in order.
     """
-    from lumisplat.io.gltf_rig import read_rig
+    from lumisplat.io.gltf.rigs import read_rig
 
     return read_rig(path, vertex_colors)
 
@@ -303,7 +303,7 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
         FormatError: There is no such folder, no frame in it, frames of two kinds, or the first one cannot be read.
         SceneError: ``fps`` is out of range.
     """
-    from lumisplat.io.sequence import read_sequence
+    from lumisplat.io.splats.sequence import read_sequence
 
     return read_sequence(folder, fps, lambda frame: load(frame, drop_invalid=drop_invalid))
 
@@ -318,7 +318,7 @@ def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
     Raises:
         FormatError: The file or one that it names cannot be read, or an entry is bad; names the line and the key.
     """
-    from lumisplat.io.scene_animation import read_animation
+    from lumisplat.io.scene_toml.animation import read_animation
 
     def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
         return load_cameras(file, width=width, height=height)
@@ -338,9 +338,9 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
             the format has no place.
         FormatError: The file cannot be written.
     """
-    from lumisplat.io import cameras as files
+    from lumisplat.io.cameras import camera_json
 
-    files.save_cameras(path, cameras)
+    camera_json.save_cameras(path, cameras)
 
 
 def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
@@ -362,6 +362,6 @@ def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float =
         FormatError: The extension is none of these, or the file cannot be written.
         MissingExtraError: A video needs PyAV.
     """
-    from lumisplat.io import animation
+    from lumisplat.io.images import animation
 
     animation.write_animation(path, frames, fps)

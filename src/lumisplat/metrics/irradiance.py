@@ -23,7 +23,7 @@ from lumisplat.constants import (
     TRIMMED_SHARE,
 )
 from lumisplat.errors import SceneError
-from lumisplat.scene.harmonics import sh_basis
+from lumisplat.scene.ops.sh_colors import sh_basis
 
 Values = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number, told
 from lumisplat.constants import SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
+from lumisplat.math.arrays import FloatArray, float_array, normalised, refuse_rows
+from lumisplat.math.color import decode_srgb
 from lumisplat.metrics.chromaticity import luminance
-from lumisplat.scene.arrays import FloatArray, float_array, normalised, refuse_rows
-from lumisplat.scene.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
@@ -132,7 +132,7 @@ def _points(
     positions = instance.world_means[rows]
     normals = kept.normals
     if normals is None:
-        from lumisplat.relight.normals import estimate_normals
+        from lumisplat.scene.ops.estimate_normals import estimate_normals
 
         normals = estimate_normals(kept)
     # A similarity turns normals as it turns everything else; its scale goes when they are normalised.

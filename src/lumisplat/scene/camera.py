@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import matrix_4x4
+from lumisplat.math.arrays import matrix_4x4
 
 
 class CameraModel(Enum):

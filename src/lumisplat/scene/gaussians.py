@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, float_array, handed_over, normalised, refuse_outside_unit, refuse_rows
+from lumisplat.math.arrays import FloatArray, float_array, handed_over, normalised, refuse_outside_unit, refuse_rows
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import FLOAT32_MAX, FloatArray, float_array
+from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array
 
 Vector = tuple[float, float, float]
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import FLOAT32_MAX, kept
+from lumisplat.math.arrays import FLOAT32_MAX, kept
 
 Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]

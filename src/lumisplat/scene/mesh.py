@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.scene.arrays import FloatArray, IntArray, float_array, handed_over, kept, normalised, refuse_outside_unit
+from lumisplat.math.arrays import FloatArray, IntArray, float_array, handed_over, kept, normalised, refuse_outside_unit
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.triangles import check_triangles
 

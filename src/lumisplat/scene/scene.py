@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.scene.arrays import matrix_4x4
+from lumisplat.math.arrays import matrix_4x4
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material

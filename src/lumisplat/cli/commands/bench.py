@@ -1,0 +1,116 @@
+"""``lumisplat bench``: how fast a scene renders on this machine."""
+
+from __future__ import annotations
+
+import logging
+import re
+import statistics
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import DeviceCommand, Flag, load_scene, scene_file, setting, settled, without_none
+from lumisplat.cli.options.tracing import PipelineName, StrategyName
+from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
+from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
+
+_log = logging.getLogger("lumisplat")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(DeviceCommand):
+    """Time loading, the first frame and steady frames of your scene, or of the demo.
+
+    Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
+    are medians. The benchmarks against other renderers are `make bench` in the repository.
+    """
+
+    scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
+    """Files as for render, with the settings and the first camera of a scene.toml; none: the demo scene."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """A file of cameras as for render."""
+    width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Image width; the aspect ratio is kept."""
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
+    """As for render."""
+    strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
+    """As for render, with --pipeline trace and hybrid."""
+    drop_invalid: Flag = False
+    """As for render."""
+    repeats: Annotated[int, arg(metavar="N")] = 20
+    """Steady frames to time."""
+
+    def run(self) -> None:
+        """Measures and prints a table."""
+        if self.repeats < 1:
+            raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
+        file = scene_file(self.scene)
+        config = self._config(ls.RenderConfig() if file is None else ls.load_config(file))
+        cameras_of = self.cameras or file
+        cameras = ls.load_cameras(cameras_of) if cameras_of else []
+        with progress_bars() as report:
+            started = time.perf_counter()
+            renderer = self.start_renderer(report, config)
+            ready = time.perf_counter()
+            scene = self._scene(report)
+            loaded = time.perf_counter()
+            camera = self._camera(cameras, scene)
+            frame = renderer.render(scene, camera)
+            first_ms = 1e3 * (time.perf_counter() - loaded)
+            frame_ms, stages = [], []
+            for done in range(self.repeats):
+                report("timing", done / self.repeats)
+                begun = time.perf_counter()
+                frame = renderer.render(scene, camera)
+                frame_ms.append(1e3 * (time.perf_counter() - begun))
+                stages.append(stage_times(frame))
+        medians = {name: statistics.median(row[name] for row in stages) for name in stages[0]}
+        rows = [
+            ("start, kernels", f"{1e3 * (ready - started):8.1f} ms"),
+            ("load" if self.scene else "build demo", f"{1e3 * (loaded - ready):8.1f} ms"),
+            ("first frame", f"{first_ms:8.1f} ms"),
+            (f"frame, median of {self.repeats}", f"{statistics.median(frame_ms):8.1f} ms"),
+            *stage_rows(medians),
+            *count_rows(frame, config.pipeline),
+        ]
+        peak = _peak_bytes()
+        if peak is not None:
+            rows.append(("peak of the process", byte_size(peak)))
+        print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
+
+    def _scene(self, report: Report) -> ls.Scene:
+        if not self.scene:
+            return ls.demo_scene(report)
+        return load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
+
+    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})
+        strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
+        config = settled(base, {**pipeline, "trace": strategy})
+        if strategy and config.pipeline is ls.Pipeline.RASTER:
+            _log.warning("not used by --pipeline raster: --strategy (it is of --pipeline trace and hybrid)")
+        return config
+
+    def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:
+        from lumisplat.cli.options.framing import framing_camera
+
+        if not cameras:
+            cameras = [framing_camera(scene)] if self.scene else ls.demo_cameras()
+        return cameras[0].scaled(self.width)
+
+
+def _peak_bytes() -> int | None:
+    """The largest resident size so far; None where the system does not tell (Windows)."""
+    status = Path("/proc/self/status")
+    if status.exists():  # ru_maxrss would include what started this process
+        found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())
+        return 1024 * int(found[1]) if found else None
+    try:
+        import resource
+    except ImportError:
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS

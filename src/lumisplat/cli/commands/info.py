@@ -1,0 +1,70 @@
+"""``lumisplat info``: what is in a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import Command, Flag, size_on_disk
+from lumisplat.cli.output.console import byte_size, print_table, progress_bars
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info(Command):
+    """Show what is in captures, meshes, scenes, camera files and environment images."""
+
+    files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
+    """Any file that render takes, cameras and environments too."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+
+    def run(self) -> None:
+        """Prints a table for each asset."""
+        from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
+
+        if not self.files:
+            raise ls.ConfigError("no file given")
+        for path in self.files:
+            suffix = path.suffix.lower()
+            if suffix == ".json" and path.name != "meta.json":
+                print_table(str(path), camera_rows(ls.load_cameras(path)))
+                continue
+            if suffix in (".hdr", ".pic", ".exr"):
+                print_table(str(path), radiance_rows(ls.load_radiance(path)))
+                continue
+            with progress_bars() as report:
+                asset = ls.load(path, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {path.name}"))
+            size = ("file", byte_size(size_on_disk(path)))
+            if isinstance(asset, ls.Gaussians):
+                print_table(str(path), [("kind", "capture"), size, *gaussian_rows(asset)])
+            elif isinstance(asset, ls.Mesh):
+                print_table(str(path), [("kind", "mesh"), size, *mesh_rows(asset)])
+            else:
+                _print_scene(path, size, asset)
+
+
+def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
+    from lumisplat.cli.output.describe import box, camera_rows, changed_settings, light_row, mesh_rows, splat_rows
+
+    cameras = ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf") else []
+    counts = f"{len(scene.splats)} captures, {len(scene.meshes)} meshes"
+    counts += f", {len(scene.lights)} lights" * bool(scene.lights) + f", {len(cameras)} cameras" * bool(cameras)
+    rows = [("kind", "scene"), size, ("holds", counts)]
+    if scene.splats or scene.meshes:
+        rows.append(("bounds", box(*scene.bounds())))
+    settings = changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
+    print_table(str(path), rows + [("settings", settings)] * bool(settings))
+    for index, splat in enumerate(scene.splats):
+        print_table(f"  capture {index}   {splat.name}", splat_rows(splat))
+    for index, mesh in enumerate(scene.meshes):
+        names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
+        print_table(f"  mesh {index}   {' / '.join(names)}", mesh_rows(mesh.mesh))
+    if scene.lights:
+        print_table("  lights", [light_row(light) for light in scene.lights])
+    if cameras:
+        print_table("  cameras", camera_rows(cameras)[1:])

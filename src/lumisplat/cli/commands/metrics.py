@@ -1,0 +1,191 @@
+"""``lumisplat metrics``: how near pictures are to references, and how well an avatar's light fits a scene's."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import Command, Flag
+from lumisplat.cli.output.console import Report, print_columns, progress_bars
+from lumisplat.cli.output.picture_pairs import Pair, picture_pairs
+
+if TYPE_CHECKING:
+    import numpy as np
+
+_OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "flip": "flip"}
+_OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
+_OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
+_DIGITS = {"psnr": 2, "ncm_ab": 2}
+
+_Figures = dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metrics(Command):
+    """Compare pictures with references, or an avatar's light with a scene's."""
+
+    files: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
+    ] = ()
+    """Two pictures (.png, .jpg, .webp, .exr, .hdr), or two folders of pictures with the same names. Or, with --scene,
+    the capture of an avatar where it stands, or a scene.toml that places it."""
+    metrics: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="(default: psnr,ssim,flip)")] = None
+    """Some of psnr, ssim, flip and, of pictures of shadow strength in which white is black shadow, sae, sm-iou, bf."""
+    scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The capture or scene.toml that the avatar is compared with: PAA-Y, APF-Y, NCM-ab, lower is better."""
+    before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The avatar before it was relit, also where it stands: shows what was gained, original minus relit."""
+    radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
+    """How far from the avatar's centre the scene counts."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
+    json: Flag = False
+    """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf"."""
+
+    def run(self) -> None:
+        """Prints the figures."""
+        if self.scene is not None:
+            self._compare_light(self.scene)
+            return
+        about_light = {"--before": self.before, "--radius": self.radius, "--drop-invalid": self.drop_invalid or None}
+        for option, value in about_light.items():
+            if value is not None:
+                raise ls.ConfigError(f"{option} is about an avatar's light: give the --scene that it stands in")
+        if len(self.files) != 2:
+            raise ls.ConfigError(
+                f"{_counted(self.files)}, expected an image and its reference, or an avatar and --scene"
+            )
+        self._compare_pictures(*self.files)
+
+    def _compare_pictures(self, image: Path, reference: Path) -> None:
+        names = _wanted(self.metrics)
+        pairs = picture_pairs(image, reference)
+        with progress_bars() as report:
+            figures = [_compared(pair, names, report, index / len(pairs)) for index, pair in enumerate(pairs)]
+            report("comparing", 1.0)
+        means = {name: _mean([row[name] for row in figures]) for name in names}
+        if self.json:
+            images = [{"name": pair.name, **_plain(row)} for pair, row in zip(pairs, figures, strict=True)]
+            print(json.dumps({"images": images, "mean": _plain(means)}, indent=2))
+            return
+        rows = [[pair.name, *_told(row)] for pair, row in zip(pairs, figures, strict=True)]
+        print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *_told(means)]])
+
+    def _compare_light(self, scene: Path) -> None:
+        if self.metrics is not None:
+            raise ls.ConfigError("--metrics chooses those of pictures: with --scene, all three of light are computed")
+        if len(self.files) != 1:
+            raise ls.ConfigError(f"{_counted(self.files)}, expected one avatar to compare with --scene")
+        paths = [path for path in (self.before, self.files[0]) if path is not None]
+        with progress_bars() as report:
+            surroundings = self._capture(scene, report)
+            avatars = [self._capture(path, report) for path in paths]
+            figures = []
+            for index, avatar in enumerate(avatars):
+                report("comparing light", index / len(avatars))
+                figures.append(self._light_figures(avatar, surroundings))
+            report("comparing light", 1.0)
+        if len(figures) == 1:
+            if self.json:
+                print(json.dumps(_plain(figures[0]), indent=2))
+            else:
+                rows = [[label, _digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
+                print_columns(["", paths[0].name], rows)
+            return
+        before, after = figures
+        table = {
+            name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
+            for name in _OF_LIGHT
+        }
+        if self.json:
+            print(json.dumps(table, indent=2))
+            return
+        rows = [[_OF_LIGHT[name], *(_digits(name, value) for value in row.values())] for name, row in table.items()]
+        print_columns(["", "original", "relit", "delta"], rows)
+
+    def _capture(self, path: Path, report: Report) -> ls.Gaussians | ls.Scene:
+        asset = ls.load(path, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {path.name}"))
+        if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
+            raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
+        return asset
+
+    def _light_figures(self, avatar: Any, scene: Any) -> _Figures:
+        own = ls.LitPoints.of(avatar)
+        options = {} if self.radius is None else {"radius": self.radius}
+        return {name: getattr(ls, name)(own, scene, **options) for name in _OF_LIGHT}
+
+
+def _wanted(names: str | None) -> list[str]:
+    """The names of metrics of a list with commas.
+
+    Raises:
+        ConfigError: One is unknown, or there is none.
+    """
+    chosen = [*_OF_PICTURES] if names is None else [name.strip() for name in names.split(",") if name.strip()]
+    known = _OF_PICTURES | _OF_SHADOWS
+    for name in chosen or [names]:
+        if name not in known:
+            raise ls.ConfigError(f"--metrics has '{name}', expected some of {', '.join(known)}")
+    return list(dict.fromkeys(chosen))
+
+
+def _compared(pair: Pair, names: Sequence[str], report: Report, share: float) -> _Figures:
+    """The figures of one pair.
+
+    Raises:
+        FormatError: A picture cannot be read, or the two cannot be compared; names both.
+    """
+    report("comparing", share)
+    figures: _Figures = {}
+    for known, load in ((_OF_PICTURES, ls.load_image), (_OF_SHADOWS, _shadow_strength)):
+        wanted = [name for name in names if name in known]
+        if wanted:
+            image, reference = load(pair.image), load(pair.reference)
+            try:
+                figures |= {name: _metric(known[name])(image, reference) for name in wanted}
+            except ls.SceneError as error:
+                raise ls.FormatError(pair.image, f"cannot be compared with {pair.reference}: {error}") from None
+    return {name: figures[name] for name in names}
+
+
+def _metric(name: str) -> Callable[..., float]:
+    return getattr(ls, name)
+
+
+def _shadow_strength(path: Path) -> np.ndarray:
+    """The mean of the channels: of linear files as it is, of others as they are shown."""
+    linear = path.suffix.lower() in (".exr", ".hdr")
+    return (ls.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
+
+
+def _mean(values: Sequence[float]) -> float:
+    """The mean of those that exist."""
+    existing = [value for value in values if not math.isnan(value)]
+    return sum(existing) / len(existing) if existing else math.nan
+
+
+def _counted(files: Sequence[Path]) -> str:
+    return "no file given" if not files else f"{len(files)} file{'s' * (len(files) > 1)} given"
+
+
+def _plain(figures: _Figures) -> dict[str, float | str | None]:
+    """Figures that JSON can hold."""
+    return {
+        name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
+    }
+
+
+def _told(figures: _Figures) -> list[str]:
+    return [_digits(name, value) for name, value in figures.items()]
+
+
+def _digits(name: str, value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"

@@ -1,0 +1,126 @@
+"""``lumisplat shadowmap``: shadows of things that were not there when a scene was captured, baked into the capture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import DeviceCommand, Flag, load_scene, setting, without_none
+from lumisplat.cli.output.console import byte_size, progress_bars, quiet_warp
+from lumisplat.cli.output.filming import told_lights
+
+_CAPTURES = (".ply", ".spz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowMap(DeviceCommand):
+    """Cast shadows of avatars and objects onto a capture, and save it with them."""
+
+    casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
+    """What casts: captures, meshes, or a scene.toml that places them. They are not part of the result."""
+    onto: Annotated[Path, arg(metavar="FILE")]
+    """The capture that receives the shadows."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
+    """.ply, .compressed.ply or .spz: the capture in shadow. Or .npz: the deep shadow map itself, of one light, for
+    ls.DeepShadowMap.load."""
+    light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
+    """A light's position; may be given several times, and lights are taken as equally strong. Without: the lights of
+    the casters' files, else those that are found in the capture."""
+    sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
+    """Which way the light of a sun travels, in place of --light."""
+    direct: Annotated[float | None, setting("0..1", "0.7")] = None
+    """Share of the capture's light that comes from these lights; the rest is never in shadow."""
+    strength: Annotated[float | None, setting("FACTOR", "1")] = None
+    """Of the casters' absorption: more is darker where they are thin."""
+    absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("{simple,avg,mass,diag}", "avg")] = (
+        None
+    )
+    """How a Gaussian's opacity becomes absorption."""
+    sampling: Annotated[
+        Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
+    ] = None
+    """Where a Gaussian of the capture looks at the map: its centre, 7 points, or points drawn from it."""
+    resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
+    """Of the map, across all directions."""
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
+
+    def run(self) -> None:
+        """Casts, and saves."""
+        is_map = self.output.suffix.lower() == ".npz"
+        if not is_map and self.output.suffix.lower() not in _CAPTURES:
+            raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")
+        lights = self._lights()
+        if not self.debug:
+            quiet_warp()
+        with progress_bars() as report:
+            casters = load_scene(self.casters, drop_invalid=self.drop_invalid, report=report)
+            capture = ls.load(
+                self.onto, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {self.onto.name}")
+            )
+            if not isinstance(capture, ls.Gaussians):
+                raise ls.FormatError(self.onto, "is not a capture: shadows are cast onto Gaussians only")
+            report("casting shadows", 0.0)
+            lights = lights or casters.lights
+            told = self._save_map(casters, capture, lights) if is_map else self._save_capture(casters, capture, lights)
+            report("casting shadows", 1.0)
+        print(told)
+
+    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
+        config = ls.AvatarLightingConfig(
+            shadow=self._map_config(), relight=False, **without_none({"direct": self.direct})
+        )
+        scene = ls.Scene(splats=(ls.SplatInstance(capture),))
+        lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device)
+        shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
+        ls.save(self.output, shadowed)
+        changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
+        told = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
+        if lighter.estimate is not None:
+            told += f"\nno lights were given, it falls from what was found: {told_lights(lighter.estimate.lights)}"
+        return told
+
+    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
+        if len(lights) != 1:
+            raise ls.ConfigError(f"a map is of one light, got {len(lights)}: give one --light or a --sun")
+        if self.direct is not None:
+            raise ls.ConfigError("--direct is about the capture: a map tells how much of a light passes")
+        shadow = ls.DeepShadowMap.build(casters, lights[0], capture, self._map_config(), device=self.device)
+        shadow.save(self.output)
+        stats = shadow.stats
+        return (
+            f"{self.output}: {stats.voxels:,} bins of {stats.texels:,} texels behind {stats.casters:,} Gaussians, "
+            f"{byte_size(self.output.stat().st_size)}"
+        )
+
+    def _map_config(self) -> ls.DeepShadowConfig:
+        changes = without_none({"strength": self.strength, "resolution": self.resolution})
+        if self.absorption is not None:
+            changes["absorption"] = ls.Absorption(self.absorption)
+        if self.sampling is not None:
+            changes["sampling"] = ls.ReceiverSampling(self.sampling)
+        return replace(ls.DeepShadowConfig(), **changes)
+
+    def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
+        """Those that were given."""
+        if self.sun is not None and self.light:
+            raise ls.ConfigError("--sun and --light are both given: choose one")
+        if self.sun is not None:
+            return (ls.LightDirectional(_vector("--sun", self.sun)),)
+        return tuple(ls.LightPoint(_vector("--light", text)) for text in self.light)
+
+
+def _vector(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ls.ConfigError(f"{option} is '{text}', expected three numbers with commas, such as 0,-2.5,1") from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ls.ConfigError(f"{option} is '{text}', expected finite numbers")
+    return x, y, z

@@ -1,0 +1,121 @@
+"""Options of light: what lights the scene, its shadows, and how bright pictures come out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from tyro.conf import OmitArgPrefixes, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import setting, without_none
+
+_LIGHTING = {"auto": None, "on": True, "off": False}
+_HALF = math.sqrt(0.5)
+UPRIGHT = {"y-up": (1.0, 0.0, 0.0, 0.0), "y-down": (0.0, 1.0, 0.0, 0.0), "z-up": (_HALF, _HALF, 0.0, 0.0)}
+"""World from environment, wxyz: the environment's +y points up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightOptions:
+    """Settings of `lumisplat.RenderConfig` and `lumisplat.ShadowConfig`, an environment, and the exposure."""
+
+    lighting: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
+    """auto: lit if the scene has lights. on: also without any, by a headlight at the camera. off: captures as
+    trained, meshes in their flat colours."""
+    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
+    """soft: lights that have a size cast penumbrae, which --samples make smooth."""
+    shadow_method: Annotated[
+        Literal["exact", "first-hits", "stochastic"] | None, setting("{exact,first-hits,stochastic}", "exact")
+    ] = None
+    """How Gaussians block light. exact: all that are in the way. first-hits: the nearest --shadow-hits only, faster
+    and at times too bright. stochastic: all or nothing by chance, the fastest; --samples average it."""
+    shadow_hits: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
+    """Gaussians that first-hits counts."""
+    shadow_offset: Annotated[float | None, setting("0..100", "3.0")] = None
+    """A splat surface is not shadowed by Gaussians nearer than this many times its own size: raise it against specks,
+    lower it where contact shadows are missing."""
+    shadow_offset_absolute: Annotated[float | None, setting("UNITS", "0.0")] = None
+    """Added to that, in units of the scene."""
+    shadow_threshold: Annotated[float | None, setting("0..0.99", "0.0")] = None
+    """What lets through less light than this counts as opaque: harder, darker shadows."""
+    shadow_color: Annotated[float | None, setting("0..5", "0.0")] = None
+    """How much partial shadows take on the colour of what is in the way: stained glass."""
+    tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("{none,neutral,agx}", "none")] = None
+    """How lit frames become pictures. none: what is too bright is clipped. neutral: highlights compressed, colours
+    true. agx: as film. What only shows a capture stays as captured."""
+    exposure: Annotated[float | None, arg(metavar="STOPS", help_behavior_hint="")] = None
+    """Of lit pictures: 1 is twice as bright, -1 half. Without: the camera's own, else 0."""
+    environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Light from everywhere by a latitude-longitude image, .hdr or .exr, in place of the scene's own. It stands
+    upright as --up says."""
+    environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
+    """Turns --environment about the vertical, counter-clockwise seen from above."""
+
+    def changes(self) -> dict[str, Any]:
+        """What was given, by the names of `lumisplat.RenderConfig`; what is of its ``shadow`` in a dictionary there.
+
+        Raises:
+            ConfigError: A value is out of its range.
+        """
+        shadow = {
+            "method": self.shadow_method and ls.ShadowMethod(self.shadow_method),
+            "hits": self.shadow_hits,
+            "offset": self.shadow_offset,
+            "offset_absolute": self.shadow_offset_absolute,
+            "transmittance_threshold": self.shadow_threshold,
+            "color_strength": self.shadow_color,
+        }
+        settings = {
+            "shadows": self.shadows and ls.Shadows(self.shadows),
+            "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
+            "shadow": without_none(shadow),
+        }
+        lighting = {} if self.lighting is None else {"lighting": _LIGHTING[self.lighting]}
+        return lighting | without_none(settings)
+
+    def exposed(self, camera: ls.Camera) -> ls.Camera:
+        """The camera, with the exposure that was given.
+
+        Raises:
+            SceneError: It is not finite.
+        """
+        return camera if self.exposure is None else replace(camera, exposure=self.exposure)
+
+    def environment_light(self) -> ls.LightEnvironment | None:
+        """The environment that was given, as its image lies: upright for y up.
+
+        Raises:
+            ConfigError: There is a rotation, and nothing to rotate.
+            FormatError: The image cannot be read.
+        """
+        if self.environment is None:
+            if self.environment_rotation is not None:
+                raise ls.ConfigError("--environment-rotation turns --environment, which is missing")
+            return None
+        if not math.isfinite(self.environment_rotation or 0.0):
+            raise ls.ConfigError(f"--environment-rotation is {self.environment_rotation}, expected degrees")
+        return ls.LightEnvironment(image=ls.load_radiance(self.environment), name=self.environment.stem)
+
+    def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None, up: str) -> ls.Scene:
+        """The scene with the environment that was given in place of its own.
+
+        Args:
+            scene: What was loaded.
+            environment: What `environment_light` has given.
+            up: ``y-down``, ``y-up`` or ``z-up``.
+        """
+        if environment is None:
+            return scene
+        half = 0.5 * math.radians(self.environment_rotation or 0.0)
+        w, x, _, _ = UPRIGHT[up]
+        c, s = math.cos(half), math.sin(half)
+        turned = replace(environment, rotation_wxyz=(w * c, x * c, w * s, x * s))
+        others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))
+        return replace(scene, lights=(*others, turned))
+
+
+LightGroup = Annotated[LightOptions, arg(name="light"), OmitArgPrefixes]
+"""A field of a command that shows its options in a group of their own."""

@@ -1,0 +1,63 @@
+"""Options of rays: samples, mirrors and glass, and how they meet Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from tyro.conf import OmitArgPrefixes, arg
+
+import lumisplat as ls
+from lumisplat.cli.options.common import Flag, setting, without_none
+
+PipelineName = Literal["raster", "trace", "hybrid"]
+StrategyName = Literal["sorted", "stochastic-hit", "stochastic-pass"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TraceOptions:
+    """Settings of `lumisplat.TraceConfig` and of the rays of a frame, under the same names."""
+
+    strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
+    """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: one of them by chance, the fastest.
+    stochastic-pass: a few of them by chance. Chance averages out over --samples."""
+    samples: Annotated[int | None, setting("N", "1")] = None
+    """Rays a pixel; more antialias, and take out the noise of chance."""
+    seed: Annotated[int | None, setting("N", "0")] = None
+    """Another one gives other noise, the same one the same image."""
+    max_bounces: Annotated[int | None, setting("N", "3")] = None
+    """Reflections and refractions that a ray follows."""
+    kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
+    """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
+    min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
+    """Gaussians end where their response times opacity falls to this, if they do not at 1/255 before."""
+    hit_distance: Annotated[Literal["peak", "hull"] | None, setting("{peak,hull}", "peak")] = None
+    """Where a ray hits a Gaussian: at its largest response, or where it enters it."""
+    normals: Annotated[Literal["plane", "ellipsoid"] | None, setting("{plane,ellipsoid}", "plane")] = None
+    """Normal of a Gaussian: of its plane of largest density, or of its ellipsoid where the ray enters."""
+    hits_per_pass: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
+    """Gaussians that a ray collects at once."""
+    no_jitter: Flag = False
+    """All samples through the centre of the pixel: edges stay hard."""
+
+    def changes(self) -> dict[str, Any]:
+        """What was given, by the names of `lumisplat.RenderConfig`; what is of its ``trace`` in a dictionary there.
+
+        Raises:
+            ConfigError: A value is out of its range.
+        """
+        trace = {
+            "strategy": self.strategy and ls.TraceStrategy(self.strategy),
+            "hits_per_pass": self.hits_per_pass,
+            "kernel_degree": self.kernel_degree,
+            "min_response": self.min_response,
+            "hit_distance": self.hit_distance and ls.HitDistance(self.hit_distance),
+            "normal_method": self.normals and ls.NormalMethod(self.normals),
+            "jitter": False if self.no_jitter else None,
+        }
+        rays = {name: getattr(self, name) for name in ("samples", "seed", "max_bounces")}
+        return without_none({**rays, "trace": without_none(trace)})
+
+
+TraceGroup = Annotated[TraceOptions, arg(name="ray"), OmitArgPrefixes]
+"""A field of a command that shows its options in a group of their own."""

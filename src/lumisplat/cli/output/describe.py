@@ -1,0 +1,189 @@
+"""What ``lumisplat info`` says about captures, meshes, materials, lights, cameras and images, in rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import lumisplat as ls
+from lumisplat.cli.output.console import byte_size
+from lumisplat.cli.output.pictures import file_stems
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from lumisplat.scene.lights import Light
+    from lumisplat.scene.materials import Material
+
+_BAR = 24
+"""Length of the longest histogram bar, characters."""
+
+_UNITS = {ls.LightDirectional: "lux", ls.LightPoint: "cd", ls.LightSpot: "cd", ls.LightEnvironment: "x image"}
+
+Rows = list[tuple[str, str]]
+
+
+def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
+    """A capture."""
+    import numpy as np
+
+    arrays = gaussians.arrays()
+    percentiles = np.percentile(gaussians.scales, (1, 50, 99))
+    rows = [
+        ("Gaussians", f"{gaussians.count:,}"),
+        ("SH degree", f"{gaussians.sh_degree}"),
+        ("bounds", box(*gaussians.bounds())),
+        (
+            "scale",
+            "1 % {:.4g}   median {:.4g}   99 % {:.4g}   largest {:.4g}".format(*percentiles, gaussians.scales.max()),
+        ),
+        ("opacity", _histogram(gaussians.opacities)),
+        ("memory", byte_size(sum(array.nbytes for array in arrays.values()))),
+        ("antialiased", "yes (Mip-Splatting)" if gaussians.antialiased else "no"),
+    ]
+    if gaussians.kernel_degree != 2:  # all but a few captures
+        rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
+    extras = [name for name in ("normals", "albedo", "roughness", "metallic") if name in arrays]
+    if extras:
+        rows.append(("also has", ", ".join(extras)))
+    rows += [("comment", comment) for comment in gaussians.comments]
+    return rows
+
+
+def splat_rows(splat: ls.SplatInstance) -> Rows:
+    """A capture in a scene, and how it takes light."""
+    rows = gaussian_rows(splat.gaussians)
+    if splat.material is not None:
+        rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
+    if splat.sh_degree < splat.gaussians.sh_degree:
+        rows.append(("SH used", f"degree {splat.sh_degree}"))
+    if splat.shadow_only:
+        rows.append(("shadow only", "keeps its look, takes shadows"))
+    return rows
+
+
+def mesh_rows(mesh: ls.Mesh) -> Rows:
+    """A mesh and its material."""
+    material = mesh.material
+    has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
+    rows = [
+        ("vertices", f"{mesh.vertex_count:,}"),
+        ("faces", f"{mesh.face_count:,}"),
+        ("bounds", box(*mesh.bounds())),
+        ("has", ", ".join(has) or "positions only"),
+        ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
+        ("surface", _surface(material)),
+    ]
+    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
+    for name in names:
+        texture = getattr(material, name)
+        if texture is not None:
+            kind = name.removesuffix("_texture").replace("_", " ")
+            rows.append(("texture", f"{kind}   {texture.shape[1]} x {texture.shape[0]}"))
+    return rows
+
+
+def light_row(light: Light) -> tuple[str, str]:
+    """A light: what kind, how bright, and where."""
+    kind = type(light).__name__.removeprefix("Light").lower()
+    said = ["{:.4g} {}".format(light.intensity, _UNITS.get(type(light), "cd/m2"))]
+    if light.color != (1.0, 1.0, 1.0):
+        said.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
+    for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):
+        if hasattr(light, name):
+            said.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *getattr(light, name)))
+    for name in ("range", "radius"):
+        value = getattr(light, name, 0.0)
+        if 0.0 < value < math.inf:
+            said.append(f"{name} {value:.4g}")
+    if isinstance(light, ls.LightSpot):
+        said.append(f"cone {math.degrees(light.inner_angle):.3g} to {math.degrees(light.outer_angle):.3g} degrees")
+    if isinstance(light, ls.LightDirectional) and light.angle:
+        said.append(f"angle {math.degrees(light.angle):.3g} degrees")
+    if isinstance(light, ls.LightEnvironment):
+        said.append("one colour" if light.image is None else image_size(light.image))
+    said += [text for text, is_so in (("off", not light.enabled), ("no shadow", not light.casts_shadow)) if is_so]
+    return kind + (f" {light.name}" if light.name else ""), "   ".join(said)
+
+
+def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
+    """The cameras of a file, together."""
+    import numpy as np
+
+    sizes = sorted({(camera.width, camera.height) for camera in cameras})
+    eyes = np.array([camera.eye for camera in cameras])
+    names = file_stems([camera.name for camera in cameras])
+    return [
+        ("kind", "cameras"),
+        ("frames", f"{len(cameras):,}"),
+        (
+            "sizes",
+            ", ".join(f"{width} x {height}" for width, height in sizes[:4]) + (", ..." if len(sizes) > 4 else ""),
+        ),
+        ("positions", box(eyes.min(axis=0), eyes.max(axis=0))),
+        ("names", ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")),
+    ]
+
+
+def radiance_rows(image: npt.NDArray) -> Rows:
+    """An image of radiance, such as an environment."""
+    import numpy as np
+
+    return [
+        ("kind", "radiance"),
+        ("size", image_size(image)),
+        ("mean", "{:.4g} {:.4g} {:.4g}".format(*image.mean(axis=(0, 1), dtype=np.float64))),
+        ("largest", f"{image.max():.4g}"),
+    ]
+
+
+def changed_settings(config: ls.RenderConfig) -> str:
+    """The settings of a scene file that are not the library's."""
+    default = ls.RenderConfig()
+    said = []
+    for field in fields(config):
+        value, rest = getattr(config, field.name), getattr(default, field.name)
+        if isinstance(value, ls.RasterConfig | ls.TraceConfig | ls.ShadowConfig):
+            names = [one.name for one in fields(value) if getattr(value, one.name) != getattr(rest, one.name)]
+            said += [f"{field.name}.{name} {_shown(getattr(value, name))}" for name in names]
+        elif value != rest:
+            said.append(f"{field.name} {_shown(value)}")
+    return "   ".join(said)
+
+
+def image_size(image: npt.NDArray) -> str:
+    """Width and height."""
+    return f"{image.shape[1]} x {image.shape[0]}"
+
+
+def box(low: npt.NDArray, high: npt.NDArray) -> str:
+    """Two corners."""
+    return "({:.4g}, {:.4g}, {:.4g}) to ({:.4g}, {:.4g}, {:.4g})".format(*low, *high)
+
+
+def _shown(value: object) -> str:
+    return str(getattr(value, "value", value))
+
+
+def _surface(material: Material) -> str:
+    if isinstance(material, ls.MaterialPbr):
+        names = ("metallic", "roughness", "specular", "ior", "transmission")
+        said = [f"{name} {getattr(material, name):.3g}" for name in names]
+        if any(material.emissive):
+            said.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive))
+        return "   ".join(said)
+    names = ("emissive", "ambient", "diffuse", "specular")
+    said = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]
+    return "   ".join([*said, f"shininess {material.shininess:.3g}"])
+
+
+def _histogram(opacities: npt.NDArray) -> str:
+    import numpy as np
+
+    counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))
+    bars = ["━" * round(_BAR * count / counts.max()) for count in counts]
+    return "\n".join(
+        f"{low:.1f} {bar:<{_BAR}} {count:,}" for low, bar, count in zip(edges[:-1], bars, counts, strict=True)
+    )

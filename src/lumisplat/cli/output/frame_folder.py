@@ -1,0 +1,84 @@
+"""The folder that an animation's frames go to: which are there, and of which scene and settings they are.
+
+Frames appear whole or not at all, so that what is there need not be made again. ``animate.json`` beside them says what
+they were made of: with anything else, they are not continued but refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import lumisplat as ls
+from lumisplat.cli.output.pictures import make_folder
+
+STAMP = "animate.json"
+_FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
+
+
+@dataclass(frozen=True)
+class FrameFolder:
+    """Frames of one animation."""
+
+    folder: Path
+    extension: str
+
+    def path(self, index: int) -> Path:
+        """Where a frame goes."""
+        return self.folder / f"frame_{index:04d}.{self.extension}"
+
+    def is_finished(self, index: int) -> bool:
+        """Whether a frame is there."""
+        return self.path(index).is_file()
+
+    def prepare(self, origin: Mapping[str, str], overwrite: bool) -> None:
+        """Makes the folder ready for frames of an origin, of which those that are there already stay.
+
+        Args:
+            origin: All that frames are made of, by name.
+            overwrite: Remove all frames that are there first.
+
+        Raises:
+            ConfigError: There are frames of another origin; the message names what has changed.
+            FormatError: The folder cannot be written to.
+        """
+        stamp = self.folder / STAMP
+        frames = self._frames()
+        if overwrite:
+            for frame in frames:
+                frame.unlink()
+        elif frames:
+            self._check(stamp, origin)
+        make_folder(self.folder)
+        temporary = stamp.with_name(f".{STAMP}.{os.getpid()}")
+        try:
+            temporary.write_text(json.dumps(dict(origin), indent=1) + "\n")
+            os.replace(temporary, stamp)
+        except OSError as error:
+            raise ls.FormatError(stamp, f"cannot be written: {error.strerror or error}") from None
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+
+    def _frames(self) -> list[Path]:
+        if not self.folder.is_dir():
+            return []
+        return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
+
+    def _check(self, stamp: Path, origin: Mapping[str, str]) -> None:
+        advice = "give --overwrite to remove them, or another folder"
+        try:
+            before = json.loads(stamp.read_text())
+        except (OSError, ValueError):
+            before = None
+        if not isinstance(before, dict):
+            raise ls.ConfigError(f"{self.folder} holds frames, but no {STAMP} that says what they are of: {advice}")
+        changed = sorted(name for name in {*before, *origin} if before.get(name) != origin.get(name))
+        if changed:
+            named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
+            raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")

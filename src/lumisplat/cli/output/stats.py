@@ -1,0 +1,34 @@
+"""The table of ``--stats``: what a frame took."""
+
+from __future__ import annotations
+
+import lumisplat as ls
+from lumisplat.cli.output.console import byte_size, print_table
+
+
+def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
+    """Prints times, counts and memory of one frame that ``pipeline`` has made."""
+    print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
+
+
+def stage_times(frame: ls.Frame) -> dict[str, float]:
+    """Milliseconds per stage of a frame, a copy; empty on CUDA unless profiling."""
+    return dict(frame.stats.stage_ms) if frame.stats else {}
+
+
+def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
+    """Milliseconds per stage, then their sum; nothing where stages were not timed."""
+    if not stage_ms:
+        return []
+    rows = [(name, f"{milliseconds:8.2f} ms") for name, milliseconds in stage_ms.items()]
+    return [*rows, ("all stages", f"{sum(stage_ms.values()):8.2f} ms")]
+
+
+def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
+    """What the frame held and, for the rasteriser, how much of it counted; device memory."""
+    stats = frame.stats
+    assert stats is not None
+    rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
+    if pipeline is not ls.Pipeline.TRACE:
+        rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
+    return [*rows, ("not finite", f"{stats.nonfinite_count:,}"), ("memory", byte_size(stats.memory_bytes))]

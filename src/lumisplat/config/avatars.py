@@ -1,0 +1,81 @@
+"""Settings of light that is found in a capture, and of avatars in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole
+from lumisplat.config.relighting import RelightConfig
+from lumisplat.config.shadow_maps import DeepShadowConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LightEstimationConfig:
+    """Settings of `estimate_lights`. Lengths that are None follow from the scene's size.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    radius: float | None = None
+    """Gaussians farther than this from the character are not looked at, scene units; None: half as far again as 98 % of
+    them are."""
+    viewpoint_distance: float | None = None
+    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``, or
+    of what 98 % are within."""
+    emitter_size: float | None = None
+    """Largest size of what counts as a compact emitter, scene units; None: likewise a twelfth. What is nearer to the
+    character is no light."""
+    separation: float | None = None
+    """Least distance of two lights, scene units; None: three times ``emitter_size``."""
+    compactness: float = 0.5
+    """Share of its score by which a light must stand out from what surrounds it, 0..1; at 0, bright walls and windows
+    count, too."""
+    weakest: float = 0.05
+    """What scores less than this share of the best is no light, 0..1."""
+    irradiance: float = math.pi
+    """What all lights together give a surface at the character's centre that faces each of them, 1e-6..1e6: with pi,
+    white paper is white."""
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "viewpoint_distance", "emitter_size", "separation"):
+            if getattr(self, name) is not None:
+                check_range(name, getattr(self, name), 1e-6, 1e9)
+        check_range("compactness", self.compactness, 0.0, 1.0)
+        check_range("weakest", self.weakest, 0.0, 1.0)
+        check_range("irradiance", self.irradiance, 1e-6, 1e6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AvatarLightingConfig:
+    """Settings of an `AvatarLighter`.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    shadows: bool = True
+    """Whether actors darken the captured scene."""
+    shadow: DeepShadowConfig = field(default_factory=DeepShadowConfig)
+    """Of the deep shadow map of each light."""
+    direct: float = 0.7
+    """Share of a receiver's light that comes from the lights, 0..1: the rest is never in shadow. With 1 and one light,
+    shadows are as in seeds/001, black where nothing passes."""
+    relight: bool = True
+    """Whether actors take on the light of the place where they are."""
+    transfer: RelightConfig = field(default_factory=RelightConfig)
+    """How they do: what a probe's light does to Gaussians."""
+    light_count: int = 3
+    """Lights that are looked for where none are given, 1..64."""
+    estimation: LightEstimationConfig = field(default_factory=LightEstimationConfig)
+    """How they are found."""
+
+    def __post_init__(self) -> None:
+        check_flag("shadows", self.shadows)
+        check_kind("shadow", self.shadow, DeepShadowConfig)
+        check_range("direct", self.direct, 0.0, 1.0)
+        check_flag("relight", self.relight)
+        check_kind("transfer", self.transfer, RelightConfig)
+        check_whole("light_count", self.light_count, 1, 64)
+        check_kind("estimation", self.estimation, LightEstimationConfig)

@@ -1,0 +1,1 @@
+"""The demo scene, all of it made by formula."""

@@ -1,0 +1,84 @@
+"""The rays of cameras: pinhole, equidistant fisheye and orthographic, with a thin lens and a rolling shutter."""
+
+import math
+
+import warp as wp
+
+from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, stream_of
+from lumisplat.device.structs.rays import LensData, Ray
+
+wp.set_module_options({"enable_backward": False})
+
+PINHOLE = wp.constant(0)
+FISHEYE = wp.constant(1)
+ORTHOGRAPHIC = wp.constant(2)
+
+PI = wp.constant(wp.float32(math.pi))
+
+
+@wp.func
+def disk_point(u: float, v: float) -> wp.vec2:
+    """A point of the unit disk, uniform over its area for uniform ``u`` and ``v`` in [0, 1)."""
+    radius = wp.sqrt(u)
+    return wp.vec2(radius * wp.cos(2.0 * PI * v), radius * wp.sin(2.0 * PI * v))
+
+
+@wp.func
+def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
+    """A vector turned about a unit axis by an angle in radians (Rodrigues), exactly itself for none."""
+    across = wp.cross(axis, vector)
+    half = wp.sin(0.5 * angle)
+    return vector + wp.sin(angle) * across + 2.0 * half * half * wp.cross(axis, across)
+
+
+@wp.func
+def camera_ray(lens: LensData, x: int, y: int) -> Ray:
+    """The ray through a pixel, of the lens's sample; its direction is zero where a fisheye sees nothing.
+
+    With an aperture it starts on the lens and meets the ray through the lens's centre where that is in focus: on a
+    plane across the axis; for a fisheye, which may see behind itself, on a sphere, and its lens is square to that ray.
+    """
+    ray = Ray()
+    u = (float(x) + lens.offset[0] - lens.center[0]) / lens.focal[0]
+    v = (float(y) + lens.offset[1] - lens.center[1]) / lens.focal[1]
+
+    start = wp.vec3(0.0, 0.0, 0.0)
+    direction = wp.vec3(0.0, 0.0, 1.0)
+    right = wp.vec3(1.0, 0.0, 0.0)
+    down = wp.vec3(0.0, 1.0, 0.0)
+    if lens.model == FISHEYE:
+        theta = wp.sqrt(u * u + v * v)
+        if theta > PI:
+            return ray
+        if theta > 0.0:
+            outward = wp.vec3(u / theta, v / theta, 0.0)
+            direction = wp.sin(theta) * outward + wp.cos(theta) * direction
+            right = wp.vec3(-outward[1], outward[0], 0.0)
+            down = wp.cross(direction, right)
+    elif lens.model == ORTHOGRAPHIC:
+        start = wp.vec3(u, v, 0.0)
+    else:
+        direction = wp.normalize(wp.vec3(u, v, 1.0))
+
+    if lens.aperture > 0.0:
+        stream = stream_of(y * lens.width + x, lens.sample, lens.seed)
+        point = lens.aperture * disk_point(draw(stream, LENS_RADIUS), draw(stream, LENS_ANGLE))
+        shift = point[0] * right + point[1] * down
+        sharp = lens.focus_distance
+        if lens.model != FISHEYE:
+            sharp /= direction[2]
+        start += shift
+        direction = wp.normalize(sharp * direction - shift)
+
+    ray.t_min = lens.near
+    if lens.model != FISHEYE:
+        ray.t_min /= direction[2]
+    ray.origin = lens.eye + lens.world_from_camera * start
+    ray.direction = lens.world_from_camera * direction
+    if lens.shutter != 0:
+        time = (float(y) + 0.5) / float(lens.height)
+        angle = time * lens.turn_angle
+        ray.origin = lens.eye + time * lens.motion + turned(lens.world_from_camera * start, lens.turn_axis, angle)
+        ray.direction = turned(ray.direction, lens.turn_axis, angle)
+    ray.direction = wp.normalize(ray.direction)
+    return ray

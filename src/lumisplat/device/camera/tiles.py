@@ -1,0 +1,28 @@
+"""Tiles of the image: their size, the values of one, and which pixel an item is."""
+
+import warp as wp
+
+from lumisplat.constants import TILE_PX
+from lumisplat.device.structs.scene import CameraData
+
+wp.set_module_options({"enable_backward": False})
+
+TILE = wp.constant(TILE_PX)
+TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
+
+TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
+TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)
+RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
+
+
+@wp.func
+def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
+    """Upper left pixel of a tile."""
+    return wp.vec2i((tile % camera.tiles_x) * TILE, (tile // camera.tiles_x) * TILE)
+
+
+@wp.func
+def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
+    """Pixel of an item, tile after tile and row after row within; it may lie outside the image."""
+    corner = tile_corner(camera, item // TILE_PIXELS)
+    return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)

@@ -1,0 +1,130 @@
+"""From a blended pixel to the surface that the rest of the frame works on."""
+
+from typing import Any
+
+import warp as wp
+
+from lumisplat.constants import NORMAL_DEGENERATE
+from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.math.color import over
+from lumisplat.device.structs.rays import RayRadiance
+from lumisplat.device.structs.scene import CameraData, InstanceData, MeshHits, Pixel, Splat, SurfaceData
+
+wp.set_module_options({"enable_backward": False})
+
+NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
+
+
+@wp.func
+def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
+    """Camera-space direction through a pixel's centre, with z = 1."""
+    return wp.vec3(
+        (float(x) + 0.5 - camera.center[0]) / camera.focal[0],
+        (float(y) + 0.5 - camera.center[1]) / camera.focal[1],
+        1.0,
+    )
+
+
+@wp.func
+def lay_behind(pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> Pixel:
+    """Adds what lies behind all that is there already."""
+    before = pixel.transmittance
+    weight = before * alpha
+    after = before - weight
+    pixel.color += weight * color
+    pixel.normal += weight * normal
+    pixel.transmittance = after
+    pixel.hits += 1
+    if before >= iso and after < iso:
+        pixel.splat = index
+    elif pixel.splat == -1:
+        pixel.splat = -2 - index
+    return pixel
+
+
+@wp.func
+def blend(pixel: Pixel, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float) -> Pixel:
+    """Adds one splat behind those already there; finishes the pixel instead where T would fall to its minimum."""
+    before = pixel.transmittance
+    if before - before * alpha > transmittance_min:
+        return lay_behind(pixel, splat.color, splat.normal, splat_index, alpha, iso)
+    pixel.transmittance = -before
+    return pixel
+
+
+@wp.func
+def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
+    """The instance that holds a Gaussian or triangle: the last one that starts at or before it."""
+    low = int(0)
+    high = instances.shape[0]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if instances[middle].first <= item:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def store_radiance(camera: CameraData, splats: wp.array(dtype=Splat), pixel: Pixel, x: int, y: int, out: RayRadiance):
+    """Writes what a pixel's splats give its ray, for what goes on from there."""
+    ray = ray_of_pixel(camera.width, x, y)
+    out.color[ray] = pixel.color
+    out.normal[ray] = pixel.normal
+    out.transmittance[ray] = wp.abs(pixel.transmittance)
+    out.depth[ray] = wp.inf
+    out.gaussian[ray] = pixel.splat
+    out.hits[ray] = pixel.hits
+    if pixel.splat >= 0:
+        out.depth[ray] = splats[pixel.splat].depth * wp.length(pixel_ray(camera, x, y))
+
+
+@wp.func
+def store_surface(
+    camera: CameraData,
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    hits: MeshHits,
+    pixel: Pixel,
+    x: int,
+    y: int,
+    surface: SurfaceData,
+):
+    """Ends a pixel on the mesh or the background, and writes it."""
+    i = y * camera.width + x
+    ray = pixel_ray(camera, x, y)
+    transmittance = wp.abs(pixel.transmittance)
+    depth_z = float(wp.inf)
+    gaussian = int(-1)
+    instance = int(-1)
+    if pixel.splat >= 0:
+        splat = splats[pixel.splat]
+        depth_z = splat.depth
+        instance = instance_of(instances, splat.index)
+        gaussian = splat.index - instances[instance].first
+
+    color = pixel.color
+    normal = pixel.normal
+    weight = 1.0 - transmittance
+    mesh_z = hits.depth_z[i]
+    if mesh_z < wp.inf:
+        color += transmittance * hits.color[i]
+        normal += transmittance * hits.normal[i]
+        weight = float(1.0)
+        transmittance = float(0.0)
+        if pixel.splat < 0:
+            depth_z = mesh_z
+            instance = hits.instance[i]
+
+    if weight > 0.0:
+        if wp.length(normal) > NORMAL_MIN * weight:
+            normal = wp.normalize(normal)
+        else:
+            normal = -(camera.world_from_camera * wp.normalize(ray))
+    surface.color[i] = over(color, transmittance, camera.background)
+    surface.alpha[i] = 1.0 - transmittance
+    surface.depth[i] = depth_z * wp.length(ray)
+    surface.normal[i] = normal
+    surface.gaussian[i] = gaussian
+    surface.instance[i] = instance

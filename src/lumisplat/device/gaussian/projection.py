@@ -1,0 +1,132 @@
+"""A Gaussian's projection to the image and its alpha there (EWA splatting, Zwicker et al. 2001; Kerbl et al. 2023)."""
+
+import math
+
+import warp as wp
+
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, COVARIANCE_2D_DET_MIN
+from lumisplat.device.math.sh import sh_color
+from lumisplat.device.structs.scene import CameraData, GaussianData, InstanceData, Splat
+
+wp.set_module_options({"enable_backward": False})
+
+OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
+LOG_ALPHA_MIN = wp.constant(wp.float32(math.log(ALPHA_MIN)))
+ALPHA_LIMIT = wp.constant(wp.float32(ALPHA_MAX))
+DET_MIN = wp.constant(wp.float32(COVARIANCE_2D_DET_MIN))
+
+mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
+
+
+@wp.func
+def projection_jacobian(camera: CameraData, point: wp.vec3) -> mat23:
+    """d(pixel) / d(point) at a camera-space point, moved inside 1.3 times the field of view."""
+    inv_z = 1.0 / point[2]
+    x = wp.clamp(point[0] * inv_z, camera.jacobian_min[0], camera.jacobian_max[0])
+    y = wp.clamp(point[1] * inv_z, camera.jacobian_min[1], camera.jacobian_max[1])
+    fx = camera.focal[0] * inv_z
+    fy = camera.focal[1] * inv_z
+    return mat23(fx, 0.0, -fx * x, 0.0, fy, -fy * y)
+
+
+@wp.func
+def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
+    """Unit normal of the max-density plane, inverse(covariance) (eye - mean); seeds/000 section 2.4.
+
+    It points towards the eye by construction, as the inverse covariance is positive definite. Dividing by the smallest
+    scale first keeps flat Gaussians inside float32.
+    """
+    smallest = wp.min(scale)
+    ratio = wp.vec3(smallest / scale[0], smallest / scale[1], smallest / scale[2])
+    local = wp.transpose(rotation) * to_eye
+    return wp.normalize(rotation * wp.cw_mul(wp.cw_mul(ratio, ratio), local))
+
+
+@wp.func
+def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
+    """The normal, or its opposite, on the side of the eye."""
+    return wp.where(wp.dot(normal, to_eye) < 0.0, -normal, normal)
+
+
+@wp.func
+def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: GaussianData, i: int) -> Splat:
+    """The splat of Gaussian ``i`` of an instance; log_opacity is -inf where it cannot touch the image."""
+    splat = Splat()
+    splat.log_opacity = -wp.inf
+    splat.index = instance.first + i
+    mean = gaussians.means[i]
+    view = instance.camera_from_object * mean + instance.camera_from_object_offset
+    splat.depth = view[2]
+    opacity = gaussians.opacities[i]
+    if not (view[2] > camera.near and opacity >= OPACITY_MIN):
+        return splat
+
+    rotation = wp.quat_to_matrix(gaussians.rotations[i])
+    scale = gaussians.scales[i]
+    pixel_from_object = projection_jacobian(camera, view) * instance.camera_from_object
+    spread = pixel_from_object * (rotation * wp.diag(scale))
+    u = spread[0]
+    v = spread[1]
+    uu = wp.dot(u, u)
+    vv = wp.dot(v, v)
+    xx = uu + camera.dilation
+    xy = wp.dot(u, v)
+    yy = vv + camera.dilation
+    area = wp.cross(u, v)
+    det_before = wp.dot(area, area)  # Lagrange's identity: the determinant without cancellation
+    det = det_before + camera.dilation * (uu + vv + camera.dilation)
+    if det <= DET_MIN:
+        return splat
+    if not det < wp.inf:
+        splat.log_opacity = 0.0
+        splat.along = wp.inf  # overflow: the caller counts it
+        return splat
+    if instance.antialiased != 0:
+        opacity *= wp.sqrt(det_before / det)
+    log_opacity = wp.log(opacity)
+    reach = 2.0 * (log_opacity - LOG_ALPHA_MIN)  # squared Mahalanobis distance at which alpha is 1/255
+    if not reach >= 0.0:
+        return splat
+    center = wp.vec2(
+        camera.focal[0] * view[0] / view[2] + camera.center[0], camera.focal[1] * view[1] / view[2] + camera.center[1]
+    )
+    extent = wp.vec2(wp.sqrt(reach * xx), wp.sqrt(reach * yy))
+    if (
+        center[0] + extent[0] < 0.5
+        or center[1] + extent[1] < 0.5
+        or center[0] - extent[0] > float(camera.width) - 0.5
+        or center[1] - extent[1] > float(camera.height) - 0.5
+    ):
+        return splat
+
+    splat.center = center
+    splat.extent = extent
+    splat.along = 0.5 * yy / det
+    splat.shear = xy / yy
+    splat.across = 0.5 / yy
+    splat.log_opacity = log_opacity
+    to_eye = instance.eye - mean
+    if instance.own_colors != 0:
+        splat.color = gaussians.albedo[i]
+    else:
+        degree = wp.min(instance.sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
+        splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
+    if instance.own_normals != 0:
+        splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye)
+    else:
+        splat.normal = instance.world_from_object * gaussian_normal(rotation, scale, to_eye)
+    return splat
+
+
+@wp.func
+def alpha_from_log(log_alpha: float) -> float:
+    """Alpha of a logarithm in [log(1/255), 0], to 7e-7 relative.
+
+    exp(x) = p(x / 8)^8 with a minimax p of degree 5 and p(0) = 1: multiplications and additions, so that it vectorises.
+    """
+    x = 0.125 * log_alpha
+    p = 0.039882663 + x * 0.0059069833
+    p = 1.0 + x * (0.999995 + x * (0.49990376 + x * (0.16604706 + x * p)))
+    p = p * p
+    p = p * p
+    return wp.min(p * p, ALPHA_LIMIT)

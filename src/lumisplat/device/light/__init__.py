@@ -1,0 +1,1 @@
+"""Lights and what they add: sampling, interactions, direct light, shadows, the lit film."""

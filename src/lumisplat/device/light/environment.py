@@ -1,0 +1,162 @@
+"""Light from all around: looking an image up by direction, and picking directions by its brightness.
+
+The image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. Directions are picked by
+the mean of what is interpolated over each cell, evenly in solid angle within it: none that shines is left out.
+"""
+
+import math
+
+import warp as wp
+
+from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
+from lumisplat.device.math.directions import PI, TWO_PI, angle_of
+from lumisplat.device.structs.light import EnvironmentData, LightSample
+
+wp.set_module_options({"enable_backward": False})
+
+INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
+
+
+@wp.func
+def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
+    """Where the image shows a direction of the world, 0..1 each, from the left and from the top."""
+    local = wp.transpose(environment.world_from_environment) * direction
+    u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
+    # Not the arc cosine of y, which knows little of what is near the poles.
+    v = INV_PI * angle_of(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
+    return wp.vec2(u, v)
+
+
+@wp.func
+def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
+    """Radiance at a place in the image: bilinear, left and right edges joined."""
+    x = at[0] * float(environment.width) - 0.5
+    y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
+    left = wp.floor(x)
+    top = wp.floor(y)
+    column = wp.clamp(int(left), -1, environment.width - 1)
+    beside = column + 1
+    if beside == environment.width:
+        beside = 0
+    if column < 0:
+        column = environment.width - 1
+    row = wp.clamp(int(top), 0, environment.height - 1)
+    below = wp.min(row + 1, environment.height - 1) * environment.width
+    row = row * environment.width
+    upper = wp.lerp(environment.texels[row + column], environment.texels[row + beside], x - left)
+    lower = wp.lerp(environment.texels[below + column], environment.texels[below + beside], x - left)
+    return wp.cw_mul(environment.power, wp.lerp(upper, lower, y - top))
+
+
+@wp.func
+def first_above(ends: wp.array(dtype=float), first: int, count: int, value: float) -> int:
+    """The first of ``count`` ascending numbers from ``first`` on that is above ``value``; the last one is."""
+    low = int(0)
+    high = count - 1
+    while low < high:
+        middle = (low + high) >> 1
+        if ends[first + middle] > value:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@wp.func
+def start_of(ends: wp.array(dtype=float), first: int, index: int) -> float:
+    """Where the share of an entry starts: where the last one's ends."""
+    if index == 0:
+        return 0.0
+    return ends[first + index - 1]
+
+
+@wp.func
+def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
+    """Cosines' distances from the nearer pole's, halved, at the edges of a row: ``sin^2 (theta / 2)``, with all digits.
+
+    In the upper half theta counts from the top, in the lower from the bottom.
+    """
+    step = 0.5 * PI / float(environment.height)
+    upper = row
+    lower = row + 1
+    if 2 * row >= environment.height:
+        upper = environment.height - row
+        lower = environment.height - row - 1
+    a = wp.sin(step * float(upper))
+    b = wp.sin(step * float(lower))
+    return wp.vec2(a * a, b * b)
+
+
+@wp.func
+def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
+    """Solid angle of a texel's cell."""
+    return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
+
+
+@wp.func
+def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp.vec3:
+    """What comes from a direction of the world; nothing where there is no environment."""
+    if environment.exists == 0:
+        return wp.vec3(0.0)
+    return interpolate(environment, image_coordinates(environment, direction))
+
+
+@wp.func
+def environment_density(environment: EnvironmentData, direction: wp.vec3) -> float:
+    """Density with which ``sample_environment`` gives a direction, per steradian."""
+    if environment.exists == 0:
+        return 0.0
+    at = image_coordinates(environment, direction)
+    column = wp.clamp(int(at[0] * float(environment.width)), 0, environment.width - 1)
+    row = wp.clamp(int(at[1] * float(environment.height)), 0, environment.height - 1)
+    first = row * environment.width
+    share_row = environment.row_ends[row] - start_of(environment.row_ends, 0, row)
+    share = environment.column_ends[first + column] - start_of(environment.column_ends, first, column)
+    return share_row * share / cell_size(environment, cell_height(environment, row))
+
+
+@wp.func
+def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
+    """A direction to look for the environment in, more often where it is brighter.
+
+    Args:
+        environment: The environment; a dark one, or none, gives no light from anywhere.
+        u: Random, 0..1 each.
+    """
+    sample = LightSample()
+    sample.direction = wp.vec3(0.0, 0.0, 1.0)
+    sample.distance = wp.inf
+    if environment.exists == 0 or environment.row_ends[environment.height - 1] <= 0.0:
+        return sample
+    down = wp.min(u[0], BELOW_ONE)
+    along = wp.min(u[1], BELOW_ONE)
+    row = first_above(environment.row_ends, 0, environment.height, down)
+    first = row * environment.width
+    column = first_above(environment.column_ends, first, environment.width, along)
+    # What is left of the random numbers says where in the cell.
+    start_row = start_of(environment.row_ends, 0, row)
+    share_row = environment.row_ends[row] - start_row
+    down = (down - start_row) / share_row
+    start = start_of(environment.column_ends, first, column)
+    share = environment.column_ends[first + column] - start
+    across = (float(column) + (along - start) / share) / float(environment.width)
+
+    height = cell_height(environment, row)
+    half2 = wp.lerp(height[0], height[1], down)
+    half = wp.sqrt(half2)
+    other = wp.sqrt(wp.max(1.0 - half2, 0.0))
+    v = 2.0 * INV_PI * angle_of(half, other)
+    y = 1.0 - 2.0 * half2
+    if 2 * row >= environment.height:
+        v = 1.0 - v
+        y = -y
+    sine = 2.0 * half * other
+    angle = TWO_PI * (across - 0.5)
+    local = wp.vec3(sine * wp.sin(angle), y, -sine * wp.cos(angle))
+    sample.direction = wp.normalize(environment.world_from_environment * local)
+    sample.density = share_row * share / cell_size(environment, height)
+    sample.irradiance = wp.min((1.0 / sample.density) * interpolate(environment, wp.vec2(across, v)), BRIGHTEST)
+    return sample

@@ -1,0 +1,57 @@
+"""What is left of a light behind what stands in its way."""
+
+import warp as wp
+
+from lumisplat.device.material.fresnel import fresnel
+from lumisplat.device.math.color import decode_srgb_color
+from lumisplat.device.math.random import stream_of
+from lumisplat.device.math.sh import sh_color
+from lumisplat.device.structs.bvh import ShadowData
+from lumisplat.device.structs.rays import SmoothData
+from lumisplat.device.structs.scene import GaussianData
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def shadow_key(settings: ShadowData) -> wp.uint32:
+    """Of what a stochastic sample draws; no pixel's."""
+    return stream_of(-1, settings.sample // 16, settings.seed)
+
+
+@wp.func
+def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> wp.vec3:
+    """Share of the light that crosses a surface, linear; none unless it is smooth and transmits.
+
+    Straight on, without refraction. So light is in the air on both sides, and Fresnel's reflectance is that of
+    coming from there also where it leaves the mesh: no angle is reflected totally.
+    """
+    if material.smooth == 0:
+        return wp.vec3(0.0)
+    mirrored = material.specular * fresnel(cosine, 1.0 / material.ior)
+    return (1.0 - mirrored) * (1.0 - material.metallic) * material.transmission * base_color
+
+
+@wp.func
+def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
+    """Linear colour of Gaussian ``i`` from all sides: its SH of degree 0."""
+    return decode_srgb_color(sh_color(gaussians.sh, i * gaussians.sh_count, 0, wp.vec3(0.0)))
+
+
+@wp.func
+def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
+    """Factor of the light that comes through Gaussians.
+
+    Args:
+        settings: Threshold and strength.
+        transmittance: Of all of them.
+        tint: Sum of their linear colours, weighted by alpha; its length does not matter.
+    """
+    if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
+        return wp.vec3(0.0)
+    bright = wp.min((transmittance - settings.threshold) / (1.0 - settings.threshold), 1.0)
+    share = wp.min(settings.color_strength * (1.0 - bright), 1.0)
+    largest = wp.max(tint)
+    if share <= 0.0 or largest <= 0.0:
+        return wp.vec3(bright)
+    return bright * wp.lerp(wp.vec3(1.0), tint / largest, share)

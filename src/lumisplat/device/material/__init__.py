@@ -1,0 +1,1 @@
+"""Materials: BSDFs, Fresnel, and what mirrors and glass do with a ray."""

@@ -1,0 +1,229 @@
+"""What a material does with light: how much of it goes which way, and directions to look for it in.
+
+Directions are unit vectors away from the surface, ``normal`` is on their side: below it, nothing is reflected. The two
+models are reciprocal, and no more light leaves than comes.
+"""
+
+import math
+
+import warp as wp
+
+from lumisplat.device.material.ggx import (
+    HALF_MIN2,
+    WIDTH_MIN,
+    facet_density,
+    lost_share,
+    masking,
+    mean_lost_share,
+    mean_rising_share,
+    rising_share,
+    visible_facet,
+)
+from lumisplat.device.math.directions import around
+from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, BsdfSample
+
+wp.set_module_options({"enable_backward": False})
+
+INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
+EXPONENT_MIN = wp.constant(wp.float32(-30.0))
+"""Natural logarithm below which a highlight is dark."""
+
+
+@wp.func
+def mean_of(color: wp.vec3) -> float:
+    """Of the three channels."""
+    return (color[0] + color[1] + color[2]) / 3.0
+
+
+# --- Simple: a diffuse part and a Phong highlight ---
+
+
+@wp.func
+def simple_scale(bsdf: Bsdf) -> wp.vec3:
+    """Factor, per channel, by which parts that reflect more than all light together are scaled down."""
+    total = bsdf.diffuse + bsdf.specular
+    return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
+
+
+@wp.func
+def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Phong's cosine to the power of the shininess."""
+    cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
+    # As log(x) <= x - 1, most directions need no power.
+    if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
+        return 0.0
+    return wp.exp(bsdf.shininess * wp.log(wp.min(cosine, 1.0)))
+
+
+@wp.func
+def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """``bsdf_eval`` above the horizon."""
+    value = INV_PI * bsdf.diffuse
+    if wp.max(bsdf.specular) > 0.0:
+        value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
+    if wp.max(bsdf.diffuse + bsdf.specular) > 1.0:
+        value = wp.cw_mul(value, simple_scale(bsdf))
+    return value
+
+
+@wp.func
+def simple_share(bsdf: Bsdf) -> float:
+    """Probability of the highlight."""
+    specular = mean_of(bsdf.specular)
+    if specular <= 0.0:
+        return 0.0
+    return specular / (specular + mean_of(bsdf.diffuse))
+
+
+# --- Metallic-roughness ---
+
+
+@wp.func
+def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """Of a microfacet that light meets at that cosine (Schlick 1994)."""
+    x = wp.max(1.0 - cosine, 0.0)
+    x2 = x * x
+    return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
+
+
+@wp.func
+def highlight_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
+    """Share of a white sky that the highlight reflects."""
+    return (1.0 - lost - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
+
+
+@wp.func
+def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """The same for a view at that cosine."""
+    return highlight_albedo(bsdf, rising_share(cosine, bsdf.width), lost_share(cosine, bsdf.width))
+
+
+@wp.func
+def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
+    """The diffuse part: what the highlight leaves of the light, and of the view (Kelemen and Szirmay-Kalos 2001)."""
+    if bsdf.grazing <= 0.0:
+        return INV_PI * bsdf.diffuse
+    white = wp.vec3(1.0)
+    enters = white - view_albedo(bsdf, cos_light)
+    leaves = white - view_albedo(bsdf, cos_view)
+    mean = white - highlight_albedo(bsdf, mean_rising_share(bsdf.width), mean_lost_share(bsdf.width))
+    mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
+    return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
+
+
+@wp.func
+def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """``bsdf_eval`` above the horizon."""
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    value = wp.vec3(0.0)
+    if wp.max(bsdf.diffuse) > 0.0:
+        value = pbr_diffuse(bsdf, cos_view, cos_light)
+    half = view + light
+    length2 = wp.dot(half, half)
+    if bsdf.width > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
+        width = wp.max(bsdf.width, WIDTH_MIN)
+        # Cook and Torrance's D G / (4 cos cos), of which the cosines cancel with Smith's.
+        facets = facet_density(normal, half, width) * (masking(cos_view, width) * masking(cos_light, width))
+        value += facets * reflectance(bsdf, 0.5 * wp.sqrt(length2))
+    return value
+
+
+@wp.func
+def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
+    """Probability of the highlight: its share of what all of the material would reflect of a white sky."""
+    if bsdf.width <= 0.0 or bsdf.grazing <= 0.0:
+        return 0.0
+    mirrored = view_albedo(bsdf, cos_view)
+    specular = mean_of(mirrored)
+    diffuse = mean_of(wp.cw_mul(bsdf.diffuse, wp.vec3(1.0) - mirrored))
+    if diffuse <= 0.0:
+        return 1.0
+    return specular / (specular + diffuse)
+
+
+# --- Both ---
+
+
+@wp.func
+def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
+    if wp.dot(normal, view) <= 0.0 or wp.dot(normal, light) <= 0.0:
+        return wp.vec3(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        return simple_eval(bsdf, normal, view, light)
+    return pbr_eval(bsdf, normal, view, light)
+
+
+@wp.func
+def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Density with which ``bsdf_sample`` gives the direction ``light``, per steradian.
+
+    What it would give below the horizon is missing: the integral is below 1 by so much.
+    """
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    if cos_view <= 0.0 or cos_light <= 0.0:
+        return 0.0
+    diffuse = INV_PI * cos_light
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+        if share <= 0.0:
+            return diffuse
+        specular = INV_TWO_PI * (bsdf.shininess + 1.0) * highlight(bsdf, normal, view, light)
+        return share * specular + (1.0 - share) * diffuse
+    share = pbr_share(bsdf, cos_view)
+    half = view + light
+    if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
+        return (1.0 - share) * diffuse
+    width = wp.max(bsdf.width, WIDTH_MIN)
+    specular = 0.5 * facet_density(normal, half, width) * masking(cos_view, width)
+    return share * specular + (1.0 - share) * diffuse
+
+
+@wp.func
+def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
+    """A direction to look for light in, more often where the material reflects more of it.
+
+    Args:
+        bsdf: The material.
+        normal: Unit.
+        view: Unit, away from the surface.
+        u: Random, 0..1 each.
+        choice: Random, 0..1, decides between diffuse and highlight.
+    """
+    sample = BsdfSample()
+    sample.direction = normal
+    cos_view = wp.dot(normal, view)
+    if cos_view <= 0.0:
+        return sample
+    share = float(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+    else:
+        share = pbr_share(bsdf, cos_view)
+    if choice >= share:
+        sample.direction = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    elif bsdf.model == BSDF_SIMPLE:
+        mirrored = 2.0 * cos_view * normal - view
+        cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
+        sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
+        sample.direction = around(wp.normalize(mirrored), cosine, sine, u[1])
+    else:
+        # In the plane of view and normal: x is the view's way along the surface.
+        along = view - cos_view * normal
+        sine = wp.length(along)
+        if sine > 1e-6:
+            along = along / sine
+        else:
+            along = around(normal, 0.0, 1.0, 0.0)
+        facet = visible_facet(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.width, WIDTH_MIN), u)
+        half = facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
+        sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
+    density = bsdf_pdf(bsdf, normal, view, sample.direction)
+    if density > 0.0:
+        value = bsdf_eval(bsdf, normal, view, sample.direction)
+        sample.weight = (wp.dot(normal, sample.direction) / density) * value
+        sample.density = density
+    return sample

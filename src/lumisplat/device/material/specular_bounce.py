@@ -1,0 +1,177 @@
+"""What a mesh does with a ray that meets it: what it shows of itself, and the rays that go on from it.
+
+In unlit frames, weights apply to display-referred colours, as captures hold them, else to linear light. Shares of
+energy (Fresnel's) are plain numbers there, so that what is reflected and what is let through add up to one; there,
+tints are encoded like any other colour.
+"""
+
+import warp as wp
+
+from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
+from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
+from lumisplat.device.math.color import encode_srgb_color
+from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.structs.rays import Bounce, MeshPlacement, RayData, RayMeshHits, SmoothData
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData
+
+wp.set_module_options({"enable_backward": False})
+
+ERROR = wp.constant(wp.float32(SPAWN_ERROR))
+SLENDER = wp.constant(wp.float32(SPAWN_SLENDER))
+
+
+@wp.func
+def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float, passes: bool) -> bool:
+    """Whether a shading normal reflects to the triangle's near side and refracts to its far one."""
+    cosine = -wp.dot(direction, normal)
+    if cosine <= 0.0 or wp.dot(reflect(direction, normal), side) <= 0.0:
+        return False
+    if passes and cosine2_beyond(cosine, eta) > 0.0:
+        return wp.dot(refract(direction, normal, eta), side) < 0.0
+    return True
+
+
+@wp.func
+def bounce_of(
+    material: SmoothData,
+    base_color: wp.vec3,
+    face_normal: wp.vec3,
+    shading_normal: wp.vec3,
+    direction: wp.vec3,
+    lit: bool,
+) -> Bounce:
+    """How a material splits the light that a ray brings.
+
+    A metal reflects as Schlick says, a dielectric as Fresnel does. What the dielectric does not reflect goes through
+    it, as far as it transmits, and shows the base colour otherwise.
+
+    Args:
+        material: What the surface is made of.
+        base_color: Linear.
+        face_normal: Unit, out of the mesh: a ray along it comes from inside. What transmits nothing has no inside.
+        shading_normal: Unit; not used where it would send light through the triangle that it should mirror, or back.
+        direction: Of the ray, unit.
+        lit: Weights are for linear light instead of display-referred colours.
+    """
+    bounce = Bounce()
+    bounce.color = base_color
+    if not lit:
+        bounce.color = encode_srgb_color(base_color)
+    bounce.eta = 1.0 / material.ior
+    bounce.side = face_normal
+    passes = material.transmission > 0.0
+    if wp.dot(direction, face_normal) > 0.0:
+        bounce.side = -face_normal
+        if passes:
+            bounce.eta = material.ior
+    bounce.normal = shading_normal
+    if wp.dot(shading_normal, bounce.side) < 0.0:
+        bounce.normal = -shading_normal
+    if material.smooth == 0:
+        return bounce
+    if not stays_outside(direction, bounce.normal, bounce.side, bounce.eta, passes):
+        bounce.normal = bounce.side
+    cosine = wp.clamp(-wp.dot(direction, bounce.normal), 0.0, 1.0)
+    mirrored = fresnel(cosine, bounce.eta)
+    if cosine2_beyond(cosine, bounce.eta) > 0.0:
+        mirrored *= material.specular
+    dielectric = 1.0 - material.metallic
+    let_through = dielectric * (1.0 - mirrored) * bounce.color
+    bounce.reflected = wp.vec3(dielectric * mirrored)
+    if material.metallic > 0.0:
+        metal = schlick(base_color, cosine)
+        if not lit:
+            metal = encode_srgb_color(metal)
+        bounce.reflected += material.metallic * metal
+    bounce.refracted = material.transmission * let_through
+    bounce.color = (1.0 - material.transmission) * let_through
+    return bounce
+
+
+@wp.func
+def bounce_of_ray(
+    i: int,
+    rays: RayData,
+    hits: RayMeshHits,
+    instances: wp.array(dtype=MeshInstanceData),
+    placements: wp.array(dtype=MeshPlacement),
+    meshes: MeshData,
+    lit: bool,
+) -> Bounce:
+    """What the mesh that a ray met does with it."""
+    number = hits.instance[i]
+    instance = instances[number]
+    corners = meshes.indices[hits.face[i]]
+    weights = hit_weights(hits.weights[i])
+    return bounce_of(
+        placements[number].material,
+        surface_color(instance, meshes, corners, weights),
+        face_normal(instance, meshes, corners),
+        surface_normal(instance, meshes, corners, weights),
+        rays.direction[i],
+        lit,
+    )
+
+
+@wp.func
+def magnitudes(m: wp.mat33) -> wp.mat33:
+    """Entry by entry."""
+    result = wp.mat33(0.0)
+    for i in range(3):
+        for j in range(3):
+            result[i, j] = wp.abs(m[i, j])
+    return result
+
+
+@wp.func
+def spawn_point(
+    placement: MeshPlacement, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
+) -> wp.vec3:
+    """A point of a triangle, moved along ``normal`` so far that a ray from there does not meet the triangle again.
+
+    How far that is follows from the sizes of the numbers that rounding acts on, there and in the next intersection, as
+    far as they bear on the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
+    Avoiding Self-Intersection). A point at an edge also moves away from it, by twice as much: in a corner, the ray
+    would start behind the other wall.
+
+    Args:
+        placement: Of the mesh.
+        meshes: Where its triangles are.
+        corners: The triangle's vertices.
+        weights: Barycentric.
+        normal: World space, unit, across the triangle, to the side on which the ray goes on.
+    """
+    v0 = meshes.positions[corners[0]]
+    local_edge1 = meshes.positions[corners[1]] - v0
+    local_edge2 = meshes.positions[corners[2]] - v0
+    local = v0 + weights[1] * local_edge1 + weights[2] * local_edge2
+    edge1 = placement.world_from_object * local_edge1
+    edge2 = placement.world_from_object * local_edge2
+    first = placement.world_from_object * v0
+    offset = placement.world_from_object * local
+    # In object space, distances along the world's unit normal are those along this.
+    across = wp.abs(wp.transpose(placement.world_from_object) * normal)
+    sizes = 2.0 * wp.abs(placement.position) + wp.abs(offset) + magnitudes(placement.world_from_object) * wp.abs(local)
+    local_sizes = (
+        wp.abs(v0)
+        + wp.abs(local_edge1)
+        + wp.abs(local_edge2)
+        + magnitudes(placement.object_from_world) * wp.abs(offset)
+    )
+    error = ERROR * (wp.dot(wp.abs(normal), sizes) + wp.dot(across, local_sizes))
+    # A hit's distance is a mean of the corners', weighted by areas: its rounding, half of 2^-24 by measurement, is all
+    # there is where the plane goes through the origin along two axes.
+    area = wp.length(wp.cross(edge1, edge2))
+    longest = wp.max(wp.length(edge2 - edge1), wp.max(wp.length(edge1), wp.length(edge2)))
+    error += ERROR / 16.0 * longest * wp.min(longest * longest / area, SLENDER)
+
+    # Heights over the edges are the doubled area over their lengths.
+    share = 2.0 * error / area
+    inner = wp.vec3(
+        wp.max(weights[0], wp.min(share * wp.length(edge2 - edge1), 0.25)),
+        wp.max(weights[1], wp.min(share * wp.length(edge2), 0.25)),
+        wp.max(weights[2], wp.min(share * wp.length(edge1), 0.25)),
+    )
+    inner = inner / (inner[0] + inner[1] + inner[2])
+    point = first + inner[1] * edge1 + inner[2] * edge2
+    return placement.position + (point + error * normal)

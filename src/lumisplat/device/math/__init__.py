@@ -1,0 +1,1 @@
+"""Colour, spherical harmonics, directions and random numbers on the device."""

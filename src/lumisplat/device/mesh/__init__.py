@@ -1,0 +1,1 @@
+"""One triangle: rasterised or hit by a ray, and the surface there."""

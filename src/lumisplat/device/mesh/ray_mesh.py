@@ -1,0 +1,43 @@
+"""A ray against instances of meshes: their boxes, and the ray in their own space."""
+
+import warp as wp
+
+from lumisplat.constants import RAY_START_BACK
+from lumisplat.device.mesh.ray_triangle import ray_shear
+from lumisplat.device.structs.rays import MeshPlacement, MeshRay
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BACK = wp.constant(wp.float32(RAY_START_BACK))
+
+
+@wp.func
+def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
+    """Where a ray's line enters and leaves a box; ``inverse`` of zero components is any large number."""
+    a = wp.cw_mul(low - origin, inverse)
+    b = wp.cw_mul(high - origin, inverse)
+    return wp.vec2(wp.max(wp.min(a, b)), wp.min(wp.max(a, b)))
+
+
+@wp.func
+def inverse_or_large(v: wp.vec3) -> wp.vec3:
+    """``1 / x`` of each component, finite."""
+    return wp.vec3(
+        wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
+        wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
+        wp.where(wp.abs(v[2]) > 1.0e-30, 1.0 / v[2], 1.0e30),
+    )
+
+
+@wp.func
+def ray_in_mesh(placement: MeshPlacement, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
+    """The part of a ray that begins at ``t_min``, or shortly before it enters the instance's box, object space.
+
+    From close by: rounding then acts on numbers of the box's size, not of the distance to it.
+    """
+    ray = MeshRay()
+    ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
+    ray.origin = placement.object_from_world * (origin - placement.position + ray.begin * direction)
+    ray.direction = placement.object_from_world * direction
+    ray.shear = ray_shear(ray.direction)
+    return ray

@@ -1,0 +1,1 @@
+"""Deep Gaussian shadow maps: the atlas, optical depth in closed form, lookups."""

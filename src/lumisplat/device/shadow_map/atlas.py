@@ -1,0 +1,208 @@
+"""Where a deep shadow map keeps a point: by the direction from the light, or for parallel light by its shadow's place.
+
+An atlas has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
+"""
+
+import warp as wp
+
+from lumisplat.constants import SHADOW_TILE
+from lumisplat.device.structs.scene import struct
+
+wp.set_module_options({"enable_backward": False})
+
+OCTAHEDRAL = wp.constant(0)
+CUBEMAP = wp.constant(1)
+PARALLEL = wp.constant(2)
+TILE = wp.constant(SHADOW_TILE)
+TILE_TEXELS = wp.constant(SHADOW_TILE * SHADOW_TILE)
+
+
+@struct
+class Atlas:
+    """A light and the space around it, cut into texels and bins."""
+
+    layout: int
+    """OCTAHEDRAL, CUBEMAP or PARALLEL."""
+    size: int
+    """Texels across a face, a multiple of ``TILE``."""
+    origin: wp.vec3
+    """The light; of parallel light, the corner of texel (0, 0)."""
+    axes: wp.mat33
+    """World from light, of parallel light: columns are the atlas's x and y and the way light travels."""
+    texel_length: float
+    """Of parallel light, scene units."""
+    bins: int
+    bin_length: float
+    """Scene units."""
+
+
+@struct
+class Place:
+    """A point in an atlas."""
+
+    face: int
+    x: float
+    """Texels; centres are whole numbers."""
+    y: float
+    t: float
+    """Distance from the light, scene units."""
+
+
+@struct
+class LightRay:
+    """The ray through a texel's centre."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    """Unit."""
+
+
+@wp.func
+def sign_of(value: float) -> float:
+    """1 or -1; of zero, 1."""
+    return wp.where(value < 0.0, -1.0, 1.0)
+
+
+@wp.func
+def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
+    """Where the octahedral map shows a direction, -1..1 each (seeds/001, equation 6)."""
+    q = direction / (wp.abs(direction[0]) + wp.abs(direction[1]) + wp.abs(direction[2]))
+    if q[2] >= 0.0:
+        return wp.vec2(q[0], q[1])
+    return wp.vec2(sign_of(q[0]) * (1.0 - wp.abs(q[1])), sign_of(q[1]) * (1.0 - wp.abs(q[0])))
+
+
+@wp.func
+def direction_from_octahedral(at: wp.vec2) -> wp.vec3:
+    """The unit direction that the octahedral map shows at a place."""
+    z = 1.0 - wp.abs(at[0]) - wp.abs(at[1])
+    if z >= 0.0:
+        return wp.normalize(wp.vec3(at[0], at[1], z))
+    x = sign_of(at[0]) * (1.0 - wp.abs(at[1]))
+    y = sign_of(at[1]) * (1.0 - wp.abs(at[0]))
+    return wp.normalize(wp.vec3(x, y, z))
+
+
+@wp.func
+def direction_from_cube(face: int, at: wp.vec2) -> wp.vec3:
+    """The unit direction at a place on a face: faces 0 to 2 are towards +x, +y, +z, 3 to 5 opposite.
+
+    The place is that of the two axes that follow the face's in cyclic order, -1..1 each.
+    """
+    axis = face % 3
+    direction = wp.vec3(0.0)
+    direction[axis] = wp.where(face < 3, 1.0, -1.0)
+    direction[(axis + 1) % 3] = at[0]
+    direction[(axis + 2) % 3] = at[1]
+    return wp.normalize(direction)
+
+
+@wp.func
+def texels_from_unit(atlas: Atlas, at: wp.vec2) -> wp.vec2:
+    """From -1..1 to texels, whose centres are whole numbers."""
+    half = 0.5 * float(atlas.size)
+    return wp.vec2((at[0] + 1.0) * half - 0.5, (at[1] + 1.0) * half - 0.5)
+
+
+@wp.func
+def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
+    """The other way round."""
+    scale = 2.0 / float(atlas.size)
+    return wp.vec2((x + 0.5) * scale - 1.0, (y + 0.5) * scale - 1.0)
+
+
+@wp.func
+def place_of_direction(atlas: Atlas, direction: wp.vec3) -> Place:
+    """Where the atlas of a point light shows a direction of any length; ``t`` is 0."""
+    place = Place()
+    if atlas.layout == OCTAHEDRAL:
+        at = texels_from_unit(atlas, octahedral_from_direction(direction))
+    else:
+        size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+        axis = int(0)
+        if size[1] > size[axis]:
+            axis = 1
+        if size[2] > size[axis]:
+            axis = 2
+        place.face = wp.where(direction[axis] < 0.0, axis + 3, axis)
+        along = wp.vec2(direction[(axis + 1) % 3], direction[(axis + 2) % 3]) / size[axis]
+        at = texels_from_unit(atlas, along)
+    place.x = at[0]
+    place.y = at[1]
+    return place
+
+
+@wp.func
+def place_of_point(atlas: Atlas, point: wp.vec3) -> Place:
+    """Where the atlas keeps a point, world space; the light itself is at distance 0 in any direction."""
+    offset = point - atlas.origin
+    if atlas.layout == PARALLEL:
+        local = wp.transpose(atlas.axes) * offset
+        place = Place()
+        place.x = local[0] / atlas.texel_length - 0.5
+        place.y = local[1] / atlas.texel_length - 0.5
+        place.t = local[2]
+        return place
+    distance = wp.length(offset)
+    if distance == 0.0:
+        offset = wp.vec3(0.0, 0.0, 1.0)
+    place = place_of_direction(atlas, offset)
+    place.t = distance
+    return place
+
+
+@wp.func
+def ray_at(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
+    """The ray through a place of the atlas, in texels."""
+    ray = LightRay()
+    if atlas.layout == PARALLEL:
+        ray.origin = atlas.origin + atlas.axes * wp.vec3(
+            (x + 0.5) * atlas.texel_length, (y + 0.5) * atlas.texel_length, 0.0
+        )
+        ray.direction = wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
+        return ray
+    ray.origin = atlas.origin
+    if atlas.layout == OCTAHEDRAL:
+        ray.direction = direction_from_octahedral(unit_from_texels(atlas, x, y))
+    else:
+        ray.direction = direction_from_cube(face, unit_from_texels(atlas, x, y))
+    return ray
+
+
+@wp.func
+def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
+    """The number of a texel, which may be one beyond an edge of its face: then it is the one that lies there.
+
+    -1 outside of what parallel light's plane covers.
+    """
+    size = atlas.size
+    if x < 0 or y < 0 or x >= size or y >= size:
+        if atlas.layout == PARALLEL:
+            return -1
+        if atlas.layout == OCTAHEDRAL:
+            # Beyond an edge lies its own mirror image: the edge's two halves are one, folded at their middle.
+            if x < 0 or x >= size:
+                x = wp.where(x < 0, -1 - x, 2 * size - 1 - x)
+                y = size - 1 - y
+            if y < 0 or y >= size:
+                y = wp.where(y < 0, -1 - y, 2 * size - 1 - y)
+                x = size - 1 - x
+        else:
+            beyond = direction_from_cube(face, unit_from_texels(atlas, float(x), float(y)))
+            place = place_of_direction(atlas, beyond)
+            face = place.face
+            x = wp.clamp(int(wp.floor(place.x + 0.5)), 0, size - 1)
+            y = wp.clamp(int(wp.floor(place.y + 0.5)), 0, size - 1)
+    tiles = size // TILE
+    return ((face * tiles + y // TILE) * tiles + x // TILE) * TILE_TEXELS + (y % TILE) * TILE + x % TILE
+
+
+@wp.func
+def texel_place(atlas: Atlas, texel: int) -> wp.vec3i:
+    """Face, x and y of a texel by its number."""
+    tiles = atlas.size // TILE
+    tile = texel // TILE_TEXELS
+    within = texel % TILE_TEXELS
+    x = (tile % tiles) * TILE + within % TILE
+    y = ((tile // tiles) % tiles) * TILE + within // TILE
+    return wp.vec3i(tile // (tiles * tiles), x, y)

@@ -1,0 +1,1 @@
+"""Data that kernels exchange: one struct is one noun of the method."""

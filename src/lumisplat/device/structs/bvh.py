@@ -1,0 +1,158 @@
+"""Data of ray tracing: Gaussians as rays meet them, the trees that hold them, and bundles of rays."""
+
+import warp as wp
+
+from lumisplat.constants import NODE_WIDTH
+from lumisplat.device.structs.scene import GaussianData, struct
+
+Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
+ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
+
+NO_CHILD = wp.constant(2**31 - 1)
+"""Link of an empty child."""
+
+FAR = wp.constant(wp.float32(1.0e30))
+"""Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
+
+
+@struct
+class KernelData:
+    """How Gaussians respond: what their bounds depend on."""
+
+    degree: int
+    """Exponent of the distance, 0 (linear) to 5."""
+    falloff: float
+    """a of the response exp(-a d^degree); the slope of the linear one."""
+    min_response: float
+    adaptive: int
+    """1: ``min_response`` is meant of the response times the opacity."""
+
+
+@struct
+class Particle:
+    """A Gaussian as rays meet it, 64 bytes: one cache line."""
+
+    canonical_from_object: wp.mat33
+    """Inverse of rotation times scale."""
+    mean: wp.vec3
+    """Object space."""
+    log_opacity: float
+    reach2: float
+    """Squared canonical distance beyond which it is ignored; negative: it never counts."""
+    index: int
+    """In its asset."""
+    unused: int
+    """Fills the line."""
+
+
+@struct
+class Box:
+    """Axis-aligned box; inverted where there is nothing."""
+
+    low: wp.vec3
+    high: wp.vec3
+
+
+@struct
+class Node:
+    """A node of a bounding volume hierarchy: the boxes of its children, one lane each."""
+
+    low_x: Children
+    low_y: Children
+    low_z: Children
+    high_x: Children
+    high_y: Children
+    high_z: Children
+    link: ChildLinks
+    """Child node, or ~place of an item in the order of the tree; NO_CHILD and an inverted box where there is none."""
+
+
+@struct
+class TreeAsset:
+    """A Gaussian set as rays meet it."""
+
+    nodes: wp.array(dtype=Node)
+    """The root first."""
+    particles: wp.array(dtype=Particle)
+    """In the order of the tree."""
+    gaussians: GaussianData
+
+
+@struct
+class TreeInstance:
+    """One placement of a TreeAsset."""
+
+    object_from_world: wp.mat33
+    """Rotation and uniform scale."""
+    object_from_world_offset: wp.vec3
+    world_from_object: wp.mat33
+    """Rotation only."""
+    kernel: KernelData
+    first: int
+    """Index of the instance's first Gaussian among all of the scene's."""
+    asset: int
+    shadow_only: int
+    """1: shadow rays that skip such instances do not see it."""
+    sh_degree: int
+    """Highest that is evaluated."""
+    own_colors: int
+    """1: Gaussians show their albedo."""
+    own_normals: int
+    """1: normals are those that the asset carries."""
+
+
+@struct
+class ShadowData:
+    """Settings of shadow rays, in a 1-element array."""
+
+    stochastic: int
+    """1: Gaussians block all or nothing, by chance."""
+    hull: int
+    """1: Gaussians are hit where rays enter their ellipsoid, which tells the first ones."""
+    transmittance_min: float
+    """What does not let through more counts as black."""
+    threshold: float
+    """What does not let through more counts as black, and the rest is stretched to 0..1."""
+    color_strength: float
+    seed: wp.uint32
+    sample: int
+    """Its number, which stochastic shadows depend on."""
+
+
+@struct
+class TraceData:
+    """Settings of the ray tracer, in a 1-element array."""
+
+    strategy: int
+    """SORTED, HIT or PASS of the integrator."""
+    hits_per_pass: int
+    """Of the stochastic pass."""
+    hull: int
+    """1: Gaussians are hit where rays enter their ellipsoid."""
+    ellipsoid_normal: int
+    """1: normals are those of that ellipsoid."""
+    transmittance_min: float
+    depth_iso_transmittance: float
+    acceptance_scale: float
+
+
+@struct
+class Slabs:
+    """The bound of a bundle of rays, made ready to be cut with boxes.
+
+    Six planes, up and down along three axes. As the bundle widens, each bounds t by ``b * factor + term``, b being its
+    distance from the box's plane: from above (far) where the bundle leaves the slab through it, from below (near)
+    where it comes in. Factors and terms of the bound that a plane does not give make it void.
+    """
+
+    low: wp.vec3
+    """Lower corner of a box around the origins."""
+    high: wp.vec3
+    up_far: wp.vec3
+    up_far_void: wp.vec3
+    up_near: wp.vec3
+    up_near_void: wp.vec3
+    down_far: wp.vec3
+    down_far_void: wp.vec3
+    down_near: wp.vec3
+    down_near_void: wp.vec3

@@ -1,0 +1,45 @@
+"""What a file may ask of memory: judged from its header, before anything is allocated."""
+
+from __future__ import annotations
+
+from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike
+
+
+def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes: int) -> None:
+    """Refuses a file that claims far more content than its size can hold.
+
+    Args:
+        path: The file.
+        what: What takes the memory, for the message.
+        decoded_bytes: Memory that reading it would take.
+        stored_bytes: Size of the compressed form.
+
+    Raises:
+        FormatError: Large, and larger than any real compression reaches.
+    """
+    if decoded_bytes > max(DECODED_BYTES_FREE, EXPANSION_MAX * stored_bytes):
+        raise FormatError(
+            path,
+            f"{what} would take {decoded_bytes:,} bytes of memory, but only {stored_bytes:,} bytes are stored: "
+            "the file is damaged, or made to exhaust memory",
+        )
+
+
+def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, stored_bytes: int) -> None:
+    """Refuses a compressed capture whose header claims no Gaussians, or absurdly many.
+
+    Args:
+        path: The file.
+        count: Gaussians that the header claims.
+        sh_coefficients: SH coefficients per channel.
+        stored_bytes: Size of the compressed form.
+
+    Raises:
+        FormatError: Zero, or far more than the file can hold.
+    """
+    if count <= 0:
+        raise FormatError(path, "holds zero Gaussians: there is nothing to render")
+    floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients
+    check_expansion(path, f"{count:,} Gaussians", count * floats * 4, stored_bytes)

@@ -1,0 +1,218 @@
+"""The glTF 2.0 container: GLB chunks, JSON, buffers and accessors. Knows bytes and numbers, no meaning.
+
+pygltflib turns the JSON into objects and checks nothing; every index, offset and size that is used is checked here,
+before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeGuard
+from urllib.parse import unquote
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import check_expansion
+from lumisplat.io.files.source import read_bytes
+
+if TYPE_CHECKING:
+    import pygltflib
+
+    _RowSource = pygltflib.Accessor | pygltflib.AccessorSparseIndices | pygltflib.AccessorSparseValues
+
+_GLB_HEADER_BYTES = 12
+_CHUNK_HEADER_BYTES = 8
+_COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+class GltfFile:
+    """A parsed file whose items are fetched by checked index."""
+
+    def __init__(self, path: Path) -> None:
+        import pygltflib
+
+        self.path = path
+        data = read_bytes(path)
+        self._stored_bytes = len(data)
+        text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
+        try:
+            self.model: pygltflib.GLTF2 = pygltflib.GLTF2.gltf_from_json(text.decode("utf-8"))
+        except json.JSONDecodeError as error:
+            raise FormatError(path, f"the JSON breaks off or is damaged at line {error.lineno}: {error.msg}") from None
+        except UnicodeDecodeError:
+            raise FormatError(
+                path, "is neither GLB nor glTF: it starts with no GLB header, and is no JSON text"
+            ) from None
+        version = str(getattr(self.model.asset, "version", ""))
+        if not version.startswith("2."):
+            raise FormatError(path, f"is glTF version {version or 'unknown'}, expected 2.0")
+        self._buffers: dict[int, bytes] = {}
+
+    def item(self, collection: str, index: object, referrer: str) -> Any:
+        """``collection[index]``, with the index checked.
+
+        Args:
+            collection: ``"nodes"``, ``"meshes"``, ``"accessors"``, ...
+            index: As the file gives it.
+            referrer: Who refers to it, for the message.
+
+        Raises:
+            FormatError: The index is not one of the collection.
+        """
+        items = getattr(self.model, collection) or []
+        if not _is_count(index) or index >= len(items):
+            raise FormatError(self.path, f"{referrer} refers to {collection}[{index}], but there are {len(items)}")
+        return items[index]
+
+    def floats(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.float32]:
+        """An accessor's values, normalised integers decoded, shape (count, components).
+
+        Args:
+            index: The accessor.
+            kind: ``"VEC3"``, or several as ``"VEC3 VEC4"``.
+            referrer: Who refers to it, for the message.
+
+        Raises:
+            FormatError: A bad index, type, offset or size.
+        """
+        accessor = self.item("accessors", index, referrer)
+        values = self._values(accessor, f"accessors[{index}]", kind)
+        if accessor.normalized and values.dtype.kind in "iu":
+            return np.maximum(values / np.float32(np.iinfo(values.dtype).max), np.float32(-1.0)).astype(np.float32)
+        return values.astype(np.float32)
+
+    def integers(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.int64]:
+        """An accessor of unsigned integers, shape (count, components).
+
+        Raises:
+            FormatError: A bad index, type, offset or size.
+        """
+        values = self._values(self.item("accessors", index, referrer), f"accessors[{index}]", kind)
+        if values.dtype.kind != "u":
+            raise FormatError(self.path, f"{referrer} needs unsigned integers, accessors[{index}] has {values.dtype}")
+        return values.astype(np.int64)
+
+    def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
+        """The bytes of a buffer view, and its stride where it has one.
+
+        Raises:
+            FormatError: A bad index, or the view does not fit into its buffer.
+        """
+        view = self.item("bufferViews", index, referrer)
+        buffer = self._buffer(view.buffer, f"bufferViews[{index}]")
+        start, size = view.byteOffset or 0, view.byteLength
+        if not (_is_count(start) and _is_count(size)) or start + size > len(buffer):
+            raise FormatError(
+                self.path, f"bufferViews[{index}] wants {size} bytes from {start}, but its buffer has {len(buffer):,}"
+            )
+        return memoryview(buffer)[start : start + size], view.byteStride
+
+    def resource(self, uri: object, referrer: str) -> bytes:
+        """What a URI holds: base64 data in the file itself, or a file beside it.
+
+        Raises:
+            FormatError: The data are damaged, or the file is missing.
+        """
+        if not isinstance(uri, str) or not uri:
+            raise FormatError(self.path, f"{referrer} has neither data nor a file")
+        if uri.startswith("data:"):
+            try:
+                return base64.b64decode(uri.partition(",")[2], validate=True)
+            except ValueError as error:
+                raise FormatError(self.path, f"{referrer} has damaged base64 data: {error}") from None
+        if "://" in uri:
+            raise FormatError(self.path, f"{referrer} is on the network ({uri[:60]}): download it beside the file")
+        return read_bytes(self.path.parent / unquote(uri), wanted_by=self.path)
+
+    def _buffer(self, index: object, referrer: str) -> bytes:
+        buffer = self.item("buffers", index, referrer)
+        assert isinstance(index, int)
+        if index not in self._buffers:
+            if index == 0 and not buffer.uri and self._binary_chunk is not None:
+                data = self._binary_chunk
+            else:
+                data = self.resource(buffer.uri, f"buffers[{index}]")
+            if not _is_count(buffer.byteLength) or len(data) < buffer.byteLength:
+                raise FormatError(
+                    self.path, f"buffers[{index}] has {len(data):,} bytes, expected {buffer.byteLength}: truncated?"
+                )
+            self._buffers[index] = data[: buffer.byteLength]
+        return self._buffers[index]
+
+    def _values(self, accessor: pygltflib.Accessor, name: str, kind: str) -> npt.NDArray:
+        """As stored, shape (count, components)."""
+        if accessor.type not in kind.split() or accessor.componentType not in _COMPONENT_TYPES:
+            raise FormatError(
+                self.path, f"{name} has type {accessor.type} of {accessor.componentType}, expected {kind}"
+            )
+        if not _is_count(accessor.count) or accessor.count == 0:
+            raise FormatError(self.path, f"{name} has count {accessor.count}, expected at least 1")
+        dtype = np.dtype(_COMPONENT_TYPES[accessor.componentType])
+        width = _COMPONENT_COUNTS[accessor.type]
+        if accessor.bufferView is not None:
+            values = self._rows(accessor, accessor.count, width, dtype, name)
+        else:
+            check_expansion(self.path, name, accessor.count * width * dtype.itemsize, self._stored_bytes)
+            values = np.zeros((accessor.count, width), dtype)
+        return self._with_sparse(values, accessor.sparse, name) if accessor.sparse is not None else values
+
+    def _with_sparse(self, values: npt.NDArray, sparse: pygltflib.Sparse, name: str) -> npt.NDArray:
+        where, new = sparse.indices, sparse.values
+        if not _is_count(sparse.count) or where is None or new is None or where.componentType not in (5121, 5123, 5125):
+            raise FormatError(self.path, f"{name} has a malformed sparse part")
+        index_type = np.dtype(_COMPONENT_TYPES[where.componentType])
+        rows = self._rows(where, sparse.count, 1, index_type, name + " sparse indices")
+        if rows.size and rows.max() >= len(values):
+            raise FormatError(self.path, f"{name} has sparse index {rows.max()}, but count {len(values)}")
+        values = values.copy()
+        values[rows[:, 0].astype(np.int64)] = self._rows(
+            new, sparse.count, values.shape[1], values.dtype, name + " sparse values"
+        )
+        return values
+
+    def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype, name: str) -> npt.NDArray:
+        """``count`` rows of ``width`` numbers, interleaved as the view's stride says; no copy."""
+        data, stored_stride = self.view_bytes(source.bufferView, name)
+        row_bytes = width * dtype.itemsize
+        offset, stride = source.byteOffset or 0, stored_stride or row_bytes
+        if not (_is_count(offset) and _is_count(stride)) or stride < row_bytes:
+            raise FormatError(
+                self.path, f"{name} has offset {offset} and stride {stride} for rows of {row_bytes} bytes"
+            )
+        if count and offset + stride * (count - 1) + row_bytes > len(data):
+            raise FormatError(
+                self.path, f"{name} wants {count:,} rows of {stride} bytes from {offset}, its view has {len(data):,}"
+            )
+        return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+
+def _is_count(value: object) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
+    """The JSON chunk and the BIN chunk, if any (glTF 2.0 section 4.4)."""
+    if len(data) < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
+        raise FormatError(path, f"a GLB file of {len(data)} bytes: truncated")
+    version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
+    if version != 2:
+        raise FormatError(path, f"is GLB version {version}, expected 2")
+    if length > len(data):
+        raise FormatError(path, f"truncated: {len(data):,} bytes of {length:,}")
+    chunks: dict[bytes, bytes] = {}
+    offset = _GLB_HEADER_BYTES
+    while offset + _CHUNK_HEADER_BYTES <= length:
+        size, kind = int.from_bytes(data[offset : offset + 4], "little"), data[offset + 4 : offset + 8]
+        offset += _CHUNK_HEADER_BYTES
+        if offset + size > len(data):
+            raise FormatError(path, f"truncated: a chunk of {size:,} bytes at {offset:,} in {len(data):,}")
+        chunks.setdefault(kind, data[offset : offset + size])
+        offset += size
+    if b"JSON" not in chunks:
+        raise FormatError(path, "a GLB file without its JSON chunk")
+    return chunks[b"JSON"], chunks.get(b"BIN\0")

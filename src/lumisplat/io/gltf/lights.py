@@ -1,0 +1,63 @@
+"""Lights of a glTF file (KHR_lights_punctual), placed by their nodes: at the origin, shining along -z."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.nodes import Matrix
+from lumisplat.scene.lights import LightDirectional, LightPoint, LightSpot
+
+_EXTENSION = "KHR_lights_punctual"
+
+PunctualLight = LightPoint | LightSpot | LightDirectional
+
+
+def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[PunctualLight]:
+    """The lights of ``nodes``, in their order, in world space; named after the node, else after the light.
+
+    A node's scale moves them, and changes neither their intensity nor their range. Nodes that are scaled to nothing
+    have none.
+
+    Raises:
+        FormatError: A bad index, an unknown type, or a value out of its range; names the light.
+    """
+    definitions = (file.model.extensions or {}).get(_EXTENSION, {}).get("lights", [])
+    lights = []
+    for index in nodes:
+        node = file.model.nodes[index]
+        reference = (node.extensions or {}).get(_EXTENSION)
+        if reference is None or not world_from_node[index][:3, :3].any():
+            continue
+        which = reference.get("light")
+        if not isinstance(which, int) or not 0 <= which < len(definitions):
+            raise FormatError(file.path, f"nodes[{index}] refers to lights[{which}], but there are {len(definitions)}")
+        definition = definitions[which]
+        try:
+            lights.append(_light(definition, world_from_node[index], node.name or definition.get("name") or ""))
+        except SceneError as error:
+            label = f"lights[{which}]" + (f" {definition['name']!r}" if definition.get("name") else "")
+            raise FormatError(file.path, f"{label}: {error}") from None
+    return lights
+
+
+def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> PunctualLight:
+    kind = definition.get("type")
+    values: dict[str, Any] = {key: definition[key] for key in ("color", "intensity") if key in definition}
+    values["name"] = name
+    position, direction = world_from_light[:3, 3], -world_from_light[:3, 2]
+    if kind == "directional":
+        return LightDirectional(direction, **values)  # type: ignore[arg-type]
+    values["range"] = definition.get("range", math.inf)
+    if kind == "point":
+        return LightPoint(position, **values)  # type: ignore[arg-type]
+    if kind == "spot":
+        cone = definition.get("spot", {})
+        values |= {
+            f"{side}_angle": cone[f"{side}ConeAngle"] for side in ("inner", "outer") if f"{side}ConeAngle" in cone
+        }
+        return LightSpot(position, direction, **values)  # type: ignore[arg-type]
+    raise SceneError(f"type is {kind!r}, expected point, spot or directional")

@@ -1,0 +1,150 @@
+"""glTF materials: metallic-roughness with its textures, the extensions that our material knows, and unlit ones."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.textures import GltfTexels, Placement, Textures, material_textures
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
+
+if TYPE_CHECKING:
+    import pygltflib
+
+_log = logging.getLogger("lumisplat")
+
+_LISTED_MAX = 4
+"""Materials that one log line names."""
+
+
+def warn_unread(file: GltfFile) -> None:
+    """Logs what of the file's materials is not read, a line for all materials that have it.
+
+    One each on textures that are placed otherwise than the base colour's, on alpha, on thin walls, and on what varies
+    or darkens transmission.
+    """
+    materials = file.model.materials or []
+    misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
+    named = [f"{', '.join(textures)} of {label}" for label, textures in misplaced.items() if textures]
+    if named:
+        more = f" and {len(named) - _LISTED_MAX} more materials" if len(named) > _LISTED_MAX else ""
+        _log.warning(
+            "%s: textures left out, their texture coordinates are not those of the base colour: %s%s",
+            file.path,
+            "; ".join(named[:_LISTED_MAX]),
+            more,
+        )
+    lines = {
+        "%d transparent materials are drawn opaque (first %s)": lambda m: m.alphaMode in ("MASK", "BLEND"),
+        "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": _is_thin,
+        "transmissionTexture and attenuation of %d materials are not read (first %s)": _has_varied_transmission,
+    }
+    for line, concerns in lines.items():
+        labels = [_label(index, material) for index, material in enumerate(materials) if concerns(material)]
+        if labels:
+            _log.warning("%s: " + line, file.path, len(labels), labels[0])
+
+
+def _is_thin(material: pygltflib.Material) -> bool:
+    is_solid = _extension(material, "volume").get("thicknessFactor", 0.0) > 0.0
+    return _extension(material, "transmission").get("transmissionFactor", 0.0) > 0.0 and not is_solid
+
+
+def _has_varied_transmission(material: pygltflib.Material) -> bool:
+    return "transmissionTexture" in _extension(material, "transmission") or (
+        "attenuationDistance" in _extension(material, "volume")
+    )
+
+
+def _is_unlit(material: pygltflib.Material) -> bool:
+    return "KHR_materials_unlit" in (material.extensions or {})
+
+
+def _textures(material: pygltflib.Material) -> Textures:
+    return material_textures(material, only_color=_is_unlit(material))
+
+
+def _extension(material: pygltflib.Material, name: str) -> dict[str, Any]:
+    """``KHR_materials_{name}`` of a material, empty where it has none."""
+    return (material.extensions or {}).get(f"KHR_materials_{name}", {})
+
+
+def _label(index: int, material: pygltflib.Material) -> str:
+    return f"materials[{index}]" + (f" {material.name!r}" if material.name else "")
+
+
+class GltfMaterials:
+    """Materials of a file by index, each decoded once."""
+
+    def __init__(self, file: GltfFile) -> None:
+        self._file = file
+        self._texels = GltfTexels(file)
+        self._materials: dict[int, Material] = {}
+
+    def get(self, index: int | None, referrer: str) -> Material:
+        """The material at ``index``; glTF's default one for None.
+
+        Raises:
+            FormatError: A bad index, a value out of its range, or a missing or corrupt texture.
+        """
+        if index is None:
+            return MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
+        material = self._file.item("materials", index, referrer)
+        if index not in self._materials:
+            try:
+                self._materials[index] = self._decode(material, _label(index, material))
+            except FormatError:
+                raise
+            except SceneError as error:
+                raise FormatError(self._file.path, f"{_label(index, material)}: {error}") from None
+        return self._materials[index]
+
+    def _decode(self, material: pygltflib.Material, label: str) -> Material:
+        pbr = material.pbrMetallicRoughness
+        texels: dict[str, Any] = {
+            name: self._texels.get(index, label) for name, index in _textures(material).indices.items()
+        }
+        color = tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3]
+        if _is_unlit(material):
+            return MaterialSimple(base_color=color, name=material.name or "", **texels)
+        strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
+        return MaterialPbr(
+            base_color=color,
+            metallic=_or(getattr(pbr, "metallicFactor", None), 1.0),
+            roughness=_or(getattr(pbr, "roughnessFactor", None), 1.0),
+            specular=_extension(material, "specular").get("specularFactor", 1.0),
+            # The extension allows 0 as a switch of older assets; less than 1 means nothing here.
+            ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
+            transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
+            emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),  # type: ignore[arg-type]
+            normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
+            occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
+            name=material.name or "",
+            **texels,
+        )
+
+
+def texture_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -> npt.NDArray[np.float32] | None:
+    """The texture coordinates of the base colour texture, else of the material's first one, placed, shape (V, 2).
+
+    None where the primitive lacks them.
+
+    Raises:
+        FormatError: The set or the transform is malformed.
+    """
+    placement = Placement()
+    if primitive.material is not None:
+        placement = _textures(file.item("materials", primitive.material, where)).placement
+    accessor = getattr(primitive.attributes, f"TEXCOORD_{placement.uv_set}", None)
+    if accessor is None:
+        return None
+    return placement.applied(file.floats(accessor, "VEC2", f"{where} TEXCOORD_{placement.uv_set}"))
+
+
+def _or(value: Any, default: Any) -> Any:
+    return default if value is None else value

@@ -1,0 +1,181 @@
+"""Rigs of glTF files: meshes, the nodes that move them, and the animations that move the nodes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.gltf.animations import read_clips
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
+from lumisplat.io.gltf.meshes import RawPrimitive, read_raw
+from lumisplat.io.gltf.nodes import hierarchy, node_columns, node_matrix, scene_nodes
+from lumisplat.io.gltf.scene import check_extensions
+from lumisplat.io.gltf.skins import Influences, Skin, read_skin
+from lumisplat.io.meshes.mesh_arrays import placed_material
+from lumisplat.math.arrays import handed_over
+from lumisplat.scene.animation.clips import Channel, Clip
+from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, joined
+from lumisplat.scene.animation.skeleton import Skeleton
+
+_log = logging.getLogger("lumisplat")
+
+
+class _Piece(NamedTuple):
+    """A primitive where a node has it."""
+
+    raw: RawPrimitive
+    part: RigPart
+
+
+def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
+    """As `lumisplat.io.load_rig`."""
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")
+    with parsing(path, "a glTF file"):
+        file = GltfFile(path)
+        check_extensions(file)
+        if not is_rigged(file):
+            raise FormatError(path, "is no rig: it has neither a skin nor an animation (load reads it as a mesh)")
+        warn_unread(file)
+        clips = read_clips(file)
+        skeleton = read_skeleton(file)
+        groups: dict[tuple, list[_Piece]] = {}
+        for piece in _pieces(file, clips):
+            raw = piece.raw
+            key = id(raw.material), raw.uvs is None, raw.normals is None
+            groups.setdefault(key, []).append(piece)
+        if not groups:
+            raise FormatError(path, "is no rig: its scene has no triangle mesh")
+        surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
+        return Rig(skeleton, _shown(file, surfaces, skeleton), clips)
+
+
+def _shown(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
+    """Those that have triangles at rest; what is scaled to nothing there is how animators hide things."""
+    rest = RigPose(skeleton.world_from_node(), {})
+    shown = []
+    for surface in surfaces:
+        if surface.mesh(rest) is not None:
+            shown.append(surface)
+        else:
+            _log.warning("%s: mesh %r left out: at rest it has no triangles with an area", file.path, surface.name)
+    if not shown:
+        raise FormatError(file.path, "has no triangles with an area at rest")
+    return tuple(shown)
+
+
+def is_rigged(file: GltfFile) -> bool:
+    """Whether a file has what moves its meshes: a node with a skin, or an animation."""
+    return bool(file.model.animations) or any(node.skin is not None for node in file.model.nodes)
+
+
+def read_skeleton(file: GltfFile) -> Skeleton:
+    """The nodes of a file, in the scene or not.
+
+    Raises:
+        FormatError: A node has two parents, is its own ancestor, or has a transform that is none.
+    """
+    tree = hierarchy(file)
+    given = {index: node_matrix(file, index) for index in range(len(tree.parents))}
+    matrices = {index: matrix for index, matrix in given.items() if matrix is not None}
+    still = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
+    columns = [still if index in matrices else node_columns(file, index) for index in given]
+    translations, rotations, scales = (np.array(column) for column in zip(*columns, strict=True))
+    return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
+
+
+def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
+    """The triangle primitives of the scene, bound to nodes."""
+    materials = GltfMaterials(file)
+    morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
+    for index in scene_nodes(file):
+        node = file.model.nodes[index]
+        if node.mesh is None:
+            continue
+        mesh = file.item("meshes", node.mesh, f"nodes[{index}]")
+        weights = np.array(getattr(node, "weights", None) or mesh.weights or (), dtype=np.float64)
+        if not np.isfinite(weights).all():
+            raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
+        # Without a skin, the node itself is the one joint.
+        skin = read_skin(file, node.skin) if node.skin is not None else Skin((index,), np.eye(4)[None])
+        raws = read_raw(
+            file,
+            node.mesh,
+            materials,
+            joint_count=None if node.skin is None else len(skin.joints),
+            targets=None if index in morphed else set(np.flatnonzero(weights).tolist()),
+        )
+        for raw in raws:
+            yield _Piece(raw, _part(raw, skin, index, weights))
+
+
+def _part(raw: RawPrimitive, skin: Skin, node: int, weights: np.ndarray) -> RigPart:
+    count = len(raw.positions)
+    influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
+    return RigPart(
+        positions=raw.positions,
+        normals=raw.normals,
+        nodes=np.array(skin.joints, dtype=np.int32),
+        joint_from_bind=skin.joint_from_bind,
+        joints=influences.joints,
+        weights=influences.weights,
+        morphs=_morphs(raw, node, weights),
+    )
+
+
+def _morphs(raw: RawPrimitive, node: int, weights: np.ndarray) -> MorphTargets | None:
+    numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
+    if not numbers:
+        return None
+    count = max(numbers[-1] + 1, weights.size)
+    positions, normals = (np.zeros((count, *raw.positions.shape), np.float32) for _ in range(2))
+    for number, offsets in raw.morph_positions.items():
+        positions[number] = offsets
+    for number, offsets in raw.morph_normals.items():
+        normals[number] = offsets
+    at_rest = np.zeros(count)
+    at_rest[: weights.size] = weights
+    return MorphTargets(node, at_rest, positions, normals if raw.morph_normals else None)
+
+
+def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
+    """One surface of all pieces, which have the same material and attributes."""
+    first = pieces[0].raw
+    triangles = []
+    for raw, part in pieces:
+        usable = ((raw.triangles >= 0) & (raw.triangles < len(part.positions))).all(axis=1)
+        if not usable.all():
+            _log.warning("%s: %d triangles with an index that is no vertex left out", file.path, (~usable).sum())
+        triangles.append(raw.triangles[usable].astype(np.int32))
+    parts = [piece.part for piece in pieces]
+    colors = None
+    if vertex_colors and any(raw.colors is not None for raw, _ in pieces):
+        filled = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
+        colors = handed_over(np.concatenate(filled))
+        _warn_black(file, colors, first.name)
+    placed = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
+    uvs = handed_over(np.concatenate(placed)) if placed else None
+    material = placed_material(file.path, first.material, uvs, first.name)
+    indices = joined(parts, triangles, skeleton)
+    return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)
+
+
+def _warn_black(file: GltfFile, colors: np.ndarray, name: str) -> None:
+    black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
+    if black > RIG_BLACK_SHARE:
+        _log.warning(
+            "%s: COLOR_0 makes %d %% of the vertices of %r black: if it holds something else than colour, leave it out "
+            "(vertex_colors = false)",
+            file.path,
+            round(100.0 * black),
+            name,
+        )

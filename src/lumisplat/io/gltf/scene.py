@@ -1,0 +1,91 @@
+"""glTF 2.0 scenes (.glb and .gltf): the node hierarchy with its meshes and lights placed in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.lights import read_lights
+from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
+from lumisplat.io.gltf.meshes import read_primitives
+from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
+from lumisplat.io.gltf.skins import read_skin
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene
+
+_READABLE = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
+"""Extensions that a file may require, with those of materials: they change how a surface looks, not what there is."""
+
+
+def read_gltf(path: PathLike) -> Scene:
+    """Reads the default scene: every triangle mesh with its node's transform, and every punctual light.
+
+    Skinned meshes come in their rest pose, morph targets at their default weights. Animations are left out; so are
+    textures whose coordinates are not the base colour's, and transparency, with log lines. Cameras are
+    `read_gltf_cameras`'s. Axes are taken as they are (glTF: y up, +z towards the viewer).
+
+    Raises:
+        FormatError: The file, or something that it names, is missing, malformed, truncated or needs an extension that
+            is not supported.
+    """
+    path = Path(path)
+    with parsing(path, "a glTF file"):
+        file = GltfFile(path)
+        check_extensions(file)
+        warn_unread(file)
+        world_from_node, nodes = world_transforms(file), list(scene_nodes(file))
+        sieve = TriangleSieve(path)
+        meshes = tuple(_placed_meshes(file, nodes, world_from_node, sieve))
+        lights = tuple(read_lights(file, nodes, world_from_node))
+        has_cameras = any(file.model.nodes[index].camera is not None for index in nodes)
+        if not (meshes or lights or has_cameras or sieve.problems):
+            raise FormatError(path, "has no triangle mesh, light or camera in its scene")
+        sieve.report(anything_left=bool(meshes or lights or has_cameras))
+        return Scene(meshes=meshes, lights=lights)
+
+
+def check_extensions(file: GltfFile) -> None:
+    """Refuses files that cannot be read without what is not supported.
+
+    Raises:
+        FormatError: Names the extensions.
+    """
+    required = file.model.extensionsRequired or []
+    unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
+    unknown += [name for name in required if name == "KHR_materials_pbrSpecularGlossiness"]
+    if unknown:
+        raise FormatError(
+            file.path, f"needs {', '.join(map(str, unknown))}, which is not supported: export the file without it"
+        )
+
+
+def _placed_meshes(
+    file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve
+) -> Iterator[MeshInstance]:
+    materials = GltfMaterials(file)
+    unskinned: dict[int, list[Mesh]] = {}
+    for index in nodes:
+        node = file.model.nodes[index]
+        if node.mesh is None or not world_from_node[index][:3, :3].any():
+            continue  # scaled to nothing: how animators hide things
+        world_from_object = world_from_node[index]
+        if node.skin is not None:
+            # The joints pose it in the world, whatever its own node says (section 3.7.3.3).
+            world_from_object = np.eye(4)
+            skin = read_skin(file, node.skin)
+            meshes = read_primitives(file, node.mesh, materials, sieve, skin.world_from_bind(world_from_node))
+        else:
+            if node.mesh not in unskinned:
+                unskinned[node.mesh] = read_primitives(file, node.mesh, materials, sieve)
+            meshes = unskinned[node.mesh]
+        for mesh in meshes:
+            try:
+                yield MeshInstance(mesh, world_from_object, name=node.name or mesh.name)
+            except SceneError as error:
+                raise FormatError(file.path, f"{node_label(file, index)}: {error}") from None

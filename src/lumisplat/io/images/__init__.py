@@ -1,0 +1,1 @@
+"""Images, radiance, animations and videos."""

@@ -1,0 +1,62 @@
+"""Images of radiance, for environment lights: Radiance HDR and OpenEXR, told apart by their content."""
+
+from __future__ import annotations
+
+import logging
+import os
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.io.images.image import read_exr
+from lumisplat.io.images.radiance_hdr import MAGIC as HDR_MAGIC
+from lumisplat.io.images.radiance_hdr import decode_hdr
+
+_log = logging.getLogger("lumisplat")
+
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_DISPLAY_IMAGES = {b"\x89PNG": "a PNG", b"\xff\xd8\xff": "a JPEG", b"RIFF": "a WebP", b"BM": "a BMP", b"GIF8": "a GIF"}
+
+
+def read_radiance(path: PathLike) -> npt.NDArray[np.float32]:
+    """See `lumisplat.io.load_radiance`."""
+    data = read_bytes(path)
+    with parsing(path, "an image of radiance (.hdr or .exr)"):
+        if data.startswith(HDR_MAGIC):
+            image = decode_hdr(path, data)
+        elif data.startswith(_EXR_MAGIC):
+            image = _exr_colors(path)
+        else:
+            kinds = [kind for magic, kind in _DISPLAY_IMAGES.items() if data.startswith(magic)]
+            found = f"{kinds[0]} image and is 8 bit" if kinds else "neither Radiance HDR nor OpenEXR"
+            raise FormatError(path, f"is {found}, expected .hdr or .exr with linear radiance")
+    return _usable(path, image)
+
+
+def _exr_colors(path: PathLike) -> npt.NDArray[np.float32]:
+    channels = read_exr(path)
+    missing = [name for name in "RGB" if name not in channels]
+    if missing:
+        listed = ", ".join(channels)[:80] or "none"
+        raise FormatError(path, f"has no channel {' nor '.join(missing)}, only {listed}: expected R, G and B")
+    planes = [channels[name] for name in "RGB"]
+    if any(plane.dtype.kind != "f" for plane in planes) or len({plane.shape for plane in planes}) > 1:
+        shapes = ", ".join(f"{plane.dtype} {plane.shape}" for plane in planes)
+        raise FormatError(path, f"has R, G and B as {shapes}, expected half or float of one size")
+    return np.stack(planes, axis=2, dtype=np.float32)
+
+
+def _usable(path: PathLike, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """The image, read-only, 0 where it was negative or not finite; one log line counts those values."""
+    not_finite = ~np.isfinite(image)
+    with np.errstate(invalid="ignore"):
+        negative = (image < 0.0) & ~not_finite
+    counts = {"not finite": np.count_nonzero(not_finite), "negative": np.count_nonzero(negative)}
+    if any(counts.values()):
+        listed = ", ".join(f"{count:,} {problem}" for problem, count in counts.items() if count)
+        _log.warning("%s: values set to 0: %s", os.fspath(path), listed)
+        image = np.where(not_finite | negative, np.float32(0.0), image)
+    image.flags.writeable = False
+    return image

@@ -1,0 +1,102 @@
+"""PLY meshes: polygons with normals, texture coordinates, colours and a texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import parsing
+from lumisplat.io.images.image import read_texture
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_textures
+from lumisplat.io.ply.ply_lists import read_ply_lists
+from lumisplat.io.ply.ply_rows import PlyHeader, read_ply_element
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.mesh import Mesh
+
+_UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+_POLYGON_NAMES = ("vertex_indices", "vertex_index")
+_TEXTURE_COMMENT = "TextureFile "
+"""MeshLab's way to name a texture."""
+
+
+def read_ply_mesh(header: PlyHeader) -> Mesh:
+    """Reads polygons (fanned into triangles), normals, uvs (of vertices or of corners), colours and the texture.
+
+    Vertex colours are sRGB and become linear. Texture coordinates are taken with v up, as MeshLab and Blender write
+    them.
+
+    Args:
+        header: Of a file with vertices and faces, vertices first.
+
+    Raises:
+        FormatError: The file is malformed, truncated, or has no faces; or its texture is missing or corrupt.
+    """
+    with parsing(header.path, "a PLY mesh"):
+        return _read(header)
+
+
+def _read(header: PlyHeader) -> Mesh:
+    vertices = read_ply_element(header, header.required("vertex"))
+    faces = read_ply_lists(header, header.required("face"))
+    positions = _columns(vertices, "x", "y", "z")
+    if positions is None:
+        raise FormatError(header.path, "has no vertex element with x, y, z")
+    polygons = next((faces[name] for name in _POLYGON_NAMES if name in faces), None)
+    if polygons is None or not (polygons.counts >= 3).any():
+        raise FormatError(header.path, f"a point cloud of {len(positions):,} points, not a mesh: no polygons")
+    normals = _columns(vertices, "nx", "ny", "nz")
+    colors = _colors(vertices)
+    uvs = next((uv for uv in (_columns(vertices, *names) for names in _UV_NAMES) if uv is not None), None)
+    corners = fan_triangles(polygons.counts)
+    indices = polygons.items.astype(np.int64)[corners]
+    sieve = TriangleSieve(header.path)
+    usable = sieve.usable(positions, indices)
+    sieve.report(anything_left=bool(usable.any()))
+    corners, indices = corners[usable], indices[usable].astype(np.int32)
+    if normals is not None:
+        normals = unit_normals(normals, positions, indices)
+    if "texcoord" in faces and len(faces["texcoord"].items) == 2 * len(polygons.items):
+        # Each corner of a polygon has texture coordinates of its own: each becomes a vertex of its own.
+        unwelded = indices.reshape(-1)
+        positions = positions[unwelded]
+        normals, colors = (None if a is None else a[unwelded] for a in (normals, colors))
+        uvs = faces["texcoord"].items.reshape(-1, 2)[corners.reshape(-1)]
+        indices = np.arange(len(unwelded), dtype=np.int32).reshape(-1, 3)
+    mesh = Mesh(
+        positions,
+        indices,
+        normals=normals,
+        uvs=None if uvs is None else flip_v(uvs),
+        material=_material(header, colored=colors is not None),
+        colors=colors,
+        name=Path(header.path).stem,
+    )
+    return without_loose_textures(header.path, mesh)
+
+
+def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
+    """White under a texture or vertex colours, else the default."""
+    names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
+    if names:
+        texels = read_texture(Path(header.path).parent / names[0], wanted_by=header.path)
+        return MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texels)
+    return MaterialPbr(base_color=(1.0, 1.0, 1.0)) if colored else MaterialPbr()
+
+
+def _columns(table: np.ndarray, *names: str) -> FloatArray | None:
+    if not set(names) <= set(table.dtype.names or ()):
+        return None
+    return np.stack([table[name].astype(np.float32) for name in names], axis=1)
+
+
+def _colors(vertices: np.ndarray) -> FloatArray | None:
+    stored = _columns(vertices, "red", "green", "blue")
+    if stored is None:
+        return None
+    kind = vertices["red"].dtype
+    encoded = stored / np.float32(np.iinfo(kind).max if kind.kind in "iu" else 1.0)
+    return decode_srgb(np.clip(encoded, 0.0, 1.0)).astype(np.float32)

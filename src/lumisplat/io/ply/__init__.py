@@ -1,0 +1,1 @@
+"""The PLY container: headers, rows and lists."""

@@ -1,0 +1,129 @@
+"""PLY list properties: rows that differ in length, as the polygons of a mesh do."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError
+from lumisplat.io.ply.ply_rows import ENCODINGS, PlyElement, PlyHeader, PlyProperty, refuse_truncated
+
+
+class PlyList(NamedTuple):
+    """A list property of all rows."""
+
+    counts: npt.NDArray
+    """Items of each row, shape (rows,)."""
+    items: npt.NDArray
+    """The items of all rows, one row after the other."""
+
+
+class _Span(NamedTuple):
+    """Where one list lies in the data."""
+
+    start: int
+    """Byte of the first item."""
+    length: int
+    """Items."""
+
+
+def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]:
+    """Reads the list properties of an element.
+
+    Args:
+        header: Of the file.
+        element: One of its elements; none before it may have list properties.
+
+    Returns:
+        The lists by name. Scalar properties are stepped over.
+
+    Raises:
+        FormatError: The file ends before its last row, or the rows do not parse.
+        OSError: The file cannot be read.
+    """
+    start, rows_before = header.start(element)
+    data = Path(header.path).read_bytes()
+    if header.encoding == "ascii":
+        stored = _with_types(element, "<", "f8")
+        data = _ascii_as_doubles(header, element, data, rows_before)
+    else:
+        stored = _with_types(element, ENCODINGS[header.encoding])
+        data = data[start:]
+    lists = _equal_rows(stored, data, _walk(header, stored, data, min(1, element.count)))
+    if lists is None:
+        spans = _walk(header, stored, data, element.count)
+        lists = {p.name: _gathered(p, data, spans[p.name]) for p in stored.properties if p.count_code}
+    codes = {p.name: p.code for p in element.properties}
+    return {name: PlyList(counts, items.astype(codes[name])) for name, (counts, items) in lists.items()}
+
+
+def _with_types(element: PlyElement, order: str, code: str = "") -> PlyElement:
+    """The element with a byte order before its type codes, or with ``code`` instead of them."""
+    properties = (
+        PlyProperty(p.name, order + (code or p.code), p.count_code and order + (code or p.count_code))
+        for p in element.properties
+    )
+    return replace(element, properties=tuple(properties))
+
+
+def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_before: int) -> bytes:
+    """The rows of a text file as if it were a binary one in which every number, counts too, is a double."""
+    lines = [line for line in data[header.data_offset :].splitlines() if line.strip()]
+    rows = lines[rows_before : rows_before + element.count]
+    if len(rows) < element.count:
+        refuse_truncated(header, element, f"{len(rows):,}")
+    return np.array(b" ".join(rows).split(), dtype="<f8").tobytes()
+
+
+def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> dict[str, list[_Span]]:
+    """Finds the lists of the first ``count`` rows, which all have to be there."""
+    counters = [
+        struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
+        for p in element.properties
+    ]
+    sizes = [np.dtype(p.code).itemsize for p in element.properties]
+    fields = list(zip(element.names, counters, sizes, strict=True))
+    spans: dict[str, list[_Span]] = {name: [] for name, counter, _ in fields if counter}
+    position = 0
+    for row in range(count):
+        for name, counter, size in fields:
+            length = 1
+            if counter:
+                if position + counter.size > len(data):
+                    refuse_truncated(header, element, f"{row:,}")
+                length = int(counter.unpack_from(data, position)[0])
+                if length < 0:
+                    raise FormatError(header.path, f"row {row:,} of {element.name} has {length} {name}")
+                position += counter.size
+                spans[name].append(_Span(position, length))
+            position += length * size
+        if position > len(data):
+            refuse_truncated(header, element, f"{row:,}")
+    return spans
+
+
+def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
+    """The lists if every row has the lengths of the first, as in a mesh of triangles."""
+    fields: list[tuple] = []
+    for p in element.properties:
+        if p.count_code:
+            fields.append((f"{p.name} count", p.count_code))
+        fields.append((p.name, p.code, tuple(span.length for span in first.get(p.name, ()))))
+    dtype = np.dtype(fields)
+    if element.count * dtype.itemsize > len(data):
+        return None
+    rows = np.frombuffer(data, dtype, element.count)
+    lists = {name: PlyList(rows[f"{name} count"], rows[name].reshape(-1)) for name in first}
+    equal = all((lists[name].counts == span.length).all() for name, spans in first.items() for span in spans)
+    return lists if equal else None
+
+
+def _gathered(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
+    size = np.dtype(prop.code).itemsize
+    items = b"".join([data[start : start + length * size] for start, length in spans])
+    return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

@@ -1,0 +1,1 @@
+"""Scene files: what stands in a scene.toml, table by table."""

@@ -1,0 +1,167 @@
+"""Actors of a scene file: what moves, by its own clip or frames and by keyframes.
+
+[[actors]]
+path = "walker.glb"                     # a rig; or a folder of frames, a capture, a mesh
+position = [0.0, 0.0, 2.0]              # placed first ...
+speed = 1.2
+name = "walker"
+
+[[actors.keyframes]]                    # ... then carried
+time = 0.0
+position = [-1.0, 0.0, 0.0]
+
+[[actors.keyframes]]
+time = 2.0
+position = [1.0, 0.0, 0.0]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.rigs import is_rigged, read_rig
+from lumisplat.io.scene_toml.placement import PLACEMENT, placement
+from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable
+from lumisplat.io.splats.sequence import read_sequence
+from lumisplat.scene.animation.actors import Actor, Subject
+from lumisplat.scene.animation.bound_gaussians import bind_gaussians
+from lumisplat.scene.animation.keyframes import Keyframes
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.meshes_sampling import gaussians_from_instances
+from lumisplat.scene.scene import MeshInstance, Scene
+
+ACTOR_KEYS = {
+    "path": TEXT,
+    **PLACEMENT,
+    "name": TEXT,
+    "form": TEXT,
+    "count": WHOLE,
+    "vertex_colors": FLAG,
+    "fps": NUMBER,
+    "clip": TEXT,
+    "loop": FLAG,
+    "speed": NUMBER,
+    "casts_shadow": FLAG,
+    "relight": FLAG,
+    "keyframes": TABLES,
+}
+KEYFRAME_KEYS = {"time": NUMBER, **PLACEMENT}
+_FORMS = ("gaussians", "mesh")
+_OF_KIND = {
+    "count": "a rig or a mesh as Gaussians",
+    "form": "a rig or a mesh",
+    "vertex_colors": "a rig",
+    "fps": "a folder of frames",
+}
+"""Keys that not every actor has, and which have them."""
+
+Load = Callable[[Path], Gaussians | Mesh | Scene]
+
+
+def read_actors(document: TomlTable, load: Load) -> list[Actor]:
+    """The actors of a scene file, in its order. A file named twice in the same form is loaded once.
+
+    Args:
+        document: The top of the scene file.
+        load: Reads one capture or mesh.
+
+    Raises:
+        FormatError: An unknown key, a bad value, or a file that cannot be read.
+    """
+    cast = _Cast(load)
+    return [_actor(table, cast) for table in document.tables("actors")]
+
+
+def _actor(table: TomlTable, cast: _Cast) -> Actor:
+    given = table.take(ACTOR_KEYS, required=("path",))
+    world_from_file = placement(table)
+    motion = _motion(table)
+    subject = cast.subject(table, given)
+    settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
+    try:
+        return Actor(subject, motion, world_from_file, **settings)
+    except FormatError:
+        raise
+    except SceneError as error:
+        raise table.failed(error) from None
+
+
+def _motion(table: TomlTable) -> Keyframes | None:
+    """What the keyframes of an entry say; where one leaves a key out, it stays as in the one before."""
+    frames: list[dict[str, Any]] = []
+    last: dict[str, Any] = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
+    for entry in table.tables("keyframes"):
+        given = entry.take(KEYFRAME_KEYS, required=("time",))
+        placement(entry)  # refuses bad values at their line
+        if not np.isfinite(given["time"]):
+            raise entry.wrong("time", "a finite number of seconds")
+        if frames and given["time"] <= frames[-1]["time"]:
+            raise entry.error(f"time is {given['time']:g}, after {frames[-1]['time']:g}: times must rise", "time")
+        last = last | given
+        frames.append(last)
+    if not frames:
+        return None
+    columns = {key: [frame[key] for frame in frames] for key in ("time", *PLACEMENT)}
+    return Keyframes(columns["time"], columns["position"], columns["rotation_wxyz"], columns["scale"])
+
+
+@dataclass(slots=True)
+class _Cast:
+    """What the entries name, in the form that they ask for, each made once."""
+
+    load: Load
+    _made: dict[tuple, Subject] = field(default_factory=dict)
+
+    def subject(self, table: TomlTable, given: dict[str, Any]) -> Subject:
+        """What an entry shows."""
+        file = table.file("path")
+        if given.get("form", "gaussians") not in _FORMS:
+            raise table.wrong("form", " or ".join(_FORMS))
+        key = file, *(given.get(name) for name in _OF_KIND)
+        if key not in self._made:
+            try:
+                self._made[key] = self._make(table, file, given)
+            except FormatError:
+                raise
+            except SceneError as error:
+                raise table.failed(error) from None
+        return self._made[key]
+
+    def _make(self, table: TomlTable, file: Path, given: dict[str, Any]) -> Subject:
+        if file.suffix.lower() == ".toml":
+            raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+        as_mesh = given.get("form") == "mesh"
+        of_meshes = {"form"} if as_mesh else {"form", "count"}
+        if file.is_dir() and not (file / "meta.json").is_file():
+            _refuse_others(table, given, {"fps"}, "a folder of frames")
+            return read_sequence(file, given.get("fps", 25.0), self.load)
+        if file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file)):
+            _refuse_others(table, given, {*of_meshes, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
+            rig = read_rig(file, given.get("vertex_colors", True))
+            return rig if as_mesh else bind_gaussians(rig, given.get("count"))
+        loaded = self.load(file)
+        if isinstance(loaded, Gaussians):
+            _refuse_others(table, given, set(), "a capture")
+            return loaded
+        if isinstance(loaded, Scene) and not loaded.meshes:
+            raise table.error(f"path is {given['path']!r}, which has nothing to see", "path")
+        _refuse_others(table, given, of_meshes, "a mesh")
+        if as_mesh:
+            return loaded
+        placed = loaded.meshes if isinstance(loaded, Scene) else (MeshInstance(loaded),)
+        return gaussians_from_instances(placed, given.get("count"))
+
+
+def _refuse_others(table: TomlTable, given: dict[str, Any], known: set[str], kind: str) -> None:
+    """Refuses keys that mean nothing for what the file is."""
+    for key, owner in _OF_KIND.items():
+        if key in given and key not in known:
+            raise table.error(f"{key} is of {owner}, but path is {given['path']!r}, {kind}", key)

@@ -1,0 +1,75 @@
+"""The animation of a scene file: its scene and actors, how many frames there are, and how actors are lit.
+
+[animation]
+fps = 25.0
+duration = 4.0                          # or frames = 100
+
+[animation.lighting]
+direct = 0.7
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lumisplat.config import AvatarLightingConfig
+from lumisplat.constants import ANIMATION_FRAMES_MAX
+from lumisplat.io.files.source import PathLike, parsing
+from lumisplat.io.scene_toml.actors import Load, read_actors
+from lumisplat.io.scene_toml.cameras import LoadCameras, read_scene_cameras
+from lumisplat.io.scene_toml.config_file import read_settings
+from lumisplat.io.scene_toml.scene_file import read_document, static_scene
+from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
+from lumisplat.scene.animation.actors import Actor, Animation
+
+ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
+
+
+def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
+    """As `lumisplat.io.load_animation`.
+
+    Args:
+        path: The scene file.
+        load: Reads one capture or mesh.
+        load_cameras: Reads a camera file.
+    """
+    with parsing(path, "a scene file"):
+        document = read_document(path)
+        if not document.tables("actors"):
+            raise document.error("lists no [[actors]]: there is nothing to animate")
+        table = document.table("animation")
+        given = table.take(ANIMATION_KEYS)
+        lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
+        fps = given.get("fps", 25.0)
+        if not 0.0 < fps < np.inf:
+            raise table.wrong("fps", "a positive number of frames a second")
+        _check_length(table)
+        actors = read_actors(document, load)
+        if "frames" in given:
+            count = given["frames"]
+        else:
+            count = given.get("duration", max(map(_own_duration, actors))) * fps
+        if count > ANIMATION_FRAMES_MAX:
+            raise table.error(
+                f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
+                "lower duration or frames, or fps",
+                "frames" if "frames" in given else "duration",
+            )
+        count = max(1, round(count))
+        cameras = read_scene_cameras(document, load_cameras)
+        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
+
+
+def _check_length(table: TomlTable) -> None:
+    given = table.values
+    if "duration" in given and "frames" in given:
+        raise table.error("has both duration and frames: expected one of them", "frames")
+    if not 0.0 < given.get("duration", 1.0) < np.inf:
+        raise table.wrong("duration", "a positive number of seconds")
+    if given.get("frames", 1) < 1:
+        raise table.wrong("frames", "at least 1")
+
+
+def _own_duration(actor: Actor) -> float:
+    """Until the last keyframe, else once through the clip or the frames, seconds."""
+    return actor.motion.duration if actor.motion is not None else actor.own_duration

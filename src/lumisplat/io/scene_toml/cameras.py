@@ -1,0 +1,116 @@
+"""Cameras of a scene file: those of a camera file, or one written as what it looks at.
+
+[[cameras]]
+path = "transforms.json"            # or cameras.json, or a glTF scene
+
+[[cameras]]
+name = "front"
+eye = [0.0, 1.0, 4.0]
+target = [0.0, 0.5, 0.0]
+fov_y_degrees = 45.0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.camera_json import unique_names
+from lumisplat.io.scene_toml.fields import with_radians
+from lumisplat.io.scene_toml.placement import PLACEMENT, placement
+from lumisplat.io.scene_toml.toml_table import NUMBER, TEXT, VECTOR, WHOLE, TomlTable
+from lumisplat.scene.camera import Camera, CameraModel
+
+_SIZE = {"width": WHOLE, "height": WHOLE}
+_FILE_KEYS = {"path": TEXT, **PLACEMENT, **_SIZE, "exposure": NUMBER}
+_VIEW_KEYS = {
+    "eye": VECTOR,
+    "target": VECTOR,
+    "up": VECTOR,
+    "fov_y_degrees": NUMBER,
+    **_SIZE,
+    "name": TEXT,
+    "model": TEXT,
+    "near": NUMBER,
+    "exposure": NUMBER,
+    "aperture": NUMBER,
+    "focus_distance": NUMBER,
+}
+
+LoadCameras = Callable[[Path, int | None, int | None], list[Camera]]
+"""Reads a camera file whose frames may need a width and a height."""
+
+
+def read_scene_cameras(
+    document: TomlTable, load: LoadCameras, width: int | None = None, height: int | None = None
+) -> list[Camera]:
+    """The cameras of a scene file, in its order, each with a name of its own.
+
+    Args:
+        document: The top of the scene file.
+        load: Reads a camera file.
+        width: For frames of camera files that tell no size, where the entry does not either.
+        height: Likewise.
+
+    Raises:
+        FormatError: An unknown key, a bad value, or a camera file that cannot be read.
+    """
+    cameras: list[Camera] = []
+    for table in document.tables("cameras"):
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # what is out of reach is refused by its name
+                if "path" in table.values:
+                    cameras += _cameras_of_file(table, load, width, height)
+                else:
+                    cameras.append(_view(table))
+        except FormatError:
+            raise
+        except SceneError as error:
+            raise table.failed(error) from None
+    return unique_names(cameras)
+
+
+def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, height: int | None) -> list[Camera]:
+    given = table.take(_FILE_KEYS)
+    file = table.file("path")
+    if file.suffix.lower() == ".toml":
+        raise table.error(f"path is {given['path']!r}, a scene file itself: list its cameras here instead", "path")
+    own_width, own_height = given.get("width"), given.get("height")
+    asked = (width, height) if own_width is None and own_height is None else (own_width, own_height)
+    loaded = [_moved(camera, placement(table)) for camera in load(file, *asked)]
+    exposure = {"exposure": given["exposure"]} if "exposure" in given else {}
+    return [replace(camera.scaled(own_width, own_height), **exposure) for camera in loaded]
+
+
+def _view(table: TomlTable) -> Camera:
+    given = table.take(_VIEW_KEYS, required=("eye", "target"))
+    models = {model.value: model for model in CameraModel}
+    if given.get("model", "pinhole") not in models:
+        raise table.wrong("model", " or ".join(models))
+    given["model"] = models[given.get("model", "pinhole")]
+    exposure = given.pop("exposure", 0.0)
+    widest, fov_y = 360.0 if given["model"] is CameraModel.FISHEYE else 180.0, given.get("fov_y_degrees", 45.0)
+    if not 0.0 < fov_y < widest:
+        raise table.wrong("fov_y_degrees", f"more than 0 and less than {widest:g} degrees")
+    values: dict[str, Any] = with_radians(table, given, widest)
+    return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), exposure=exposure)
+
+
+def _moved(camera: Camera, world_from_file: np.ndarray) -> Camera:
+    """A camera carried along by rotation, uniform scale and translation: lengths of its own scale with its world."""
+    scale = float(np.cbrt(np.linalg.det(world_from_file[:3, :3])))
+    file_from_world = np.linalg.inv(world_from_file)
+    focal = 1.0 / scale if camera.model is CameraModel.ORTHOGRAPHIC else 1.0
+    poses = {}
+    for name in ("camera_from_world", "camera_from_world_end"):
+        pose = getattr(camera, name)
+        if pose is not None:
+            moved = pose @ file_from_world
+            poses[name] = np.vstack([scale * moved[:3], moved[3]])
+    lengths = {name: scale * getattr(camera, name) for name in ("near", "aperture", "focus_distance")}
+    return replace(camera, fx=focal * camera.fx, fy=focal * camera.fy, **poses, **lengths)

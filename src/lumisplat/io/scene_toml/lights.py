@@ -1,0 +1,104 @@
+"""Lights and the environment of a scene file.
+
+[[lights]]
+type = "spot"                       # point, spot, directional, sphere or rect
+position = [0.0, 2.0, 0.0]
+direction = [0.0, -1.0, 0.0]
+intensity = 40.0                    # candela
+outer_angle_degrees = 35.0          # angles are in degrees, from the axis
+
+[environment]
+path = "studio.hdr"                 # relative to the scene file
+intensity = 0.5
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.io.images.environment import read_radiance
+from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
+from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, suggestion
+from lumisplat.scene.lights import (
+    Light,
+    LightDirectional,
+    LightEnvironment,
+    LightPoint,
+    LightRect,
+    LightSphere,
+    LightSpot,
+)
+
+_KINDS = {
+    "point": LightPoint,
+    "spot": LightSpot,
+    "directional": LightDirectional,
+    "sphere": LightSphere,
+    "rect": LightRect,
+}
+
+
+def read_light(table: TomlTable) -> Light:
+    """The light of one entry of ``[[lights]]``.
+
+    Raises:
+        FormatError: An unknown type or key, or a bad value.
+    """
+    name = table.values.get("type")
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if name == "environment":
+        raise table.error("type is 'environment': write it as a table of its own, [environment]", "type")
+    if kind is None:
+        meant = suggestion(name, _KINDS) if isinstance(name, str) else f"expected {', '.join(_KINDS)}"
+        raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
+    given = table.take({"type": TEXT, **schema(kind)}, required_keys(kind))
+    del given["type"]
+    values = with_radians(table, given)
+    if kind is LightSpot:
+        inner, outer = (given.get(f"{side}_angle_degrees", rest) for side, rest in (("inner", 0), ("outer", 45)))
+        if not inner < outer:
+            key = "inner_angle_degrees" if "inner_angle_degrees" in given else "outer_angle_degrees"
+            raise table.error(f"inner_angle_degrees is {inner}, expected less than outer_angle_degrees, {outer}", key)
+    return _made(table, kind, values)
+
+
+def read_environment(table: TomlTable) -> LightEnvironment:
+    """The light of ``[environment]``: an image, a colour, or both.
+
+    Raises:
+        FormatError: An unknown key, a bad value, or an image that cannot be read.
+    """
+    keys = schema(LightEnvironment)
+    given = table.take({"path": keys.pop("image"), **keys})
+    if "path" in given:
+        given["image"] = read_radiance(table.file("path"))
+        del given["path"]
+    return _made(table, LightEnvironment, given)
+
+
+def _made(table: TomlTable, kind: type, values: dict[str, Any]) -> Any:
+    try:
+        return kind(**values)
+    except SceneError as error:
+        raise table.failed(error) from None
+
+
+def moved_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
+    """A light of a glTF file, moved with it: neither intensity nor range change with the scale, as in the file.
+
+    Args:
+        light: One with a position, a direction or both.
+        world_from_light: Similarity transform, shape (4, 4).
+    """
+    changes: dict[str, Any] = {}
+    linear = world_from_light[:3, :3]
+    if isinstance(light, LightPoint | LightSpot):
+        changes["position"] = linear @ light.position + world_from_light[:3, 3]
+    if isinstance(light, LightSpot | LightDirectional):
+        changes["direction"] = linear @ light.direction
+    return replace(light, **changes)

@@ -1,0 +1,1 @@
+"""Files of Gaussians: PLY, compressed PLY, SPZ, SOG, and folders of frames."""

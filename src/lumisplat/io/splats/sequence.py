@@ -1,0 +1,63 @@
+"""Folders of Gaussian frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike
+from lumisplat.scene.animation.sequence import GaussianSequence
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
+
+_EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog")
+"""Of frames; the first that fits is the one that a name has."""
+
+
+def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians | Mesh | Scene]) -> GaussianSequence:
+    """As `lumisplat.io.load_sequence`; ``load`` reads a frame."""
+    folder = Path(folder)
+
+    def load_frame(path: Path) -> Gaussians:
+        frame = load(path)
+        if not isinstance(frame, Gaussians):
+            raise FormatError(path, f"is a {type(frame).__name__.lower()}, expected a frame of Gaussians")
+        return frame
+
+    sequence = GaussianSequence(frame_paths(folder), fps, load_frame)
+    sequence.at(0.0)  # what is wrong with all frames is known now
+    return sequence
+
+
+def frame_paths(folder: Path) -> list[Path]:
+    """The frames in a folder, in the natural order of their names: numbers in them count as such.
+
+    Raises:
+        FormatError: There is no such folder, no frame in it, or frames have different extensions.
+    """
+    if not folder.is_dir():
+        raise FormatError(folder, "is a file, expected a folder of frames" if folder.exists() else "no such folder")
+    try:
+        files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    except OSError as error:
+        raise FormatError(folder, f"cannot be read: {error.strerror or error}") from None
+    kinds = {path: kind for path in files if (kind := _extension(path))}
+    found = sorted(set(kinds.values()))
+    if not found:
+        raise FormatError(folder, f"holds no frames: expected files that end in {', '.join(_EXTENSIONS)}")
+    if len(found) > 1:
+        raise FormatError(folder, f"holds frames in {' and '.join(found)}, expected one kind")
+    return sorted(kinds, key=_natural_order)
+
+
+def _extension(path: Path) -> str | None:
+    return next((end for end in _EXTENSIONS if path.name.lower().endswith(end)), None)
+
+
+def _natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """A key that sorts ``frame_2`` before ``frame_10``."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]

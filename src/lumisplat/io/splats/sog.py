@@ -1,0 +1,175 @@
+"""PlayCanvas SOG (spatially ordered Gaussians): lossless WebP images and a meta.json, as a folder or zipped.
+
+Pixel i, row by row, of each image belongs to Gaussian i. Version 2 looks scales and SH up in codebooks of 256 values;
+version 1, which has no version number, spreads bytes linearly over a range. Axes are those of the PLY it was made from.
+Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import lzma
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import check_expansion, check_gaussian_count
+from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.io.splats.columns import Floats, SplatColumns
+from lumisplat.math.quaternions import unpack_smallest_three
+
+Bytes = npt.NDArray[np.uint8]
+Meta = dict[str, Any]
+
+PALETTE_COLUMNS = 64
+"""SH palette entries in a row of the centroids image; each is as many pixels wide as it has coefficients."""
+
+QUATERNION_TAG = 252
+"""Alpha of a rotation pixel, less this, is the index of its largest component."""
+
+DECODER_THREADS = 4
+
+
+def read_sog(path: PathLike) -> SplatColumns:
+    """Reads a SOG capture.
+
+    Args:
+        path: A bundled ``.sog``, a folder that holds ``meta.json``, or that ``meta.json``.
+
+    Raises:
+        FormatError: A file is missing or damaged, the version is unknown, or images are too small for the count.
+    """
+    with _open_source(path) as read_file, parsing(path, "a SOG capture"):
+        meta = json.loads(read_file("meta.json"))
+        version = meta.get("version", 1)
+        if version not in (1, 2):
+            raise FormatError(path, f"is SOG version {version}, expected 1 or 2")
+        count = int(meta["count"] if version == 2 else meta["means"]["shape"][0])
+        fields = [field for field in ("means", "quats", "scales", "sh0", "shN") if meta.get(field)]
+        names = [_plain_name(path, name) for field in fields for name in meta[field]["files"]]
+        stored = {name: read_file(name) for name in names}
+        check_gaussian_count(path, count, 1, sum(map(len, stored.values())))
+        images = _decode_images(path, stored)
+        return _columns(path, meta, images, count, logits=version == 1)
+
+
+@contextmanager
+def _open_source(path: PathLike) -> Iterator[Callable[[str], bytes]]:
+    """What reads a file of the capture by its name."""
+    if Path(path).is_dir() or Path(path).name == "meta.json":
+        folder = Path(path) if Path(path).is_dir() else Path(path).parent
+        yield lambda name: read_bytes(folder / name, wanted_by=path)
+        return
+    archive = io.BytesIO(read_bytes(path))
+    try:
+        with zipfile.ZipFile(archive) as bundle:
+            yield lambda name: _read_member(path, bundle, name)
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, RuntimeError, OSError) as error:
+        raise FormatError(path, f"damaged or truncated, expected a zip archive: {error}") from None
+
+
+def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
+    try:
+        info = bundle.getinfo(name)
+    except KeyError:
+        raise FormatError(path, f"the bundle has no {name}") from None
+    check_expansion(path, name, info.file_size, info.compress_size)
+    return bundle.read(info)
+
+
+def _plain_name(path: PathLike, name: str) -> str:
+    if Path(name).name != name:
+        raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
+    return name
+
+
+def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
+    """RGBA pixels of each image, shape (height, width, 4)."""
+
+    def decode(item: tuple[str, bytes]) -> Bytes:
+        name, data = item
+        try:
+            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
+                check_expansion(path, name, 4 * image.width * image.height, len(data))
+                return np.asarray(image.convert("RGBA"))
+        except (OSError, SyntaxError, EOFError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+            raise FormatError(path, f"{name} is damaged: {str(error).splitlines()[0]}") from None
+
+    with warnings.catch_warnings(), ThreadPoolExecutor(DECODER_THREADS) as threads:
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        return dict(zip(stored, threads.map(decode, stored.items()), strict=True))
+
+
+def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, logits: bool) -> SplatColumns:
+    def rows(name: str) -> Bytes:
+        pixels = images[name].reshape(-1, 4)
+        if len(pixels) < count:
+            raise FormatError(path, f"{name} has {len(pixels):,} pixels, fewer than its {count:,} Gaussians")
+        return pixels[:count]
+
+    low, high = (rows(name)[:, :3] for name in meta["means"]["files"])
+    log_means = _spread((low | high.astype(np.uint16) << 8) / np.float32(65535.0), meta["means"])
+    sh0 = rows(meta["sh0"]["files"][0])
+    dc = _values(sh0 if logits else sh0[:, :3], meta["sh0"])
+    sh = dc[:, None, :3]
+    if meta.get("shN"):
+        sh = np.concatenate([sh, _palette_sh(path, meta["shN"], images, rows)], axis=1)
+    generator = meta.get("asset", {}).get("generator")
+    with np.errstate(over="ignore"):  # damaged ranges: refused later, as infinite values
+        means = np.sign(log_means) * np.expm1(np.abs(log_means))
+    return SplatColumns(
+        means=means,
+        rotations_wxyz=_rotations(rows(meta["quats"]["files"][0])),
+        log_scales=_values(rows(meta["scales"]["files"][0])[:, :3], meta["scales"]),
+        opacities=dc[:, 3] if logits else sh0[:, 3] / np.float32(255.0),
+        sh=sh,
+        opacities_are_logits=logits,
+        antialiased=meta.get("antialias") is True or meta.get("model") == "antialiased",
+        comments=(f"Generated by {generator}",) if generator else (),
+    )
+
+
+def _values(stored: Bytes, field: Meta) -> Floats:
+    """Bytes to numbers, by the codebook of a field or, in version 1, by its range."""
+    if "codebook" not in field:
+        return _spread(stored / np.float32(255.0), field)
+    codebook = np.array(field["codebook"], dtype=np.float32)
+    if field["codebook"][0] is None:  # some writers lost the first entry: extrapolated, as PlayCanvas's engine does
+        codebook[0] = codebook[1] + (codebook[1] - codebook[-1]) / 255.0
+    return codebook[stored]
+
+
+def _spread(unit: Floats, field: Meta) -> Floats:
+    low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
+    return low + unit * (high - low)
+
+
+def _rotations(pixels: Bytes) -> Floats:
+    """Smallest three of wxyz, a byte each; zero, and so refused later, where the tag is none. Shape (N, 4)."""
+    kept = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    largest = pixels[:, 3].astype(np.int64) - QUATERNION_TAG
+    return unpack_smallest_three(largest, kept) * (largest >= 0)[:, None]
+
+
+def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
+    """Coefficients of degree 1 up, from a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
+    # Writers list the centroids first, the specification the labels: the names tell them apart.
+    centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)
+    centroids = images[centroids_name][..., :3]
+    coefficients, remainder = divmod(centroids.shape[1], PALETTE_COLUMNS)
+    if remainder or coefficients not in (3, 8, 15):
+        raise FormatError(path, f"{centroids_name} is {centroids.shape[1]} pixels wide, expected 192, 512 or 960")
+    palette = _values(centroids.reshape(-1, coefficients, 3), field)
+    labels = rows(labels_name)
+    return palette[labels[:, 0] | labels[:, 1].astype(np.uint16) << 8]

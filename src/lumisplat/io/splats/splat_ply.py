@@ -1,0 +1,178 @@
+"""Gaussian PLY as INRIA's trainer writes it, with or without further columns.
+
+Properties in any order and number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major), opacity
+(logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures add albedo_0..2 (linear
+Rec.709), roughness and metallic, 0..1, and use nx, ny, nz, which INRIA fills with zeros. Axes are taken as they are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike
+from lumisplat.io.ply.ply_rows import PlyElement, PlyHeader, ply_header_bytes, read_ply_rows
+from lumisplat.io.splats.columns import (
+    MATERIALS,
+    PROPERTY_NAMES,
+    SplatColumns,
+    columns_from_gaussians,
+    sh_property_names,
+)
+from lumisplat.scene.gaussians import Gaussians
+
+REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
+
+ANTIALIASED_COMMENT = "SplatRenderMode: mip"
+"""Brush's spelling, which PlayCanvas's tools also write."""
+
+KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
+"""Ours: no trainer states the degree in its files."""
+
+_ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
+_KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
+
+
+def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
+    """Whether header comments say that the capture was trained with Mip-Splatting; the last one counts.
+
+    Understands Brush (``SplatRenderMode: mip``) and Postshot (``antialiased 1``).
+    """
+    flags = [match for match in map(_ANTIALIASED.fullmatch, comments) if match]
+    return bool(flags) and (flags[-1]["postshot"] == "1" or (flags[-1]["brush"] or "").lower() == "mip")
+
+
+def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
+    """The kernel degree that header comments state, in range or not; the last one counts, 2 without one."""
+    degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
+    return degrees[-1] if degrees else KERNEL_DEGREE
+
+
+def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
+    """The comments of a capture, with ones that state how to render it where that is not usual, and none that differs.
+
+    What is stated: the antialiased flag and the kernel degree.
+    """
+    kept = gaussians.comments
+    if antialiased_from_comments(kept) != gaussians.antialiased:
+        kept = tuple(comment for comment in kept if not _ANTIALIASED.fullmatch(comment))
+        kept += (ANTIALIASED_COMMENT,) * gaussians.antialiased
+    if kernel_degree_from_comments(kept) != gaussians.kernel_degree:
+        kept = tuple(comment for comment in kept if not _KERNEL_DEGREE.fullmatch(comment))
+        kept += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),) * (gaussians.kernel_degree != KERNEL_DEGREE)
+    return kept
+
+
+def is_gaussian_element(vertex: PlyElement) -> bool:
+    """Whether a vertex element looks like a Gaussian capture, complete or not."""
+    return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
+
+
+def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None = None) -> SplatColumns:
+    """Reads an uncompressed Gaussian PLY.
+
+    Args:
+        header: Of the file.
+        progress: Called with the fraction read, 0..1.
+
+    Raises:
+        FormatError: Not a Gaussian capture, a property is missing, or the file is truncated.
+    """
+    vertex = header.element("vertex")
+    if vertex is None or not is_gaussian_element(vertex):
+        raise FormatError(header.path, "a point cloud, not a Gaussian capture: no opacity, scale, rotation")
+    coefficients = _check_properties(header.path, vertex)
+    columns: SplatColumns | None = None
+    start = 0
+    for rows in read_ply_rows(header, vertex):
+        # Allocated only once the first block proves that the file is as long as its header says.
+        columns = columns or _allocate(header, vertex, coefficients)
+        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32: refused later, as infinite
+            for name, target in _targets(columns):
+                target[start : start + len(rows)] = rows[name]
+        start += len(rows)
+        if progress:
+            progress(start / vertex.count)
+    if columns is None:
+        raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
+    return columns
+
+
+def _check_properties(path: PathLike, vertex: PlyElement) -> int:
+    """Number of SH coefficients per channel, once every required property is there."""
+    rest = sum(name.startswith("f_rest_") for name in vertex.names)
+    degree = {3 * ((n + 1) ** 2 - 1): n for n in range(8)}.get(rest)
+    if degree is None:
+        raise FormatError(path, f"has {rest} f_rest properties, expected 0, 9, 24 or 45 (SH degree 0 to 3)")
+    if degree > SH_DEGREE_MAX:
+        raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
+    coefficients = (degree + 1) ** 2
+    required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + sh_property_names(coefficients)
+    missing = [name for name in required if name not in vertex.names]
+    if missing == ["scale_2"]:
+        raise FormatError(path, "a 2D Gaussian capture (no scale_2): only 3D Gaussians are supported")
+    if missing:
+        raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
+    return coefficients
+
+
+def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> SplatColumns:
+    def empty(*shape: int) -> np.ndarray:
+        return np.empty((vertex.count, *shape), dtype=np.float32)
+
+    def optional(field: str, *shape: int) -> np.ndarray | None:
+        return empty(*shape) if set(PROPERTY_NAMES[field]) <= set(vertex.names) else None
+
+    return SplatColumns(
+        means=empty(3),
+        rotations_wxyz=empty(4),
+        log_scales=empty(3),
+        opacities=empty(),
+        sh=empty(coefficients, 3),
+        normals=optional("normals", 3),
+        albedo=optional("albedo", 3),
+        roughness=optional("roughness"),
+        metallic=optional("metallic"),
+        antialiased=antialiased_from_comments(header.comments),
+        kernel_degree=kernel_degree_from_comments(header.comments),
+        comments=header.comments,
+    )
+
+
+def _targets(columns: SplatColumns) -> list[tuple[str, np.ndarray]]:
+    """(property name, its column as a view of shape (N,)) of every property that ``columns`` holds."""
+    targets = list(zip(sh_property_names(columns.sh.shape[1]), columns.sh.reshape(columns.count, -1).T, strict=True))
+    for field, names in PROPERTY_NAMES.items():
+        values = getattr(columns, field)
+        if values is not None:
+            targets += zip(names, values.reshape(columns.count, -1).T, strict=True)
+    return targets
+
+
+def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes an uncompressed Gaussian PLY, little endian, float32, as INRIA's trainer does.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    columns = columns_from_gaussians(gaussians)
+    values = dict(_targets(columns))
+    rest = [f"f_rest_{i}" for i in range(3 * (columns.sh.shape[1] - 1))]
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
+    names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
+    names += [name for field in MATERIALS[1:] for name in PROPERTY_NAMES[field] if name in values]
+    header = ply_header_bytes(comments_with_settings(gaussians), [("vertex", columns.count, "float", names)])
+    step = 4096
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        file.write(header)
+        for start in range(0, columns.count, step):
+            rows = np.zeros((min(step, columns.count - start), len(names)), dtype="<f4")
+            for i, name in enumerate(names):
+                if name in values:
+                    rows[:, i] = values[name][start : start + step]
+            file.write(rows.tobytes())

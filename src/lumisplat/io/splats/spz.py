@@ -1,0 +1,176 @@
+"""Niantic SPZ, versions 1 to 4.
+
+Versions 1 to 3 are one gzip stream, decoded here (see `spz_legacy`). Version 4 is a plain header, a table of contents
+and one zstd stream an attribute, decoded and written by the C++ module of gsply. SPZ holds RUB axes (x right, y up,
+z back) unless an extension says otherwise; ours are those of the usual PLY (x right, y down, z forward), so y and z
+are mirrored on load and on save. Layout: https://github.com/nianticlabs/spz.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import struct
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+
+from lumisplat.constants import KERNEL_DEGREE
+from lumisplat.errors import FormatError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike, read_bytes
+from lumisplat.io.splats.axes import mirrored
+from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
+from lumisplat.io.splats.spz_header import (
+    FLAG_ANTIALIASED,
+    FLAG_EXTENSIONS,
+    FLAGS_OFFSET,
+    FRACTIONAL_BITS_MAX,
+    SpzHeader,
+    parse_spz_header,
+)
+from lumisplat.io.splats.spz_legacy import read_legacy
+from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
+
+HEADER_V4 = struct.Struct("<15xBI12x")
+"""What version 4 adds to the shared fields: the number of streams, and where the table of contents begins."""
+
+LOG_SCALE_MIN = -10.0
+"""Smallest logarithm of a scale that SPZ holds."""
+
+EXTENSION_COORDINATES = 0xADBE0003
+"""SPZ_ADOBE_coordinate_system: one u32 names the axes."""
+
+COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
+"""Axes by that number, 0 being unspecified: right or left, up or down, back or front. 9 to 16 exchange y and z, and are
+not supported."""
+
+
+def read_spz(path: PathLike) -> SplatColumns:
+    """Reads an SPZ file of any version.
+
+    Raises:
+        FormatError: Not an SPZ file, damaged, truncated, of an unknown version or above SH degree 3.
+    """
+    data = read_bytes(path)
+    if data[:2] == b"\x1f\x8b":
+        header, columns, extensions = read_legacy(path, data)
+    elif data[:4] == b"NGSP":
+        header, columns, extensions = _read_v4(path, data)
+    else:
+        raise FormatError(path, "is not an SPZ file: neither gzip nor NGSP at its start")
+    axes = _stored_axes(path, extensions) if header.flags & FLAG_EXTENSIONS else "RUB"
+    return replace(mirrored(columns, rdf_signs(axes)), antialiased=bool(header.flags & FLAG_ANTIALIASED))
+
+
+def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
+    header = parse_spz_header(path, data, range(4, 5), len(data))
+    if len(data) < HEADER_V4.size:
+        raise FormatError(path, "truncated: the SPZ header is incomplete")
+    stream_count, toc_offset = HEADER_V4.unpack_from(data)
+    sizes = [size for size in header.section_sizes if size]
+    toc_end = toc_offset + 16 * len(sizes)
+    if stream_count != len(sizes) or toc_offset < HEADER_V4.size:
+        raise FormatError(path, f"damaged: {stream_count} streams at byte {toc_offset}, expected {len(sizes)}")
+    if toc_end > len(data):
+        raise FormatError(path, "truncated: the table of contents is incomplete")
+    toc = np.frombuffer(data, "<u8", 2 * len(sizes), toc_offset).reshape(-1, 2).tolist()
+    if [unpacked for _, unpacked in toc] != sizes:
+        raise FormatError(path, f"damaged: its streams do not hold {header.count:,} Gaussians")
+    if toc_end + sum(packed for packed, _ in toc) > len(data):
+        raise FormatError(path, f"truncated: {len(data):,} bytes are fewer than its table of contents promises")
+    try:
+        values = _gsply(path).read_spz(os.fspath(path))
+    except RuntimeError as error:
+        raise FormatError(path, f"damaged: {str(error).split(':')[0]}") from None
+    sh = values["sh0"][:, None, :]
+    if values["shN"] is not None:
+        sh = np.concatenate([sh, values["shN"]], axis=1)
+    columns = SplatColumns(values["means"], values["quats"], values["scales"], values["opacities"], sh)
+    return header, columns, data[HEADER_V4.size : toc_offset]
+
+
+def _gsply(path: PathLike) -> ModuleType:
+    # Imported by itself: `import gsply` would start numba, half a second that this module does not need.
+    try:
+        import gsply_cpp
+    except ImportError:
+        raise FormatError(
+            path, "SPZ version 4 needs the C++ module in gsply's wheels: pip install --only-binary gsply gsply"
+        ) from None
+    return gsply_cpp
+
+
+def rdf_signs(axes: str) -> tuple[int, int, int]:
+    """Signs that bring right/left, up/down, back/front axes, e.g. ``"RUB"``, to ours."""
+    x, y, z = axes
+    return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
+
+
+def _stored_axes(path: PathLike, extensions: bytes) -> str:
+    """The axes that the extension records state, RUB if none does."""
+    start = 0
+    while start + 8 <= len(extensions):
+        kind, size = struct.unpack_from("<II", extensions, start)
+        if kind == EXTENSION_COORDINATES and size == 4 and start + 12 <= len(extensions):
+            (coordinates,) = struct.unpack_from("<I", extensions, start + 8)
+            if coordinates >= len(COORDINATES):
+                raise FormatError(path, f"its axes (SPZ_ADOBE_coordinate_system {coordinates}) are not supported")
+            return COORDINATES[coordinates]
+        start += 8 + size
+    return "RUB"
+
+
+def write_spz(path: PathLike, gaussians: Gaussians) -> None:
+    """Writes SPZ version 4 in RUB axes.
+
+    Quantised: positions as `position_bits` says, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to 8 bits
+    within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits a component. What lies outside is clamped.
+
+    Raises:
+        FormatError: Positions beyond what 24-bit fixed point can hold, or the file cannot be written.
+    """
+    warn_lost_materials(path, "SPZ", gaussians)
+    if gaussians.kernel_degree != KERNEL_DEGREE:
+        _log.warning(
+            "%s: SPZ cannot store the kernel degree, %s: left out, save as .ply to keep it",
+            os.fspath(path),
+            gaussians.kernel_degree,
+        )
+    columns = mirrored(columns_from_gaussians(gaussians), rdf_signs("RUB"))
+    thin = np.count_nonzero((columns.log_scales < LOG_SCALE_MIN).any(axis=1))
+    if thin:
+        least = f"{math.exp(LOG_SCALE_MIN):.2g}"
+        _log.warning("%s: %s Gaussians are thinner than %s, as thin as SPZ gets: widened", os.fspath(path), thin, least)
+    bits = position_bits(path, float(np.abs(columns.means).max()))
+    arrays = (columns.means, columns.log_scales, columns.rotations_wxyz, columns.opacities, columns.sh[:, 0])
+    rest = np.ascontiguousarray(columns.sh[:, 1:]) if columns.sh.shape[1] > 1 else None
+    gsply = _gsply(path)
+    with atomic_write(path) as temporary:
+        try:
+            gsply.write_spz(str(temporary), *map(np.ascontiguousarray, arrays), rest, fractional_bits=bits, version=4)
+        except RuntimeError as error:
+            raise FormatError(path, f"cannot be written: {str(error).split(':')[0]}") from None
+        if gaussians.antialiased:  # gsply leaves the flags at zero
+            with temporary.open("r+b") as file:
+                file.seek(FLAGS_OFFSET)
+                file.write(bytes([FLAG_ANTIALIASED]))
+
+
+def position_bits(path: PathLike, largest: float) -> int:
+    """Fractional bits of the 24-bit positions: 12 as everywhere, more for small scenes, fewer for large ones.
+
+    A step is 2^-bits scene units. 12 bits reach 2048 units; a scene below 32 units gets steps of at most 2^-17 of its
+    largest coordinate, as 12 bits would be too coarse for a small object.
+
+    Raises:
+        FormatError: The largest coordinate fits no number of bits.
+    """
+    fitting = 22 - math.floor(math.log2(largest)) if largest > 0.0 else FRACTIONAL_BITS_MAX
+    if fitting < 1:
+        raise FormatError(path, f"a position of {largest:g} does not fit SPZ, which ends at {2**22:,}: scale the scene")
+    return min(fitting, max(12, fitting - 5), FRACTIONAL_BITS_MAX)

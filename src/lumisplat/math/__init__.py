@@ -1,0 +1,1 @@
+"""Mathematics of the host: arrays, colour, rotations, spherical harmonics. NumPy only."""

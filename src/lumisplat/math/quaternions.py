@@ -1,0 +1,65 @@
+"""Quaternions in files: as matrices, and as smallest three, whose largest component follows from unit length."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.io.splats.columns import Floats
+from lumisplat.math.arrays import FloatArray
+
+
+def rotation_matrix(wxyz: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The matrix of a quaternion of any length but zero, scalar first, shape (3, 3).
+
+    Raises:
+        SceneError: It has zero length, or is not finite.
+    """
+    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
+    length2 = w * w + x * x + y * y + z * z
+    if not 0.0 < length2 < np.inf:
+        raise SceneError("a rotation of zero length or not finite, expected a unit quaternion")
+    scaled = np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+    return scaled / length2
+
+
+def unpack_smallest_three(largest: npt.NDArray[np.integer], kept: Floats) -> FloatArray:
+    """Restores unit quaternions, their largest component positive.
+
+    Args:
+        largest: Index of the component left out, 0..3, shape (N,).
+        kept: The other three, in order, shape (N, 3).
+
+    Returns:
+        In the component order of the file, shape (N, 4), float32.
+    """
+    missing = np.sqrt(np.maximum(0.0, 1.0 - np.einsum("ij,ij->i", kept, kept)))
+    quaternions = np.empty((len(kept), 4), dtype=np.float32)
+    for i in range(4):
+        stored = np.where(i < largest, kept[:, min(i, 2)], kept[:, max(i - 1, 0)])
+        quaternions[:, i] = np.where(i == largest, missing, stored)
+    return quaternions
+
+
+def pack_smallest_three(quaternions: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
+    """The inverse of `unpack_smallest_three`.
+
+    Args:
+        quaternions: Unit length, shape (N, 4).
+
+    Returns:
+        Index of the largest component (N,), and the other three with the largest made positive (N, 3), each within
+        +-sqrt(1/2).
+    """
+    largest = np.abs(quaternions).argmax(axis=1)
+    rows = np.arange(len(quaternions))
+    positive = np.where(quaternions[rows, largest, None] < 0.0, -quaternions, quaternions)
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    return largest, np.take_along_axis(positive, others, axis=1)

@@ -1,0 +1,154 @@
+"""How lit frames become pictures: exposure, tone mapping, and captured colours that stay as they were captured."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import ToneMap
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.color import decode_srgb, encode_srgb
+
+_Light = npt.NDArray[np.floating]
+
+_BRIGHTEST = 2.0**64
+"""Radiance above which all is alike: far beyond every tone mapper's white, far from float32's end."""
+_WEIGHT_ROUNDING = 1e-5
+"""A captured share that falls short of the whole by this is the whole: weights are sums of float32 products."""
+
+# Khronos PBR Neutral, github.com/KhronosGroup/ToneMapping: F90, Ks and Kd of its specification.
+_NEUTRAL_TOE = 0.04
+_NEUTRAL_START = 0.8 - _NEUTRAL_TOE
+_NEUTRAL_DESATURATION = 0.15
+
+# AgX. Blender's primaries: Rec.2020's, drawn in before the curve and out behind it (github.com/EaryChow/AgX_LUT_Gen).
+_REC2020_FROM_REC709 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
+_REC709_FROM_REC2020 = np.linalg.inv(_REC2020_FROM_REC709).astype(np.float32)
+_INSET = [
+    [0.856627153315983, 0.0951212405381588, 0.0482516061458583],
+    [0.137318972929847, 0.761241990602591, 0.101439036467562],
+    [0.11189821299995, 0.0767994186031903, 0.811302368396859],
+]
+_AGX_FROM_REC709 = (np.array(_INSET) @ _REC2020_FROM_REC709).astype(np.float32)
+_OUTSET = [
+    [0.899796955911611, 0.0871996192028351, 0.013003424885555],
+    [0.11142098895748, 0.875575586156966, 0.0130034248855548],
+    [0.11142098895748, 0.0871996192028349, 0.801379391839686],
+]
+_REC2020_FROM_AGX = np.linalg.inv(_OUTSET).astype(np.float32)
+_AGX_STOPS = (-12.47393, 4.026069)
+"""What the curve spans, log2 of radiance: 10 stops below middle grey to 6.5 above."""
+# Sobotka's first configuration (AgX-S2O3): the curve passes its pivot, middle grey, at half of display white.
+_AGX_PIVOT = (10.0 / 16.5, 0.5)
+_AGX_SLOPE, _AGX_TOE, _AGX_SHOULDER = 2.0, 3.0, 3.25
+_AGX_GAMMA = 2.2
+
+
+def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatArray:
+    """Linear Rec.709 of what was captured: un-premultiplied, decoded and weighted again.
+
+    Args:
+        captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
+        weight: Its share of the pixel, 0..1, shape (...).
+
+    Returns:
+        Shape (..., 3); zero where ``weight`` is.
+    """
+    captured, share = np.asarray(captured, np.float32), np.asarray(weight, np.float32)[..., None]
+    straight = np.divide(captured, share, out=np.zeros_like(captured), where=share > 0.0)
+    return (decode_srgb(straight) * share).astype(np.float32)
+
+
+def tone_mapped(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
+    """Display colours of linear light.
+
+    ``AGX`` is Blender's and Filament's variant, in Rec.2020 primaries, with Sobotka's curve in closed form where
+    Filament and three.js fit a polynomial to it (at most 0.006 apart), and without Blender's mix of hues.
+
+    Args:
+        linear: Linear Rec.709 with the exposure applied, shape (..., 3); what is negative counts as 0. Infinite values
+            are the brightest; NaN stays.
+        tone_map: How.
+
+    Returns:
+        sRGB, 0..1, shape (..., 3).
+    """
+    light = np.clip(np.asarray(linear, np.float32), 0.0, _BRIGHTEST)
+    if tone_map is ToneMap.NEUTRAL:
+        light = _neutral(light)
+    elif tone_map is ToneMap.AGX:
+        light = _agx(light)
+    return np.clip(encode_srgb(np.clip(light, 0.0, 1.0)), 0.0, 1.0).astype(np.float32)
+
+
+def lit_picture(
+    captured: npt.ArrayLike, weight: npt.ArrayLike, light: npt.ArrayLike, exposure: float, tone_map: ToneMap
+) -> FloatArray:
+    """Display colours of pixels that show captures, lights, or both.
+
+    Captured light is shown by the sRGB curve that it was captured through, other light by the tone mapper. In between,
+    the captured part e of the pixel's light x brings the difference of the two curves with it as far as it makes up
+    the pixel: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, over the channels' maxima.
+    Light that is added makes no channel darker than the capture was, light that is taken none brighter.
+
+    Args:
+        captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
+        weight: Share of the pixel that was captured, 0..1, shape (...).
+        light: Linear Rec.709 that is added to it, or taken, shape (..., 3).
+        exposure: Stops by which all of it is brightened.
+        tone_map: For what was not captured.
+
+    Returns:
+        sRGB, shape (..., 3): 0..1, but for pixels with nothing else than a capture and no exposure, which are
+        ``captured`` to the bit.
+    """
+    captured, weight, light = (np.asarray(values, np.float32) for values in (captured, weight, light))
+    result = np.array(captured)
+    whole = weight >= 1.0 - _WEIGHT_ROUNDING
+    changed = ~whole | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(whole)
+    radiance, gain = captured_radiance(captured[changed], weight[changed]), np.exp2(np.float32(exposure).clip(-64, 64))
+    seen, before = (np.clip(gain * part, 0.0, _BRIGHTEST) for part in (radiance + light[changed], radiance))
+    largest = np.maximum(seen, before).max(axis=-1, keepdims=True)
+    difference = np.abs(seen - before).max(axis=-1, keepdims=True)
+    kept = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)
+    untouched = encode_srgb(before)
+    shown = tone_mapped(seen, tone_map) + kept * (untouched - tone_mapped(before, tone_map))
+    shown = np.where(seen >= before, np.maximum(shown, untouched), np.minimum(shown, untouched))
+    result[changed] = np.clip(shown, 0.0, 1.0)
+    return result
+
+
+def _neutral(light: _Light) -> _Light:
+    """Khronos PBR Neutral, linear to linear: takes off what a dielectric's Fresnel adds, compresses above 0.76."""
+    least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * _NEUTRAL_TOE)
+    color = light - (least - least**2 / (4.0 * _NEUTRAL_TOE))
+    peak = color.max(axis=-1, keepdims=True)
+    room = 1.0 - _NEUTRAL_START
+    bright = np.maximum(peak, _NEUTRAL_START)
+    compressed = 1.0 - room**2 / (bright + room - _NEUTRAL_START)
+    saturation = 1.0 / (_NEUTRAL_DESATURATION * (bright - compressed) + 1.0)
+    highlight = compressed + saturation * (color * (compressed / bright) - compressed)
+    return np.where(peak < _NEUTRAL_START, color, highlight)
+
+
+def _agx(light: _Light) -> _Light:
+    """AgX, linear to linear; at times below 0 or above 1, out of the display's gamut."""
+    low, high = _AGX_STOPS
+    stops = np.log2(np.maximum(light @ _AGX_FROM_REC709.T, np.float32(2.0**low)))
+    curved = _agx_curve(np.clip((stops - low) / (high - low), 0.0, 1.0))
+    return np.maximum(curved @ _REC2020_FROM_AGX.T, 0.0) ** _AGX_GAMMA @ _REC709_FROM_REC2020.T
+
+
+def _agx_curve(x: _Light) -> _Light:
+    """Jed Smith's sigmoid: straight at the pivot, bending by a power each way to pass (0, 0) and (1, 1)."""
+    pivot_x, pivot_y = _AGX_PIVOT
+    curved = x.copy()  # NaN is on neither side
+    for side, run, rise, power in (
+        (x < pivot_x, pivot_x, pivot_y, _AGX_TOE),
+        (x >= pivot_x, 1.0 - pivot_x, 1.0 - pivot_y, _AGX_SHOULDER),
+    ):
+        # How far off the asymptote is for which the curve passes its end.
+        scale = _AGX_SLOPE * run / ((_AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
+        distance = (_AGX_SLOPE / scale) * (x[side] - pivot_x)
+        curved[side] = pivot_y + scale * distance / (1.0 + np.abs(distance) ** power) ** (1.0 / power)
+    return curved

@@ -1,0 +1,130 @@
+"""What is seen from a place all around: six square faces of a cube, each pixel with the solid angle that it covers."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import FloatArray
+from lumisplat.math.tone_map import captured_radiance
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.ops.pixel_rays import world_rays
+from lumisplat.scene.scene import Scene
+
+_log = logging.getLogger("lumisplat")
+
+_Doubles = npt.NDArray[np.float64]
+
+_FACES = (
+    ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+    ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
+    ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
+    ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
+    ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+)
+"""Where each face looks, and what is up in it."""
+
+
+class SeenAround(NamedTuple):
+    """Light that arrives at a place, one row a direction."""
+
+    directions: _Doubles
+    """Unit, world space, shape (N, 3)."""
+    radiance: FloatArray
+    """Linear Rec.709, shape (N, 3)."""
+    weights: _Doubles
+    """Solid angles, steradians, shape (N,)."""
+
+
+class _Cube(NamedTuple):
+    """The cube around the origin."""
+
+    cameras: tuple[Camera, ...]
+    directions: _Doubles
+    """Through the pixels' centres, shape (6 P P, 3)."""
+    weights: _Doubles
+    """Solid angles of the pixels, shape (6 P P,)."""
+
+
+def look_around(scene: Scene, position: _Doubles, renderer: Renderer, face_px: int, near: float) -> SeenAround:
+    """Renders a scene from a place to the six faces of a cube.
+
+    An unlit frame is decoded as everywhere (`captured_radiance`), a lit one is linear. What nothing covers shows the
+    renderer's background, or with light the scene's visible environment. Pixels that are not finite are left out, and
+    counted in a log line.
+
+    Args:
+        scene: What is seen.
+        position: From where, world space, shape (3,).
+        renderer: Draws it.
+        face_px: Pixels along a face's edge.
+        near: Half the side of the cube inside which nothing is seen, scene units.
+
+    Raises:
+        SceneError: No pixel is finite, or the renderer refuses the scene.
+    """
+    cube = _cube(face_px)
+    colors, covered = [], 0.0
+    for camera in cube.cameras:
+        frame = renderer.render(scene, _moved(camera, position, near))
+        colors.append(_radiance(frame).reshape(-1, 3))
+        covered = max(covered, float(np.nanmax(frame.alpha)))
+    if covered == 0.0:
+        place = ", ".join(f"{x:g}" for x in position)
+        _log.warning("a probe at (%s) sees nothing of the scene, only the background", place)
+    radiance = np.concatenate(colors)
+    finite = np.isfinite(radiance).all(axis=1)
+    if not finite.any():
+        raise SceneError("a probe sees no pixel that is finite: are colours or lights of the scene too large?")
+    if not finite.all():
+        _log.warning("%d pixels of a probe's faces are not finite, and left out", np.count_nonzero(~finite))
+        return SeenAround(cube.directions[finite], radiance[finite], cube.weights[finite])
+    return SeenAround(cube.directions, radiance, cube.weights)
+
+
+def cube_solid_angles(face_px: int) -> _Doubles:
+    """Solid angle of each pixel of a face, steradians, shape (P, P): over six faces they sum to 4 pi, exactly.
+
+    A rectangle from the face's centre to (x, y), at distance 1, covers ``atan(x y / sqrt(x^2 + y^2 + 1))``.
+    """
+    edge = np.linspace(-1.0, 1.0, face_px + 1)
+    x, y = edge[None, :], edge[:, None]
+    corner = np.arctan(x * y / np.sqrt(x * x + y * y + 1.0))
+    return corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
+
+
+@lru_cache(maxsize=4)
+def _cube(face_px: int) -> _Cube:
+    cameras = tuple(
+        Camera.look_at((0.0, 0.0, 0.0), axis, up, width=face_px, height=face_px, fov_y=0.5 * np.pi)
+        for axis, up in _FACES
+    )
+    directions = np.concatenate([world_rays(camera)[1].reshape(-1, 3) for camera in cameras])
+    weights = np.tile(cube_solid_angles(face_px).ravel(), len(_FACES))
+    for array in (directions, weights):
+        array.flags.writeable = False
+    return _Cube(cameras, directions, weights)
+
+
+def _moved(camera: Camera, position: _Doubles, near: float) -> Camera:
+    """The camera with its eye at a place instead of the origin."""
+    pose = np.array(camera.camera_from_world)
+    pose[:3, 3] = -pose[:3, :3] @ position
+    return replace(camera, camera_from_world=pose, near=near)
+
+
+def _radiance(frame: Frame) -> FloatArray:
+    """Linear radiance of a frame's pixels over its background, (H, W, 3)."""
+    if frame.color_space == "linear":
+        return frame.color
+    weight = frame.alpha if frame.background is None else np.ones_like(frame.alpha)
+    return captured_radiance(frame.color, weight)

@@ -1,0 +1,333 @@
+"""The light that arrives at a place, in spherical harmonics (seeds/001, section 3.4)."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import RenderConfig, check_range, check_whole
+from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
+from lumisplat.errors import ConfigError, FormatError, SceneError, check_shapes
+from lumisplat.math.arrays import FloatArray, float_array, normalised, refuse_rows
+from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.math.sh import sh_basis
+from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from lumisplat.renderer.renderer import Renderer
+
+_Doubles = npt.NDArray[np.float64]
+
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+_ROWS_AT_ONCE = 2**16
+"""Directions whose basis is in memory at once: 40 MB at degree 8."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnvironmentProbe:
+    """Light from all around one place, smoothed to spherical harmonics of a degree d: K = (d + 1)^2 numbers a channel.
+
+    Raises:
+        SceneError: The coefficients are no finite array of shape (K, 3) of a degree 0 to 8.
+    """
+
+    coefficients: _Doubles
+    """Of radiance, linear Rec.709, by the basis of captures (order, signs), read-only float64, shape (K, 3)."""
+
+    def __post_init__(self) -> None:
+        float_array("coefficients", self.coefficients)
+        array = np.array(self.coefficients, np.float64)
+        sizes = [(degree + 1) ** 2 for degree in range(PROBE_DEGREE_MAX + 1)]
+        if array.ndim != 2 or array.shape[1] != 3 or array.shape[0] not in sizes:
+            listed = ", ".join(map(str, sizes))
+            raise SceneError(f"coefficients has shape {array.shape}, expected (K, 3) with K one of {listed}")
+        array.flags.writeable = False
+        object.__setattr__(self, "coefficients", array)
+
+    def __repr__(self) -> str:
+        return f"EnvironmentProbe(degree={self.degree})"
+
+    @property
+    def degree(self) -> int:
+        """Degree of the harmonics, 0 to 8."""
+        return math.isqrt(self.coefficients.shape[0]) - 1
+
+    @classmethod
+    def capture(
+        cls,
+        scene: Scene,
+        position: npt.ArrayLike,
+        degree: int = 3,
+        *,
+        face_px: int = PROBE_FACE_PX,
+        ridge: float = PROBE_RIDGE,
+        near: float = NEAR_PLANE,
+        config: RenderConfig | None = None,
+        device: str = "auto",
+        renderer: Renderer | None = None,
+    ) -> EnvironmentProbe:
+        """Renders a scene from a place to the six faces of a cube, and fits the harmonics to its pixels.
+
+        Captured colours count as the light that they show, display white as radiance 1; a lit frame's as they are.
+        What nothing covers is the background of the settings (black), or in a lit frame the scene's visible
+        environment.
+
+        The scene is taken as it is: an avatar that stands at the place would be all that is seen, so leave it out, or
+        make ``near`` larger than it. Where something else encloses the place, such as a lampshade, the probe is of its
+        inside.
+
+        Args:
+            scene: What gives light.
+            position: The place, world space, shape (3,).
+            degree: Of the harmonics, 0 to 8: 3 (16 coefficients) is ample for matt surfaces, glossy lobes see more.
+            face_px: Pixels along the edge of a face, 4 to 1024.
+            ridge: As for `fit`.
+            near: Nothing inside a cube of this half side around the place is seen, scene units.
+            config: How to render; None: the defaults, rasterised.
+            device: As for ``create_renderer``.
+            renderer: Renders in place of one made of ``config`` and ``device``: for several probes, or one a frame.
+
+        Raises:
+            ConfigError: A setting is out of its range, or there are a renderer and settings for another.
+            DeviceError: There is no such device, or it is out of memory.
+            SceneError: The scene is none, the place is not finite, or no pixel is.
+        """
+        from lumisplat.relighting.cubemap import look_around
+        from lumisplat.renderer.renderer import create_renderer
+
+        check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
+        check_whole("face_px", face_px, 4, 1024)
+        check_range("near", near, 1e-9, 1e9)
+        check_range("ridge", ridge, 0.0, 1e6)
+        if renderer is not None and config is not None:
+            raise ConfigError("a renderer has its own config: give one of the two")
+        place = np.asarray(float_array("position", position), np.float64)
+        if place.shape != (3,):
+            raise SceneError(f"position has shape {place.shape}, expected three numbers")
+        renderer = create_renderer(config, device) if renderer is None else renderer
+        seen = look_around(scene, place, renderer, int(face_px), float(near))
+        return cls(_fitted(seen.directions, seen.radiance, seen.weights, degree, ridge))
+
+    @classmethod
+    def fit(
+        cls,
+        directions: npt.ArrayLike,
+        radiance: npt.ArrayLike,
+        weights: npt.ArrayLike | None = None,
+        degree: int = 3,
+        ridge: float = PROBE_RIDGE,
+    ) -> EnvironmentProbe:
+        """Fits the harmonics to samples of radiance: weighted ridge least squares, equation 7.
+
+        Weights are scaled to sum 4 pi first, so that ``B^T W B`` is about the identity however many samples there are
+        and whatever the weights' unit: a ridge of 0.01 shrinks coefficients by about 1 %.
+
+        Args:
+            directions: Of any length, shape (N, 3).
+            radiance: Linear Rec.709, shape (N, 3).
+            weights: Solid angles or what is proportional to them, at least 0, shape (N,); None: all alike.
+            degree: Of the harmonics, 0 to 8.
+            ridge: Lambda of equation 7, 0 to 1e6.
+
+        Raises:
+            ConfigError: ``degree`` or ``ridge`` is out of its range.
+            SceneError: A shape does not fit, a value is not finite, a direction has no length, a weight is negative or
+                all are 0; or the ridge is 0, and there are too few directions for the degree.
+        """
+        check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
+        check_range("ridge", ridge, 0.0, 1e6)
+        along, light = float_array("directions", directions), float_array("radiance", radiance)
+        shares = np.ones(len(along), np.float32) if weights is None else float_array("weights", weights)
+        check_shapes(directions=(along, "N 3"), radiance=(light, "N 3"), weights=(shares, "N"))
+        refuse_rows("weights", "negative", shares < 0.0)
+        if not shares.any():
+            raise SceneError("weights are all 0: there is nothing to fit to")
+        unit = normalised("directions", along)
+        return cls(_fitted(unit.astype(np.float64), light, shares.astype(np.float64), degree, ridge))
+
+    @classmethod
+    def from_light(cls, light: LightEnvironment, degree: int = 3, ridge: float = PROBE_RIDGE) -> EnvironmentProbe:
+        """The harmonics of an environment's light, such as one of an .hdr or .exr image.
+
+        Args:
+            light: The environment, its intensity, colour and rotation included.
+            degree: Of the harmonics, 0 to 8.
+            ridge: As for `fit`.
+
+        Raises:
+            ConfigError: ``degree`` or ``ridge`` is out of its range.
+            SceneError: This is no environment.
+        """
+        check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
+        check_range("ridge", ridge, 0.0, 1e6)
+        if not isinstance(light, LightEnvironment):
+            raise SceneError(f"expected a LightEnvironment, got a {type(light).__name__}")
+        image = np.ones((1, 1, 3), np.float32) if light.image is None else light.image
+        # Small images are smooth between their pixels: looked up on a finer grid, they are as renderers see them.
+        rows = max(image.shape[0], PROBE_IMAGE_ROWS)
+        columns = max(image.shape[1], 2 * rows)
+        local = panorama_directions(rows, columns).reshape(-1, 3)
+        power = np.multiply(light.color, light.intensity)
+        radiance = panorama_lookup(image, local) * power
+        weights = np.repeat(panorama_solid_angles(rows, columns), columns)
+        return cls(_fitted(local @ _matrix(light).T, radiance, weights, degree, ridge))
+
+    def radiance(self, directions: npt.ArrayLike) -> FloatArray:
+        """Radiance that comes from directions, equation 8; below 0 where harmonics of strong contrast ring.
+
+        Args:
+            directions: World space, towards where the light comes from, of any length, shape (..., 3).
+
+        Returns:
+            Linear Rec.709, shape (..., 3).
+
+        Raises:
+            SceneError: A direction is not finite or has no length.
+        """
+        return self._evaluated(directions, np.ones(self.degree + 1))
+
+    def irradiance(self, normals: npt.ArrayLike) -> FloatArray:
+        """Irradiance of surfaces: radiance times the cosine, over the hemisphere about each normal.
+
+        The cosine is a factor a degree on the harmonics (Ramamoorthi and Hanrahan 2001): pi, 2 pi / 3, pi / 4, 0, ...
+
+        Args:
+            normals: World space, of any length, shape (..., 3).
+
+        Returns:
+            Linear Rec.709, shape (..., 3): pi where radiance 1 comes from everywhere.
+
+        Raises:
+            SceneError: A normal is not finite or has no length.
+        """
+        return self._evaluated(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
+
+    def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
+        """Radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
+
+        What rings below 0 is 0, and the rest darker by as much, so that all light together is the probe's.
+
+        Args:
+            height: Rows, 1 to 8192; it is twice as wide.
+            rotation_wxyz: World from image: the world's direction that its +y, its upper edge, stands for, and so on.
+                Scenes with y down are upright with (0, 1, 0, 0).
+
+        Returns:
+            Linear Rec.709, shape (H, 2 H, 3).
+
+        Raises:
+            ConfigError: ``height`` is out of its range.
+            SceneError: The rotation is none.
+        """
+        return self.light(height, rotation_wxyz).image  # pyright: ignore[reportReturnType]
+
+    def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
+        """An environment of this light for the renderers: it lights, and only mirrors show it.
+
+        Args:
+            height: Rows of its image, 1 to 8192.
+            rotation_wxyz: World from image, as for `image`; the light is the same whichever.
+
+        Raises:
+            ConfigError: ``height`` is out of its range.
+            SceneError: The rotation is none.
+        """
+        check_whole("height", height, 1, 8192)
+        turned = LightEnvironment(rotation_wxyz=rotation_wxyz, visible=False, name="probe")
+        local = panorama_directions(int(height), 2 * int(height))
+        radiance = self.radiance(local @ _matrix(turned).T)
+        image = _without_ringing(radiance)
+        image.flags.writeable = False
+        return LightEnvironment(
+            image=image, rotation_wxyz=turned.rotation_wxyz, visible=turned.visible, name=turned.name
+        )
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        height: int = PROBE_IMAGE_ROWS,
+        rotation_wxyz: npt.ArrayLike = _UPRIGHT,
+    ) -> None:
+        """Writes `image` as a latitude-longitude EXR, linear, for any renderer.
+
+        Args:
+            path: Where to, .exr.
+            height: Rows, 1 to 8192.
+            rotation_wxyz: World from image, as for `image`.
+
+        Raises:
+            ConfigError: ``height`` is out of its range.
+            FormatError: The extension is another, or the file cannot be written.
+        """
+        from lumisplat.io.images.image import write_exr
+
+        if Path(path).suffix.lower() != ".exr":
+            raise FormatError(path, f"unknown extension '{Path(path).suffix}' for a probe's image, expected .exr")
+        image = self.image(height, rotation_wxyz)
+        write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
+
+    def _evaluated(self, directions: npt.ArrayLike, factors: _Doubles) -> FloatArray:
+        """The harmonics, each degree times a factor, at directions of any length."""
+        checked = float_array("directions", directions)
+        if checked.ndim == 0 or checked.shape[-1] != 3:
+            raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
+        unit = normalised("directions", checked.reshape(-1, 3))
+        scaled = self.coefficients * np.repeat(factors, 2 * np.arange(self.degree + 1) + 1)[:, None]
+        return (sh_basis(unit, self.degree) @ scaled).astype(np.float32).reshape(checked.shape)
+
+
+def _without_ringing(image: FloatArray) -> FloatArray:
+    """A latitude-longitude image without negative values, of the same mean over the sphere in each channel."""
+    shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
+    cut = np.maximum(image, np.float32(0.0))
+    before, after = (np.sum(shares * values, axis=(0, 1)) for values in (image, cut))
+    factors = np.divide(np.maximum(before, 0.0), after, out=np.ones(3), where=after > 0.0)
+    return cut * factors.astype(np.float32)
+
+
+def _matrix(light: LightEnvironment) -> _Doubles:
+    """World from environment, shape (3, 3)."""
+    return matrices_from_quaternions(np.array([light.rotation_wxyz]))[0]
+
+
+def _cosine_factor(level: int) -> float:
+    """What convolution with the clamped cosine multiplies degree ``level`` by."""
+    if level == 1:
+        return 2.0 * math.pi / 3.0
+    if level % 2:
+        return 0.0
+    half = level // 2
+    sign = -1.0 if half % 2 == 0 else 1.0
+    ratio = math.factorial(level) / (2.0**level * math.factorial(half) ** 2)
+    return sign * 2.0 * math.pi / ((level + 2.0) * (level - 1.0)) * ratio
+
+
+def _fitted(
+    directions: _Doubles, radiance: npt.NDArray[np.floating], weights: _Doubles, degree: int, ridge: float
+) -> _Doubles:
+    """Coefficients that solve ``(B^T W B + lambda I) A = B^T W Y``, shape (K, 3)."""
+    size = (degree + 1) ** 2
+    gram, moments = np.zeros((size, size)), np.zeros((size, 3))
+    scaled = weights * (4.0 * np.pi / weights.sum())
+    for first in range(0, len(directions), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        basis = sh_basis(directions[rows], degree)
+        weighted = basis * scaled[rows, None]
+        gram += weighted.T @ basis
+        moments += weighted.T @ radiance[rows]
+    gram += ridge * np.eye(size)
+    rank = int(np.linalg.matrix_rank(gram))
+    if rank < size:
+        raise SceneError(
+            f"the directions tell only {rank} of the {size} harmonics of degree {degree} apart: lower the degree, or "
+            "give a ridge"
+        )
+    return np.asarray(np.linalg.solve(gram, moments), np.float64)

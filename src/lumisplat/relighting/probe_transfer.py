@@ -1,0 +1,134 @@
+"""Light of a probe on Gaussians: a factor a channel, by the normal (seeds/001, section 3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config import RelightConfig, check_kind
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.math.arrays import FloatArray, float_array, normalised
+from lumisplat.math.panorama import panorama_directions
+from lumisplat.math.sh import sh_basis
+from lumisplat.relighting.probe import EnvironmentProbe
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.recolor import scale_light
+from lumisplat.scene.scene import SplatInstance
+
+_Subject = TypeVar("_Subject", Gaussians, SplatInstance)
+_Doubles = npt.NDArray[np.float64]
+
+_NORMALS_AT_ONCE = 1024
+"""Normals whose lobes are in memory at once: 2 MB over 16 rows, which stays in the cache."""
+
+_NO_LIGHT = 1e-12
+"""Epsilon of equation 10, sr, where the weights sum to 4 pi: no lobe that the grid resolves comes near it."""
+
+
+class _Grid(NamedTuple):
+    """A latitude-longitude grid as a quadrature of the sphere."""
+
+    directions: _Doubles
+    """Shape (M, 3)."""
+    weights: _Doubles
+    """In proportion to the sine of the polar angle, summing to 4 pi, shape (M,)."""
+
+
+def relight(
+    subject: _Subject,
+    probe: EnvironmentProbe,
+    config: RelightConfig | None = None,
+    normals: npt.ArrayLike | None = None,
+) -> _Subject:
+    """Gaussians under the light of a probe: each colour times what a lobe about its normal gathers, ``light_scales``.
+
+    Light is linear, colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`, which
+    keeps view dependence in proportion. Surroundings of radiance 1 leave colours as they are, to the bit at gamma 1;
+    darker ones make them darker, as an object that was captured in daylight is darker in a room.
+
+    What light there was in the capture stays in its colours: those taken in even light relight best.
+
+    Args:
+        subject: Gaussians in world space, or an instance, whose normals are turned with it.
+        probe: Light at the place where they stand.
+        config: Settings; None: the defaults.
+        normals: Outward normals in the Gaussians' own space, of any length, shape (N, 3); None: as the settings say.
+
+    Returns:
+        The same kind of thing, with other ``sh``; an instance keeps its place, name and material.
+
+    Raises:
+        ConfigError: ``config`` is no RelightConfig.
+        SceneError: The subject or the probe is none, or ``normals`` are not finite, of length 0 or of another number.
+    """
+    if isinstance(subject, SplatInstance):
+        gaussians, turn = subject.gaussians, subject.transform[:3, :3] / subject.scale
+    elif isinstance(subject, Gaussians):
+        gaussians, turn = subject, np.eye(3)
+    else:
+        raise SceneError(f"relight takes Gaussians or a SplatInstance, got a {type(subject).__name__}")
+    config = RelightConfig() if config is None else config
+    check_kind("config", config, RelightConfig)
+    if normals is None:
+        own = estimate_normals(gaussians, config.normals)
+    else:
+        own = float_array("normals", normals)
+        check_shapes(means=(gaussians.means, "N 3"), normals=(own, "N 3"))
+    relit = scale_light(gaussians, config.gamma * light_scales(probe, own @ turn.T, config))
+    return cast("_Subject", relit if isinstance(subject, Gaussians) else replace(subject, gaussians=relit))
+
+
+def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
+    """What share of radiance 1 a lobe ``max(0, w . n)^q`` about each normal gathers, equations 9 and 10.
+
+    The probe's mean is taken out of the sum and added again: what is the same all around comes out without rounding.
+
+    Args:
+        probe: The light.
+        normals: World space, of any length, shape (N, 3).
+        config: Settings, of which ``gamma`` does not count here; None: the defaults.
+
+    Returns:
+        A factor a channel, 0 to ``scale_max``, shape (N, 3).
+
+    Raises:
+        SceneError: The probe is none, or normals are not finite, of length 0 or not of that shape.
+    """
+    if not isinstance(probe, EnvironmentProbe):
+        raise SceneError(f"expected an EnvironmentProbe, got a {type(probe).__name__}: EnvironmentProbe.capture(...)")
+    config = RelightConfig() if config is None else config
+    checked = float_array("normals", normals)
+    check_shapes(normals=(checked, "N 3"))
+    unit = normalised("normals", checked)
+    grid = _grid(config.rows)
+    basis = sh_basis(grid.directions, probe.degree)
+    around = basis[:, 1:] @ probe.coefficients[1:]
+    mean = basis[0, 0] * probe.coefficients[0]
+    # Light and weight in one product: columns r, g, b, and the lobe's own sum.
+    table = (grid.weights[:, None] * np.column_stack([around, np.ones(len(around))])).astype(np.float32)
+    directions = np.ascontiguousarray(grid.directions.T, np.float32)
+    scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(around)), np.float32)
+    for first in range(0, len(unit), _NORMALS_AT_ONCE):
+        rows = slice(first, first + _NORMALS_AT_ONCE)
+        lobes = np.matmul(unit[rows], directions, out=space[: len(unit[rows])])
+        np.maximum(lobes, np.float32(0.0), out=lobes)
+        if config.exponent != 1.0:
+            np.power(lobes, np.float32(config.exponent), out=lobes)
+        gathered = (lobes @ table).astype(np.float64)
+        scales[rows] = mean + gathered[:, :3] / (gathered[:, 3:] + _NO_LIGHT)
+    return np.clip(scales, np.float32(0.0), np.float32(config.scale_max))
+
+
+@lru_cache(maxsize=4)
+def _grid(rows: int) -> _Grid:
+    directions = panorama_directions(rows, 2 * rows).reshape(-1, 3)
+    sines = np.repeat(np.sin((np.arange(rows) + 0.5) * (np.pi / rows)), 2 * rows)
+    weights = sines * (4.0 * np.pi / sines.sum())
+    for array in (directions, weights):
+        array.flags.writeable = False
+    return _Grid(directions, weights)

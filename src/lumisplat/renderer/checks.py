@@ -1,0 +1,92 @@
+"""What a renderer is given, checked at the door."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lumisplat.config import RenderConfig, check_kind
+from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
+from lumisplat.errors import ConfigError, SceneError
+from lumisplat.frame.frame import Frame
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises SceneError unless this is a scene whose items 32-bit indices can count."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
+    if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
+        raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+
+
+def check_camera(camera: Camera) -> None:
+    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
+    if not isinstance(camera, Camera):
+        raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
+    if camera.width * camera.height > IMAGE_PIXELS_MAX:
+        raise SceneError(
+            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
+        )
+
+
+def checked_config(config: RenderConfig | None) -> RenderConfig:
+    """The settings, or the defaults.
+
+    Raises:
+        ConfigError: They are something else.
+    """
+    config = RenderConfig() if config is None else config
+    check_kind("config", config, RenderConfig)
+    return config
+
+
+def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, *, lit: bool, samples: bool) -> None:
+    """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
+
+    Args:
+        frame: What is to be resumed.
+        camera: Of the new samples.
+        config: Their settings.
+        lit: Whether they are.
+        samples: Whether such frames are means of samples at all.
+    """
+    check_kind("resume", frame, Frame)
+    if not samples:
+        raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
+    if frame.samples == 0:
+        raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
+    if lit != (frame.light is not None):
+        raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
+    if frame.config is not None and frame.config.aovs:
+        raise ConfigError("a frame with aovs cannot be resumed: their images are not kept as means")
+    if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != config.background:
+        height, width = frame.color.shape[:2]
+        raise ConfigError(
+            f"cannot resume a frame of {width} x {height} over {frame.background}: this one is "
+            f"{camera.width} x {camera.height} over {config.background}"
+        )
+    other = differing(frame.camera, replace(camera, name=frame.camera.name))
+    if frame.config is not None:
+        other += differing(frame.config, replace(config, samples=frame.config.samples))
+    if other:
+        raise ConfigError(
+            f"cannot resume a frame of another camera or other settings: they differ in {', '.join(other)}"
+        )
+    if frame.samples + config.samples > SAMPLES_MAX:
+        raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
+
+
+def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
+    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.jitter``."""
+    names = []
+    for field in fields(one):
+        here, there = getattr(one, field.name), getattr(other, field.name)
+        if is_dataclass(here):
+            names += differing(here, there, f"{prefix}{field.name}.")
+        elif not np.array_equal(here, there):
+            names.append(prefix + field.name)
+    return names

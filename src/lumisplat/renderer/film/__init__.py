@@ -1,0 +1,1 @@
+"""From the radiance of samples to the images of a frame."""

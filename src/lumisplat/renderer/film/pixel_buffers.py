@@ -1,0 +1,85 @@
+"""The surface buffers of a frame: where primary visibility ends and everything that shades begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.device.light.lit_film import LitPixels
+from lumisplat.device.structs.scene import SurfaceData
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.scene.camera import Camera
+
+FIELDS = (
+    ("color", wp.vec3, 3),
+    ("alpha", wp.float32, 1),
+    ("depth", wp.float32, 1),
+    ("normal", wp.vec3, 3),
+    ("gaussian", wp.int32, 1),
+    ("instance", wp.int32, 1),
+)
+"""Arrays of ``SurfaceData``: name, element, 32-bit words an element."""
+
+
+LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
+"""The same of ``LitPixels``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Arrays of a frame's pixels, one after another in one block of device memory."""
+
+    data: Any
+    """What kernels take: SurfaceData, or LitPixels."""
+    block: Any
+    """The memory, as float32."""
+    shape: tuple[int, int]
+    """Height and width of the image."""
+    fields: tuple[tuple[str, Any, int], ...]
+    """What the block holds."""
+
+    @classmethod
+    def of(cls, buffers: Buffers, camera: Camera) -> Surface:
+        """The surface buffers of a camera's image; the same memory for every camera of that size."""
+        return cls.of_shape(buffers, (camera.height, camera.width))
+
+    @classmethod
+    def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+        """The same for any image, or a row of rays."""
+        return cls._of(buffers, "surface", SurfaceData(), FIELDS, shape)
+
+    @classmethod
+    def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+        """What a lit image keeps beside them."""
+        return cls._of(buffers, "lit", LitPixels(), LIT_FIELDS, shape)
+
+    @classmethod
+    def _of(
+        cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], shape: tuple[int, int]
+    ) -> Surface:
+        block, arrays = buffers.split(name, fields, shape[0] * shape[1])
+        for field, array in arrays.items():
+            setattr(data, field, array)
+        return cls(data, block, shape, fields)
+
+    def upload(self, images: dict[str, np.ndarray]) -> None:
+        """Puts images back that ``download`` gave."""
+        self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
+
+    def download(self) -> dict[str, np.ndarray]:
+        """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
+        words = self.block.numpy()
+        if self.block.device.is_cpu:
+            words = words.copy()  # there, what Warp gives is the buffer itself
+        height, width = self.shape
+        images, first = {}, 0
+        for name, dtype, channels in self.fields:
+            image = words[first : first + height * width * channels]
+            images[name] = image.reshape((height, width) if channels == 1 else (height, width, channels))
+            if dtype is wp.int32:
+                images[name] = images[name].view(np.int32)
+            first += image.size
+        return images

@@ -1,0 +1,1 @@
+"""Light transport: what the rays of a frame see, over all bounces."""

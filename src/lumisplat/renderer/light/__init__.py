@@ -1,0 +1,1 @@
+"""Direct light at the interactions of a wave of rays."""

@@ -1,0 +1,97 @@
+"""One call, one result: renderers that are made, used once and dropped."""
+
+from __future__ import annotations
+
+import math
+
+import numpy.typing as npt
+
+from lumisplat.config import RenderConfig
+from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.checks import checked_config
+from lumisplat.renderer.ray_queries import RayHits, tracing
+from lumisplat.renderer.renderer import create_renderer
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
+
+
+def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
+    """Renders one frame with a renderer of its own; for several, ``create_renderer`` keeps what they share.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        config: Settings; None: the defaults.
+        device: As for ``create_renderer``.
+
+    Raises:
+        ConfigError: ``config`` is no RenderConfig.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: As for ``Renderer.render``.
+    """
+    return create_renderer(config, device).render(scene, camera)
+
+
+def trace_rays(
+    scene: Scene,
+    origins: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    config: RenderConfig | None = None,
+    *,
+    device: str = "auto",
+) -> RayHits:
+    """Follows any rays through a scene, mirrors and glass included.
+
+    Rays are worked on in batches, so that memory does not grow with their number; neighbours in the arrays that are
+    neighbours in space are traced together, and faster. For many calls on one scene, ``create_renderer`` with
+    ``Pipeline.TRACE`` and its ``trace_rays`` keep what they share.
+
+    Args:
+        scene: What they meet.
+        origins: World space, shape (N, 3), or (3,) for all rays.
+        directions: World space, of any length, shape (N, 3).
+        config: Settings; None: the defaults. ``background`` is seen in mirrors only.
+        device: As for ``create_renderer``.
+
+    Raises:
+        ConfigError: ``config`` is no RenderConfig.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: A shape does not fit, a value is not finite or a direction has no length; the message counts them.
+    """
+    return create_renderer(tracing(checked_config(config)), device).trace_rays(scene, origins, directions)
+
+
+def transmittance(
+    scene: Scene,
+    origins: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    max_distance: npt.ArrayLike = math.inf,
+    *,
+    config: RenderConfig | None = None,
+    device: str = "auto",
+) -> FloatArray:
+    """How much of the light from as far as ``max_distance`` reaches the origins of rays.
+
+    The product of what all Gaussians on the way let through, exact but for what is below
+    ``config.trace.transmittance_min``; 0 where a mesh stands in between, whatever it is made of.
+
+    Args:
+        scene: What is in between.
+        origins: World space, shape (N, 3), or (3,) for all rays.
+        directions: World space, of any length, shape (N, 3).
+        max_distance: Scene units, one number or one a ray, shape (N,).
+        config: Settings; None: the defaults.
+        device: As for ``create_renderer``.
+
+    Returns:
+        Transmittances 0..1, shape (N,).
+
+    Raises:
+        ConfigError: ``config`` is no RenderConfig.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: As for ``trace_rays``, or a distance is negative or NaN.
+    """
+    return create_renderer(tracing(checked_config(config)), device).transmittance(
+        scene, origins, directions, max_distance
+    )

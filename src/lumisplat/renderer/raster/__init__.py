@@ -1,0 +1,1 @@
+"""Primary hits by rasterisation: splats, triangles, tiles."""

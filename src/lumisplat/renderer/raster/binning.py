@@ -1,0 +1,213 @@
+"""Host passes that order items by depth and list them per tile; two schedules with the same result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import warp as wp
+
+from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
+from lumisplat.device.structs.scene import ChunkData, Rect
+from lumisplat.errors import DeviceError
+from lumisplat.renderer.raster import binning_kernels as kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+
+@dataclass(frozen=True, slots=True)
+class DepthOrder:
+    """Items front to back; ties keep their order."""
+
+    order: Any
+    """Item indices; those after ``count`` are not visible."""
+    count: int
+    """Items to list; in the parallel schedule all of them, as the visible count stays on the device."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrderCounts:
+    """What the last frame's order held."""
+
+    visible: int = 0
+    """Gaussians that can touch the image."""
+    nonfinite: int = 0
+    """Gaussians dropped because a projected value was NaN or infinite."""
+    pairs: int = 0
+    """(tile, Gaussian) pairs."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileLists:
+    """Which items touch each tile, in depth order."""
+
+    starts: Any
+    """First entry of each tile, and last the total."""
+    items: Any
+
+
+class Order:
+    """What both schedules share.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self.counts = OrderCounts()
+        """Of the last finished frame."""
+        self.growth = 0
+        """How often a list was cut and given more room: a graph captured before is stale."""
+
+
+class OrderChunked(Order):
+    """CPU schedule: counting sorts over one chunk a thread."""
+
+    def begin(self) -> None:
+        """Starts a frame."""
+        self._visible, self._nonfinite, self._pairs = 0, 0, {}
+
+    def finish(self) -> bool:
+        """Ends a frame; its lists are complete, as counts are known in time."""
+        self.counts = OrderCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
+        return True
+
+    def sort(self, keys: Any) -> DepthOrder:
+        """Orders the visible items by key: a radix sort whose first pass also drops the culled ones."""
+        run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
+        ranges = buffers.get("order.ranges", ChunkData, chunks)
+        run(kernels.measure_keys, chunks, chunks, keys, ranges)
+        measured = ranges.numpy()
+        self._visible = visible = int(measured["visible"].sum())
+        self._nonfinite = int(measured["nonfinite"].sum())
+        capacity = keys.shape[0]
+        spare = [buffers.get(f"order.keys{i}", wp.uint32, capacity) for i in (0, 1)]
+        order = [buffers.get(f"order.indices{i}", wp.int32, capacity) for i in (0, 1)]
+        if visible == 0:
+            return DepthOrder(order[0], 0)
+        key_min = int(measured["key_min"].min())
+        bits = max(1, (int(measured["key_max"].max()) - key_min).bit_length())
+        passes = -(-bits // SORT_DIGIT_BITS_MAX)
+        digit_bits = -(-bits // passes)
+        counts = buffers.get("order.digits", wp.int32, (chunks, 1 << digit_bits))
+        starts = buffers.get("order.digit_starts", wp.int32, (1 << digit_bits) + 1)
+        keys_in, order_in, count = keys, order[1], capacity
+        for number in range(passes):
+            digit = (wp.uint32(key_min), wp.uint32(number * digit_bits), wp.uint32((1 << digit_bits) - 1))
+            keys_out, order_out = spare[number % 2], order[number % 2]
+            run(kernels.count_digits, chunks, chunks, count, *digit, keys_in, counts)
+            self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
+            run(
+                kernels.scatter_digits,
+                chunks,
+                *(chunks, count, *digit, number == 0, keys_in, order_in, counts, keys_out, order_out),
+            )
+            keys_in, order_in, count = keys_out, order_out, visible
+        return DepthOrder(order_in, visible)
+
+    def unsorted(self, count: int) -> DepthOrder:
+        """All items, in their own order."""
+        order = self._buffers.get("order.identity", wp.int32, count)
+        self._launcher.run_banded(kernels.fill_identity, count, order)
+        return DepthOrder(order, count)
+
+    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+        """Lists the ordered items of each tile: a counting sort by tile."""
+        run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
+        count = depth_order.count
+        counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
+        pairs = buffers.get("order.pairs", wp.int64, chunks)
+        starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
+        ordered = buffers.get("order.rects", Rect, grown(count))
+        run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, ordered, pairs)
+        self._pairs[name] = total = check_pairs(int(pairs.numpy().sum()))
+        self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
+        items = buffers.get(f"{name}.items", wp.int32, grown(total))
+        run(kernels.scatter_tiles, chunks, chunks, count, tiles_x, depth_order.order, ordered, counts, items)
+        return TileLists(starts, items)
+
+
+class OrderParallel(Order):
+    """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
+
+    _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
+    """Where a list's total stands, after the visible and non-finite counts."""
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        super().__init__(launcher, buffers)
+        self._capacity: dict[str, int] = {}
+        self._totals = buffers.get("order.totals", wp.int64, 2 + len(self._SLOTS))
+
+    def begin(self) -> None:
+        """Starts a frame."""
+        self._totals.zero_()
+
+    def finish(self) -> bool:
+        """Waits for the frame; False if a list was cut: there is room now, and the frame has to be drawn again.
+
+        Raises:
+            DeviceError: A list is longer than 32-bit indices reach.
+        """
+        totals = [int(total) for total in self._totals.numpy()]
+        self.counts = OrderCounts(*totals[:3])
+        complete = True
+        for name, slot in self._SLOTS.items():
+            if check_pairs(totals[slot]) > self._capacity.get(name, 0):
+                self._capacity[name] = grown(totals[slot])
+                self.growth += 1
+                complete = False
+        return complete
+
+    def sort(self, keys: Any) -> DepthOrder:
+        """Orders all items by key; the culled ones come last and have empty rectangles."""
+        count = keys.shape[0]
+        sorted_keys = self._buffers.get("order.keys", wp.uint32, 2 * count)
+        order = self._buffers.get("order.indices", wp.int32, 2 * count)
+        wp.copy(sorted_keys, keys, count=count)
+        self._launcher.run(kernels.fill_identity, count, 0, order)
+        wp.utils.radix_sort_pairs(sorted_keys, order, count)
+        self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self._totals)
+        return DepthOrder(order, count)
+
+    def unsorted(self, count: int) -> DepthOrder:
+        """All items, in their own order."""
+        order = self._buffers.get("order.identity", wp.int32, count)
+        self._launcher.run(kernels.fill_identity, count, 0, order)
+        return DepthOrder(order, count)
+
+    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+        """Lists the ordered items of each tile: (tile, item) pairs in depth order, sorted stably by tile."""
+        run, buffers, count = self._launcher.run, self._buffers, depth_order.count
+        capacity = self._capacity.setdefault(name, grown(2 * count))
+        counts = buffers.get(f"{name}.counts", wp.int32, count + 1)
+        offsets = buffers.get(f"{name}.offsets", wp.int32, count + 1)
+        tiles = buffers.get(f"{name}.tiles", wp.int32, 2 * capacity)
+        items = buffers.get(f"{name}.items", wp.int32, 2 * capacity)
+        starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
+        run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, counts)
+        wp.utils.array_scan(counts, offsets, inclusive=False)
+        run(kernels.sum_pairs, PAIR_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
+        run(kernels.clear_pairs, capacity, 0, tile_count, tiles)
+        run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
+        wp.utils.radix_sort_pairs(tiles, items, capacity, end_bit=tile_count.bit_length())
+        run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
+        return TileLists(starts, items)
+
+
+def check_pairs(count: int) -> int:
+    """The number of (tile, item) pairs, if 32-bit indices reach that far.
+
+    Raises:
+        DeviceError: They do not.
+    """
+    if count > ITEMS_MAX:
+        raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")
+    return count
+
+
+def grown(count: int) -> int:
+    """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
+    step = 1 << max(10, count.bit_length() - 3)
+    return -(-count // step) * step

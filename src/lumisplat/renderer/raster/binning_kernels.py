@@ -1,0 +1,264 @@
+"""Depth order and tile lists, in two schedules.
+
+Chunked (CPU): one item is one contiguous chunk of the input, walked by one thread. A counting sort counts digits (or
+tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to positions that are its
+own: stable, write-once, no atomics.
+
+Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair; the library's radix sort and scan do the rest, over
+capacities rather than counts, so that nothing is read back.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, PAIR_SUM_THREADS
+from lumisplat.device.structs.scene import ChunkData, Rect
+
+wp.set_module_options({"enable_backward": False})
+
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+SUM_THREADS = wp.constant(PAIR_SUM_THREADS)
+
+
+@wp.func
+def chunk_edge(chunk: int, chunks: int, count: int) -> int:
+    """First item of a chunk."""
+    return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
+
+
+@wp.func
+def first_not_below(values: wp.array(dtype=Any), count: int, limit: Any) -> int:
+    """Index of the first of ``count`` ascending values that is at least ``limit``; ``count`` if none is.
+
+    The library's ``lower_bound`` never returns its end.
+    """
+    low = int(0)
+    high = int(count)
+    while low < high:
+        middle = low + (high - low) // 2
+        if values[middle] < limit:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def rect_area(rect: Rect) -> int:
+    """Tiles in a rectangle."""
+    return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
+
+
+@wp.kernel
+def measure_keys(start: int, chunks: int, keys: wp.array(dtype=wp.uint32), chunk_out: wp.array(dtype=ChunkData)):
+    """Range of the visible keys of a chunk, and how many there are."""
+    chunk = start + wp.tid()
+    data = ChunkData()
+    data.key_min = KEY_CULLED
+    for i in range(chunk_edge(chunk, chunks, keys.shape[0]), chunk_edge(chunk + 1, chunks, keys.shape[0])):
+        key = keys[i]
+        if key < KEY_NONFINITE:
+            data.key_min = wp.min(data.key_min, key)
+            data.key_max = wp.max(data.key_max, key)
+            data.visible += 1
+        elif key == KEY_NONFINITE:
+            data.nonfinite += 1
+    chunk_out[chunk] = data
+
+
+@wp.kernel
+def count_digits(
+    start: int,
+    chunks: int,
+    count: int,
+    key_min: wp.uint32,
+    shift: wp.uint32,
+    mask: wp.uint32,
+    keys: wp.array(dtype=wp.uint32),
+    counts_out: wp.array2d(dtype=int),
+):
+    """Histogram of one digit over a chunk; culled keys are not counted."""
+    chunk = start + wp.tid()
+    for digit in range(counts_out.shape[1]):
+        counts_out[chunk, digit] = 0
+    for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
+        key = keys[i]
+        if key < KEY_NONFINITE:
+            digit = int(((key - key_min) >> shift) & mask)
+            counts_out[chunk, digit] = counts_out[chunk, digit] + 1
+
+
+@wp.kernel
+def scatter_digits(
+    start: int,
+    chunks: int,
+    count: int,
+    key_min: wp.uint32,
+    shift: wp.uint32,
+    mask: wp.uint32,
+    first_pass: bool,
+    keys: wp.array(dtype=wp.uint32),
+    indices: wp.array(dtype=int),
+    positions: wp.array2d(dtype=int),
+    keys_out: wp.array(dtype=wp.uint32),
+    indices_out: wp.array(dtype=int),
+):
+    """Moves a chunk's keys to their digit's positions; the first pass drops the culled ones."""
+    chunk = start + wp.tid()
+    for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
+        key = keys[i]
+        if key < KEY_NONFINITE:
+            digit = int(((key - key_min) >> shift) & mask)
+            position = positions[chunk, digit]
+            positions[chunk, digit] = position + 1
+            keys_out[position] = key
+            if first_pass:
+                indices_out[position] = i
+            else:
+                indices_out[position] = indices[i]
+
+
+@wp.kernel
+def scan_counts(chunks: int, counts: wp.array2d(dtype=int), starts_out: wp.array(dtype=int)):
+    """Exclusive scan over (column, chunk), in place; ``starts_out`` gets the columns' starts and, last, the total."""
+    total = int(0)
+    for column in range(counts.shape[1]):
+        starts_out[column] = total
+        for chunk in range(chunks):
+            count = counts[chunk, column]
+            counts[chunk, column] = total
+            total += count
+    starts_out[counts.shape[1]] = total
+
+
+@wp.kernel
+def count_tiles(
+    start: int,
+    chunks: int,
+    count: int,
+    tiles_x: int,
+    order: wp.array(dtype=int),
+    rects: wp.array(dtype=Rect),
+    counts_out: wp.array2d(dtype=int),
+    ordered_rects_out: wp.array(dtype=Rect),
+    pairs_out: wp.array(dtype=wp.int64),
+):
+    """How many of a chunk's items touch each tile, and their sum, which may be more than 32 bits hold.
+
+    Also lays the rectangles out in order, for ``scatter_tiles``.
+    """
+    chunk = start + wp.tid()
+    pairs = wp.int64(0)
+    for tile in range(counts_out.shape[1]):
+        counts_out[chunk, tile] = 0
+    for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
+        rect = rects[order[i]]
+        ordered_rects_out[i] = rect
+        pairs += wp.int64(rect_area(rect))
+        for y in range(int(rect.y0), int(rect.y1)):
+            for x in range(int(rect.x0), int(rect.x1)):
+                tile = y * tiles_x + x
+                counts_out[chunk, tile] = counts_out[chunk, tile] + 1
+    pairs_out[chunk] = pairs
+
+
+@wp.kernel
+def scatter_tiles(
+    start: int,
+    chunks: int,
+    count: int,
+    tiles_x: int,
+    order: wp.array(dtype=int),
+    ordered_rects: wp.array(dtype=Rect),
+    positions: wp.array2d(dtype=int),
+    items_out: wp.array(dtype=int),
+):
+    """Appends a chunk's items to the lists of their tiles, keeping the order."""
+    chunk = start + wp.tid()
+    for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
+        item = order[i]
+        rect = ordered_rects[i]
+        for y in range(int(rect.y0), int(rect.y1)):
+            for x in range(int(rect.x0), int(rect.x1)):
+                tile = y * tiles_x + x
+                position = positions[chunk, tile]
+                positions[chunk, tile] = position + 1
+                items_out[position] = item
+
+
+@wp.kernel
+def fill_identity(start: int, order_out: wp.array(dtype=int)):
+    """The order 0, 1, 2, ..."""
+    i = start + wp.tid()
+    order_out[i] = i
+
+
+@wp.kernel
+def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), totals_out: wp.array(dtype=wp.int64)):
+    """Visible and non-finite items among sorted keys."""
+    visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
+    totals_out[0] = wp.int64(visible)
+    totals_out[1] = wp.int64(first_not_below(sorted_keys, count, KEY_CULLED) - visible)
+
+
+@wp.kernel
+def sum_pairs(start: int, counts: wp.array(dtype=int), slot: int, totals_inout: wp.array(dtype=wp.int64)):
+    """Adds up the pairs of all items in 64 bits; one item takes every 4096th count. Not to be banded: atomic."""
+    total = wp.int64(0)
+    i = start + wp.tid()
+    while i < counts.shape[0]:
+        total += wp.int64(counts[i])
+        i += SUM_THREADS
+    wp.atomic_add(totals_inout, slot, total)
+
+
+@wp.kernel
+def count_pairs(start: int, order: wp.array(dtype=int), rects: wp.array(dtype=Rect), counts_out: wp.array(dtype=int)):
+    """Tiles that the i-th item in order touches; one more element than items, so that the scan ends on the total."""
+    i = start + wp.tid()
+    counts_out[i] = 0
+    if i < counts_out.shape[0] - 1:
+        rect = rects[order[i]]
+        counts_out[i] = rect_area(rect)
+
+
+@wp.kernel
+def clear_pairs(start: int, tile_count: int, tiles_out: wp.array(dtype=int)):
+    """Unused pairs sort behind every tile."""
+    tiles_out[start + wp.tid()] = tile_count
+
+
+@wp.kernel
+def emit_pairs(
+    start: int,
+    tiles_x: int,
+    capacity: int,
+    order: wp.array(dtype=int),
+    rects: wp.array(dtype=Rect),
+    offsets: wp.array(dtype=int),
+    tiles_out: wp.array(dtype=int),
+    items_out: wp.array(dtype=int),
+):
+    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, and the total tells.
+
+    Where the offsets overflowed, positions may be negative.
+    """
+    i = start + wp.tid()
+    item = order[i]
+    rect = rects[item]
+    position = offsets[i]
+    for y in range(int(rect.y0), int(rect.y1)):
+        for x in range(int(rect.x0), int(rect.x1)):
+            if position >= 0 and position < capacity:
+                tiles_out[position] = y * tiles_x + x
+                items_out[position] = item
+            position += 1
+
+
+@wp.kernel
+def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array(dtype=int), starts_out: wp.array(dtype=int)):
+    """First pair of each tile by binary search; one more element than tiles."""
+    tile = start + wp.tid()
+    starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

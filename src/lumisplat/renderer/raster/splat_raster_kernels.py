@@ -1,0 +1,378 @@
+"""Projection and compositing of splats.
+
+``project_splats``: one item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
+``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
+the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
+one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
+``pick_tiles`` and ``pick_pixels`` do without order: one splat a pixel, by chance.
+"""
+
+import warp as wp
+
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, TILE_PX
+from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
+from lumisplat.device.gaussian.compositing import blend, store_radiance, store_surface
+from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
+from lumisplat.device.math.random import draw, draw_mixed, mix, stream_of
+from lumisplat.device.structs.rays import LensData, RayRadiance
+from lumisplat.device.structs.scene import (
+    CameraData,
+    GaussianData,
+    InstanceData,
+    MeshHits,
+    Pixel,
+    Rect,
+    Splat,
+    SurfaceData,
+)
+
+wp.set_module_options(
+    {
+        "enable_backward": False,
+        # The row loop must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no faster.
+        "max_unroll": 4,
+        # Fused multiply-adds across Warp's operator functions: 16 % off the composite. The rest are Warp's defaults.
+        "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
+        " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
+    }
+)
+
+TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
+CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
+
+
+@wp.func
+def is_finite(splat: Splat) -> bool:
+    """No NaN or infinity where it would reach a pixel or an index."""
+    total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
+    total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
+    return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
+
+
+@wp.func
+def tile_range(camera: CameraData, splat: Splat) -> Rect:
+    """Tiles whose pixel centres the splat's box covers."""
+    rect = Rect()
+    low = splat.center - splat.extent - wp.vec2(0.5)
+    high = splat.center + splat.extent - wp.vec2(0.5)
+    last_x = float(camera.width - 1)
+    last_y = float(camera.height - 1)
+    x0 = int(wp.ceil(wp.clamp(low[0], 0.0, last_x)))
+    y0 = int(wp.ceil(wp.clamp(low[1], 0.0, last_y)))
+    x1 = int(wp.floor(wp.clamp(high[0], 0.0, last_x)))
+    y1 = int(wp.floor(wp.clamp(high[1], 0.0, last_y)))
+    if x0 <= x1 and y0 <= y1:
+        rect.x0 = wp.int16(x0 // TILE)
+        rect.y0 = wp.int16(y0 // TILE)
+        rect.x1 = wp.int16(x1 // TILE + 1)
+        rect.y1 = wp.int16(y1 // TILE + 1)
+    return rect
+
+
+@wp.kernel
+def project_splats(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    instance_ids: wp.array(dtype=int),
+    gaussians: GaussianData,
+    splats_out: wp.array(dtype=Splat),
+    keys_out: wp.array(dtype=wp.uint32),
+    rects_out: wp.array(dtype=Rect),
+):
+    """Projects the instances of one asset; the bits of a positive float sort as the float does."""
+    i = start + wp.tid()
+    view = camera[0]
+    count = gaussians.means.shape[0]
+    splat = project_gaussian(view, instances[instance_ids[i // count]], gaussians, i % count)
+    key = KEY_CULLED
+    rect = Rect()
+    if splat.log_opacity > -wp.inf:
+        if is_finite(splat):
+            rect = tile_range(view, splat)
+            if rect.x0 < rect.x1:
+                key = wp.cast(splat.depth, wp.uint32)
+        else:
+            key = KEY_NONFINITE
+    if key < KEY_NONFINITE:
+        splats_out[splat.index] = splat  # nobody reads a culled one
+    keys_out[splat.index] = key
+    rects_out[splat.index] = rect
+
+
+@wp.func
+def log_alpha_at(splat: Splat, x: int, y: int) -> float:
+    """Logarithm of a splat's alpha at a pixel, before it is limited."""
+    dy = float(y) + 0.5 - splat.center[1]
+    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
+    return splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
+
+
+@wp.func
+def picked(splats: wp.array(dtype=Splat), index: int) -> Pixel:
+    """A pixel that shows one splat, as if it were opaque; index -1: none."""
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = index
+    if index >= 0:
+        pixel.transmittance = 0.0
+        pixel.color = splats[index].color
+        pixel.normal = splats[index].normal
+        pixel.hits = 1
+    return pixel
+
+
+@wp.func
+def first_touching(
+    splats: wp.array(dtype=Splat), tile_splats: wp.array(dtype=int), begin: int, end: int, x: int, y: int
+) -> int:
+    """As ``Pixel.splat`` says it for a pixel that reaches no surface: -2 - its first splat; -1 if it has none."""
+    for j in range(begin, end):
+        index = tile_splats[j]
+        if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
+            return -2 - index
+    return -1
+
+
+@wp.kernel
+def composite_pixels(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    keeps_rays: bool,
+    surface_out: SurfaceData,
+    radiance_out: RayRadiance,
+):
+    """Item = tile * 256 + pixel of the tile. Pixels end on the surface, or, if it ``keeps_rays``, as rays' radiance."""
+    i = start + wp.tid()
+    view = camera[0]
+    tile = i // TILE_PIXELS
+    position = tile_pixel(view, i)
+    x = position[0]
+    y = position[1]
+    if x >= view.width or y >= view.height:
+        return
+    mesh_z = hits.depth_z[y * view.width + x]
+    pixel = Pixel()
+    pixel.transmittance = 1.0
+    pixel.splat = -1
+    j = int(tile_starts[tile])
+    end = tile_starts[tile + 1]
+    while j < end:
+        index = tile_splats[j]
+        splat = splats[index]
+        if splat.depth >= mesh_z:
+            break
+        log_alpha = log_alpha_at(splat, x, y)
+        if log_alpha >= LOG_ALPHA_MIN:
+            pixel = blend(
+                pixel, splat, index, alpha_from_log(log_alpha), view.transmittance_min, view.depth_iso_transmittance
+            )
+            if pixel.transmittance <= 0.0:
+                break
+        j += 1
+    if keeps_rays:
+        store_radiance(view, splats, pixel, x, y, radiance_out)
+    else:
+        store_surface(view, instances, splats, hits, pixel, x, y, surface_out)
+
+
+@wp.kernel
+def composite_tiles(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    instances: wp.array(dtype=InstanceData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    keeps_rays: bool,
+    surface_out: SurfaceData,
+    radiance_out: RayRadiance,
+):
+    """The arithmetic of ``blend``, written as selections over rows of pixels."""
+    tile = start + wp.tid()
+    view = camera[0]
+    corner = tile_corner(view, tile)
+    left = corner[0]
+    top = corner[1]
+    rows = wp.min(TILE, view.height - top)
+    columns = wp.min(TILE, view.width - left)
+    t_min = view.transmittance_min
+    iso = view.depth_iso_transmittance
+    transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
+    red = TileFloats(0.0)
+    green = TileFloats(0.0)
+    blue = TileFloats(0.0)
+    normal_x = TileFloats(0.0)
+    normal_y = TileFloats(0.0)
+    normal_z = TileFloats(0.0)
+    mesh_z = TileFloats(0.0)
+    surface = TileInts(-1)
+    farthest = float(0.0)  # mesh behind any unfinished pixel: splats from here on are hidden
+    for y in range(rows):
+        for x in range(columns):
+            transmittance[y * TILE + x] = 1.0
+            mesh_z[y * TILE + x] = hits.depth_z[(top + y) * view.width + left + x]
+            farthest = wp.max(farthest, mesh_z[y * TILE + x])
+
+    j = int(tile_starts[tile])
+    end = int(tile_starts[tile + 1])
+    while j < end:
+        index = tile_splats[j]
+        splat = splats[index]
+        if splat.depth >= farthest:
+            break
+        center_x = splat.center[0] - float(left)
+        center_y = splat.center[1] - float(top)
+        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
+        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
+        for y in range(y0, y1):
+            dy = float(y) + 0.5 - center_y
+            row_log_alpha = splat.log_opacity - splat.across * dy * dy
+            row_center = center_x + splat.shear * dy
+            first = y * TILE
+            for x in range(TILE):
+                i = first + x
+                dx = float(x) + 0.5 - row_center
+                log_alpha = row_log_alpha - splat.along * dx * dx
+                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
+                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = wp.where(splat.depth < mesh_z[i], alpha, 0.0)
+                before = transmittance[i]
+                weight = before * alpha
+                after = before - weight
+                weight = wp.where(after > t_min, weight, 0.0)
+                red[i] = red[i] + weight * splat.color[0]
+                green[i] = green[i] + weight * splat.color[1]
+                blue[i] = blue[i] + weight * splat.color[2]
+                normal_x[i] = normal_x[i] + weight * splat.normal[0]
+                normal_y[i] = normal_y[i] + weight * splat.normal[1]
+                normal_z[i] = normal_z[i] + weight * splat.normal[2]
+                after = wp.where(after > t_min, after, -wp.abs(before))
+                crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
+                surface[i] = wp.where(crossed > 0.0, index, surface[i])
+                transmittance[i] = after
+        j += 1
+        if j % CHECK_INTERVAL == 0:
+            farthest = float(0.0)
+            for i in range(TILE_PIXELS):
+                farthest = wp.max(farthest, wp.where(transmittance[i] > 0.0, mesh_z[i], 0.0))
+
+    for y in range(rows):
+        for x in range(columns):
+            i = y * TILE + x
+            pixel = Pixel()
+            pixel.color = wp.vec3(red[i], green[i], blue[i])
+            pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
+            pixel.transmittance = transmittance[i]
+            pixel.splat = surface[i]
+            if keeps_rays:
+                if pixel.splat < 0 and pixel.transmittance != 1.0:
+                    pixel.splat = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
+                store_radiance(view, splats, pixel, left + x, top + y, radiance_out)
+            else:
+                store_surface(view, instances, splats, hits, pixel, left + x, top + y, surface_out)
+
+
+@wp.kernel
+def pick_pixels(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    lenses: wp.array(dtype=LensData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    radiance_out: RayRadiance,
+):
+    """Item = tile * 256 + pixel of the tile: the nearest of the splats that chance accepts, in any order."""
+    i = start + wp.tid()
+    view = camera[0]
+    lens = lenses[0]
+    tile = i // TILE_PIXELS
+    position = tile_pixel(view, i)
+    x = position[0]
+    y = position[1]
+    if x >= view.width or y >= view.height:
+        return
+    stream = stream_of(y * view.width + x, lens.sample, lens.seed)
+    nearest = hits.depth_z[y * view.width + x]
+    winner = int(-1)
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_splats[j]
+        splat = splats[index]
+        if splat.depth < nearest or (splat.depth == nearest and index < winner):
+            log_alpha = log_alpha_at(splat, x, y)
+            if log_alpha >= LOG_ALPHA_MIN and draw(stream, wp.uint32(index)) < alpha_from_log(log_alpha):
+                nearest = splat.depth
+                winner = index
+    store_radiance(view, splats, picked(splats, winner), x, y, radiance_out)
+
+
+@wp.kernel
+def pick_tiles(
+    start: int,
+    camera: wp.array(dtype=CameraData),
+    lenses: wp.array(dtype=LensData),
+    splats: wp.array(dtype=Splat),
+    tile_starts: wp.array(dtype=int),
+    tile_splats: wp.array(dtype=int),
+    hits: MeshHits,
+    radiance_out: RayRadiance,
+):
+    """The same, written as selections over rows of pixels."""
+    tile = start + wp.tid()
+    view = camera[0]
+    lens = lenses[0]
+    corner = tile_corner(view, tile)
+    left = corner[0]
+    top = corner[1]
+    rows = wp.min(TILE, view.height - top)
+    columns = wp.min(TILE, view.width - left)
+    nearest = TileFloats(-1.0)  # nothing is nearer than what is outside the image
+    winner = TileInts(-1)
+    streams = TileWords()
+    for y in range(rows):
+        for x in range(columns):
+            i = y * TILE + x
+            nearest[i] = hits.depth_z[(top + y) * view.width + left + x]
+            streams[i] = stream_of((top + y) * view.width + left + x, lens.sample, lens.seed)
+
+    for j in range(tile_starts[tile], tile_starts[tile + 1]):
+        index = tile_splats[j]
+        splat = splats[index]
+        center_x = splat.center[0] - float(left)
+        center_y = splat.center[1] - float(top)
+        dimension = mix(wp.uint32(index))
+        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
+        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
+        for y in range(y0, y1):
+            dy = float(y) + 0.5 - center_y
+            row_log_alpha = splat.log_opacity - splat.across * dy * dy
+            row_center = center_x + splat.shear * dy
+            first = y * TILE
+            for x in range(TILE):
+                i = first + x
+                dx = float(x) + 0.5 - row_center
+                log_alpha = row_log_alpha - splat.along * dx * dx
+                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
+                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = wp.where(draw_mixed(streams[i], dimension) < alpha, 1.0, 0.0)
+                ahead = wp.where(splat.depth < nearest[i], 1, 0) | (
+                    wp.where(splat.depth == nearest[i], 1, 0) & wp.where(index < winner[i], 1, 0)
+                )
+                ahead = wp.where(alpha > 0.0, ahead, 0)
+                nearest[i] = wp.where(ahead != 0, splat.depth, nearest[i])
+                winner[i] = wp.where(ahead != 0, index, winner[i])
+
+    for y in range(rows):
+        for x in range(columns):
+            pixel = picked(splats, winner[y * TILE + x])
+            store_radiance(view, splats, pixel, left + x, top + y, radiance_out)

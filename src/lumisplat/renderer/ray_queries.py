@@ -1,0 +1,230 @@
+"""Any rays through a scene: what they see, and how much light comes through."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
+from lumisplat.constants import RAY_BATCH
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import RayColors
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.film.pixel_buffers import Surface
+from lumisplat.renderer.integrators.whitted import Transport
+from lumisplat.renderer.raster.binning import grown
+from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace import camera_ray_kernels
+from lumisplat.renderer.trace.gaussian_trace import PACKET_RAYS, RayTracer
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+_log = logging.getLogger("lumisplat")
+_GIVEN = ("origins", "directions", "distances")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayHits:
+    """What N rays see."""
+
+    radiance: FloatArray
+    """Of all that the ray meets, in ``color_space``, without a background or an environment behind it, (N, 3)."""
+    transmittance: FloatArray
+    """What is left for a background, 0..1, (N,); 0 where the ray meets a mesh, also one of clear glass: what is seen
+    through it is in ``radiance``."""
+    depth: FloatArray
+    """Distance to the iso-opacity surface, scene units, (N,); inf where there is none."""
+    normal: FloatArray
+    """World space, unit, against the ray, (N, 3); zero where there is nothing."""
+    gaussian_index: IntArray
+    """Gaussian at the surface, within its own instance, (N,); -1: none."""
+    instance_index: IntArray
+    """Instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+    color_space: str = "srgb"
+    """Of the radiance: ``srgb``, display-referred, or ``linear`` if it is lit."""
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+class RayQueries:
+    """Follows rays in batches, so that memory does not grow with their number.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        tracer: Follows the rays.
+        transport: Colours what they meet.
+        config: Its settings.
+    """
+
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, transport: Transport, config: RenderConfig
+    ) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._tracer, self._transport = tracer, transport
+
+    def look(
+        self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray, *, lit: bool
+    ) -> RayHits:
+        """What rays see; ``directions`` are unit vectors."""
+        # Given rays do not spread over a pixel: without chance, all samples are the first.
+        samples = 1 if self._config.trace.strategy is TraceStrategy.SORTED and not lit else self._config.samples
+        parts, nonfinite = [], 0
+        distances = np.full(len(origins), np.inf, np.float32)
+        for first, given in _batches(origins, directions, distances):
+            count, rays = len(given[0]), self._rays(len(given[0]))
+            surface = Surface.of_shape(self._buffers, (1, rays.t_max.shape[0]))
+            flags = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
+            uploaded = self._uploaded(given)
+            for sample in range(samples):
+                self._load(first, count, sample, uploaded, rays)
+                self._transport.begin_sample(sample)
+                met = self._tracer.look(scene, trees, rays)
+                colors = self._transport.colors(scene, trees, met, lit=lit, sample=sample)
+                if lit:
+                    colors = self._linear(colors)
+                self._launcher.run_banded(
+                    camera_ray_kernels.store_hits,
+                    rays.t_max.shape[0],
+                    *(sample, lit, met.rays, met.radiance, met.hits, colors),
+                    *(scene.instances, scene.mesh_instances, scene.mesh_data),
+                    *(surface.data, flags),
+                )
+            nonfinite += int(flags.numpy()[:count].sum())
+            parts.append({name: image[0, :count] for name, image in surface.download().items()})
+        if nonfinite:
+            _log.warning("%d samples of %d rays were not finite and are black", nonfinite, len(origins))
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return RayHits(
+            radiance=joined["color"],
+            transmittance=np.float32(1.0) - joined["alpha"],
+            depth=joined["depth"],
+            normal=joined["normal"],
+            gaussian_index=joined["gaussian"],
+            instance_index=joined["instance"],
+            color_space="linear" if lit else "srgb",
+        )
+
+    def _linear(self, colors: RayColors) -> Any:
+        """What lit rays see, without what was captured apart."""
+        count = colors.light.shape[0]
+        linear = self._buffers.get("rays.linear", wp.vec3, count)
+        self._launcher.run_banded(film_kernels.add_captured, count, colors, linear)
+        return linear
+
+    def transmit(
+        self,
+        scene: DeviceScene,
+        trees: TreeScene,
+        origins: FloatArray,
+        directions: FloatArray,
+        distances: FloatArray,
+    ) -> FloatArray:
+        """What comes through from as far as ``distances``, (N,); 0 for what is not above the least transmittance."""
+        parts = []
+        for first, given in _batches(origins, directions, distances):
+            count, rays = len(given[0]), self._rays(len(given[0]))
+            self._load(first, count, 0, self._uploaded(given), rays)
+            parts.append(self._tracer.transmit(scene, trees, rays).numpy()[:count, 0].copy())
+        return np.concatenate(parts)
+
+    def _rays(self, count: int) -> RayData:
+        # A few sizes of arrays instead of one a call; what is not used is no ray.
+        return self._buffers.struct("rays.rays", RayData, whole_packets(grown(count)))
+
+    def _uploaded(self, given: list[FloatArray]) -> list[Any]:
+        arrays = []
+        for name, dtype, values in zip(_GIVEN, (wp.vec3, wp.vec3, wp.float32), given, strict=True):
+            array = self._buffers.get(f"rays.{name}", dtype, grown(len(values)))
+            if len(values):
+                array[: len(values)].assign(values)
+            arrays.append(array)
+        return arrays
+
+    def _load(self, first: int, count: int, sample: int, uploaded: list[Any], rays: RayData) -> None:
+        seed = wp.uint32(self._config.seed)
+        self._launcher.run_banded(
+            camera_ray_kernels.load_rays, rays.t_max.shape[0], first, count, sample, seed, *uploaded, rays
+        )
+
+
+def _batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
+    """Consecutive rows of all arrays, and the number of the first."""
+    for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
+        yield first, [array[first : first + RAY_BATCH] for array in arrays]
+
+
+def whole_packets(count: int) -> int:
+    """The next multiple of a packet's rays."""
+    return -(-count // PACKET_RAYS) * PACKET_RAYS
+
+
+def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Origins and unit directions, float32, shape (N, 3) each; one origin, shape (3,), is that of all.
+
+    Raises:
+        SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
+    """
+    start, along = _numbers("origins", origins), _rows("directions", directions)
+    start = np.broadcast_to(start, along.shape) if start.shape == (3,) else _rows("origins", start)
+    if start.shape != along.shape:
+        raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
+    limit = float(np.finfo(np.float32).max)
+    for name, values, largest in (("origins", start, limit), ("directions", along, np.inf)):
+        bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
+        if bad:
+            raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
+    # In two steps, as the squares of large and of small components leave the range of numbers.
+    largest = np.abs(along).max(axis=1, keepdims=True, initial=0.0)
+    empty = int(np.count_nonzero(largest == 0.0))
+    if empty:
+        raise SceneError(f"{empty} of {len(along)} ray directions have no length: leave these rays out")
+    along = along / largest
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return start.astype(np.float32), along.astype(np.float32)
+
+
+def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
+    """One distance a ray, float32, shape (N,).
+
+    Raises:
+        SceneError: They are not one number or one a ray, or some are NaN or negative.
+    """
+    values = _numbers("max_distance", distances)
+    if values.shape not in ((), (count,)):
+        raise SceneError(f"max_distance has shape {values.shape}, expected one number or ({count},), one a ray")
+    bad = int(np.count_nonzero(~(values >= 0.0)))
+    if bad:
+        raise SceneError(f"{bad} of {values.size} values of max_distance are negative or NaN")
+    return np.broadcast_to(values, (count,)).astype(np.float32)
+
+
+def _rows(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    rows = _numbers(name, values)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise SceneError(f"ray {name} have shape {rows.shape}, expected (N, 3)")
+    return rows
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None
+
+
+def tracing(config: RenderConfig | None) -> RenderConfig:
+    """The settings with the ray-tracing pipeline."""
+    return replace(config or RenderConfig(), pipeline=Pipeline.TRACE)

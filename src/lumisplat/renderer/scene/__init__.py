@@ -1,0 +1,1 @@
+"""The scene on the device: assets, instances, lights, materials and bounding volume hierarchies."""

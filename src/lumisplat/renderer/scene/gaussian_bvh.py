@@ -1,0 +1,148 @@
+"""Host pass: a tree over the Gaussians of an asset, and its refit when they move.
+
+The tree is eight children wide and holds one Gaussian a leaf. It is built level by level from the root, so that
+children come after their parents and a refit runs backwards through the levels.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import REBUILD_COST, STRAY_SHARE, TREE_SURFACE_LEVELS
+from lumisplat.device.structs.bvh import Box, ChildLinks, KernelData, Node, Particle
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.renderer.scene import gaussian_bvh_kernels as kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+MORTON_CELLS = 1024.0
+BOUNDS_SAMPLES = 65536
+SPLIT_BANDS = 64  # nodes of a level differ in cost
+
+
+class GaussianTree:
+    """A bounding volume hierarchy over one Gaussian set, in its own space.
+
+    Args:
+        launcher: Runs the kernels.
+        gaussians: The set on the device.
+        kernel: How its Gaussians respond, on which their bounds depend.
+    """
+
+    def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
+        self._launcher, self._kernel = launcher, kernel
+        self._buffers = Buffers(launcher.device)
+        self._build(gaussians)
+
+    @property
+    def bytes(self) -> int:
+        """Memory held, bytes."""
+        return self._buffers.bytes
+
+    @property
+    def cost(self) -> float:
+        """Surface of all nodes over the root's: as many a random ray that meets the root is expected to visit.
+
+        1 where that surface is none, or beyond float32.
+        """
+        areas = self._areas.numpy().astype(np.float64)
+        return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
+
+    def refit(self, gaussians: GaussianData) -> None:
+        """Follows Gaussians that moved; builds anew where that has made the tree too loose.
+
+        Args:
+            gaussians: As many as before.
+        """
+        self._fit(gaussians)
+        if not self.cost <= REBUILD_COST * self.cost_built:
+            self._build(gaussians)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (min, max) of a box around all Gaussians, object space, shape (3,) each; inverted if none counts."""
+        root = self.nodes[:1].numpy()[0]
+        low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
+        return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
+
+    def _build(self, gaussians: GaussianData) -> None:
+        count = gaussians.means.shape[0]
+        scratch = Buffers(self._launcher.device)
+        self._items = self._buffers.get("items", wp.int32, count)
+        split = self._split_by_code if self._launcher.is_parallel else self._split_by_area
+        links = self._link_levels(split(scratch, gaussians, count), scratch, count)
+        self.nodes = self._buffers.get("nodes", Node, self._node_count)
+        self._launcher.run_banded(kernels.place_links, self._node_count, links, self.nodes)
+        self._fit(gaussians)
+        self.cost_built = self.cost
+        low, high = sampled_bounds(gaussians)
+        self.extent = float(np.linalg.norm(high - low))
+        """Diagonal of a box around nearly all means, object space."""
+
+    def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
+        boxes = scratch.get("boxes", Box, count)
+        self._launcher.run_banded(kernels.box_gaussians, count, self._kernel, gaussians, boxes)
+        self._items.assign(np.arange(count, dtype=np.int32))
+
+        def split(level: int, first: int, nodes: int, *ranges: Any) -> None:
+            begins, ends, edges, inner = ranges
+            by_area = int(level < TREE_SURFACE_LEVELS)
+            inputs = (first, by_area, begins, ends, boxes, self._items, edges, inner)
+            self._launcher.run_banded(kernels.split_by_area, nodes, *inputs, bands=SPLIT_BANDS)
+
+        return split
+
+    def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
+        codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # halves to sort with
+        low, high = sampled_bounds(gaussians)
+        per_cell = wp.vec3(MORTON_CELLS / np.maximum(high - low, 1e-30))
+        self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
+        wp.utils.radix_sort_pairs(codes, items, count)
+        wp.copy(self._items, items, count=count)
+
+        def split(level: int, first: int, nodes: int, *ranges: Any) -> None:
+            begins, ends, edges, inner = ranges
+            self._launcher.run_banded(kernels.split_by_code, nodes, first, begins, ends, codes, edges, inner)
+
+        return split
+
+    def _link_levels(self, split: Any, scratch: Buffers, count: int) -> Any:
+        begins, ends = (scratch.get(name, wp.int32, count) for name in ("begins", "ends"))
+        links = scratch.get("links", ChildLinks, count)
+        begins[:1].fill_(0)
+        ends[:1].fill_(count)
+        self.levels: list[tuple[int, int]] = []
+        """First node and number of nodes of each level, from the root on."""
+        first, nodes = 0, 1
+        while nodes:
+            edges = scratch.get("edges", kernels.Edges, nodes)
+            inner, inner_ends = (scratch.get(name, wp.int32, nodes) for name in ("inner", "inner_ends"))
+            split(len(self.levels), first, nodes, begins, ends, edges, inner)
+            wp.utils.array_scan(inner, inner_ends, inclusive=True)
+            self._launcher.run_banded(
+                kernels.link_nodes, nodes, first, first + nodes, edges, inner_ends, inner, begins, ends, links
+            )
+            self.levels.append((first, nodes))
+            first, nodes = first + nodes, int(inner_ends[nodes - 1 : nodes].numpy()[0])
+        self._node_count = first
+        return links
+
+    def _fit(self, gaussians: GaussianData) -> None:
+        count = gaussians.means.shape[0]
+        self.particles = self._buffers.get("particles", Particle, count)
+        self._areas = self._buffers.get("areas", wp.float32, self._node_count)
+        boxes = self._buffers.get("boxes", Box, count)
+        self._launcher.run_banded(
+            kernels.gather_particles, count, self._kernel, gaussians, self._items, self.particles, boxes
+        )
+        for first, nodes in reversed(self.levels):
+            self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
+
+
+def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (min, max) of a box around all means but strays, object space, shape (3,) each; from a sample."""
+    means = gaussians.means[:: -(-gaussians.means.shape[0] // BOUNDS_SAMPLES)].numpy()
+    low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    return low, high

@@ -1,0 +1,388 @@
+"""Bounding volume hierarchies over the boxes of Gaussians, level by level from the root, and the refit of their boxes.
+
+``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU), ``split_by_code`` (CUDA): one
+item is one node of a level, whose items come to lie child by child. ``link_nodes``, ``refit_nodes``: one item is one
+node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order of
+the tree.
+"""
+
+import warp as wp
+
+from lumisplat.constants import NODE_WIDTH, SAH_BINS
+from lumisplat.device.gaussian.particle import particle_box, particle_of
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, KernelData, Node, Particle
+from lumisplat.device.structs.scene import GaussianData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+WIDTH = wp.constant(NODE_WIDTH)
+BINS = wp.constant(SAH_BINS)
+
+BinFloats = wp.types.vector(length=3 * SAH_BINS, dtype=wp.float32)
+BinInts = wp.types.vector(length=3 * SAH_BINS, dtype=wp.int32)
+Edges = wp.types.vector(length=NODE_WIDTH + 1, dtype=wp.int32)
+
+
+@wp.func
+def empty_box() -> Box:
+    """Contains nothing."""
+    box = Box()
+    box.low = wp.vec3(FAR)
+    box.high = wp.vec3(-FAR)
+    return box
+
+
+@wp.func
+def union(a: Box, b: Box) -> Box:
+    """The box around two."""
+    box = Box()
+    box.low = wp.min(a.low, b.low)
+    box.high = wp.max(a.high, b.high)
+    return box
+
+
+@wp.func
+def half_area(low: wp.vec3, high: wp.vec3) -> float:
+    """Half the surface of a box; zero for an inverted one."""
+    size = wp.max(high - low, wp.vec3(0.0))
+    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+
+
+@wp.kernel
+def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array(dtype=Box)):
+    """Tight boxes of the Gaussians of an asset."""
+    i = start + wp.tid()
+    boxes_out[i] = particle_box(kernel, gaussians, i)
+
+
+@wp.func
+def partition_range(
+    boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: int, end: int, axis: int, middle2: float
+) -> int:
+    """Moves the items whose doubled centre lies below ``middle2`` to the front, and returns how far they reach."""
+    low = int(begin)
+    high = int(end)
+    while low < high:
+        box = boxes[low]
+        if box.low[axis] + box.high[axis] < middle2:
+            low += 1
+        else:
+            high -= 1
+            item = items[low]
+            boxes[low] = boxes[high]
+            items[low] = items[high]
+            boxes[high] = box
+            items[high] = item
+    return low
+
+
+@wp.func
+def split_range(boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: int, end: int) -> int:
+    """Splits items in two where the surface area heuristic costs least (Wald 2007), and returns where.
+
+    In the middle if all centres coincide.
+    """
+    center_low = wp.vec3(wp.inf)
+    center_high = wp.vec3(-wp.inf)
+    for i in range(begin, end):
+        center = boxes[i].low + boxes[i].high
+        center_low = wp.min(center_low, center)
+        center_high = wp.max(center_high, center)
+    size = center_high - center_low
+    to_bin = wp.vec3(0.0)
+    for axis in range(3):
+        if size[axis] > 0.0:
+            to_bin[axis] = wp.min(float(BINS) * (1.0 - 1.0e-6) / size[axis], 1.0e30)
+
+    count = BinInts(0)
+    low_x = BinFloats(FAR)
+    low_y = BinFloats(FAR)
+    low_z = BinFloats(FAR)
+    high_x = BinFloats(-FAR)
+    high_y = BinFloats(-FAR)
+    high_z = BinFloats(-FAR)
+    for i in range(begin, end):
+        box = boxes[i]
+        center = box.low + box.high
+        for axis in range(3):
+            b = axis * BINS + wp.clamp(int((center[axis] - center_low[axis]) * to_bin[axis]), 0, BINS - 1)
+            count[b] = count[b] + 1
+            low_x[b] = wp.min(low_x[b], box.low[0])
+            low_y[b] = wp.min(low_y[b], box.low[1])
+            low_z[b] = wp.min(low_z[b], box.low[2])
+            high_x[b] = wp.max(high_x[b], box.high[0])
+            high_y[b] = wp.max(high_y[b], box.high[1])
+            high_z[b] = wp.max(high_z[b], box.high[2])
+
+    best_cost = float(wp.inf)
+    best_axis = int(-1)
+    best_bin = int(0)
+    for axis in range(3):
+        if size[axis] > 0.0:
+            right_cost = BinFloats(0.0)  # of all bins from here on
+            low = wp.vec3(FAR)
+            high = wp.vec3(-FAR)
+            items_right = int(0)
+            for step in range(BINS):
+                b = axis * BINS + BINS - 1 - step
+                low = wp.min(low, wp.vec3(low_x[b], low_y[b], low_z[b]))
+                high = wp.max(high, wp.vec3(high_x[b], high_y[b], high_z[b]))
+                items_right += count[b]
+                right_cost[BINS - 1 - step] = float(items_right) * half_area(low, high)
+            low = wp.vec3(FAR)
+            high = wp.vec3(-FAR)
+            items_left = int(0)
+            for step in range(BINS - 1):
+                b = axis * BINS + step
+                low = wp.min(low, wp.vec3(low_x[b], low_y[b], low_z[b]))
+                high = wp.max(high, wp.vec3(high_x[b], high_y[b], high_z[b]))
+                items_left += count[b]
+                cost = float(items_left) * half_area(low, high) + right_cost[step + 1]
+                if items_left > 0 and items_left < end - begin and cost < best_cost:
+                    best_cost = cost
+                    best_axis = axis
+                    best_bin = step + 1
+    middle = int((begin + end) // 2)
+    if best_axis >= 0:
+        middle2 = center_low[best_axis] + float(best_bin) / to_bin[best_axis]
+        split = partition_range(boxes, items, begin, end, best_axis, middle2)
+        if split > begin and split < end:
+            middle = split
+    return middle
+
+
+@wp.func
+def range_area(boxes: wp.array(dtype=Box), begin: int, end: int) -> float:
+    """Half the surface of the box around a range of boxes."""
+    low = wp.vec3(FAR)
+    high = wp.vec3(-FAR)
+    for i in range(begin, end):
+        low = wp.min(low, boxes[i].low)
+        high = wp.max(high, boxes[i].high)
+    return half_area(low, high)
+
+
+@wp.kernel
+def split_by_area(
+    start: int,
+    node_first: int,
+    by_area: int,
+    begins: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    boxes_inout: wp.array(dtype=Box),
+    items_inout: wp.array(dtype=int),
+    edges_out: wp.array(dtype=Edges),
+    inner_counts_out: wp.array(dtype=int),
+):
+    """The child with the largest surface is split by the surface area heuristic until all children are in use.
+
+    The children are the items between consecutive edges. With ``by_area`` 0 the largest child is split in the middle.
+    """
+    node = start + wp.tid()
+    begin = begins[node_first + node]
+    end = ends[node_first + node]
+    edges = Edges(end)
+    edges[0] = begin
+    used = int(1)
+    if end - begin <= WIDTH:
+        used = end - begin
+        for i in range(used):
+            edges[i] = begin + i
+    else:
+        areas = Children(0.0)
+        areas[0] = 1.0
+        while used < WIDTH:
+            largest = int(-1)
+            for c in range(used):
+                if areas[c] >= 0.0 and edges[c + 1] - edges[c] > 1:
+                    if largest < 0:
+                        largest = c
+                    elif areas[c] > areas[largest]:
+                        largest = c
+            if largest < 0:
+                break
+            middle = int((edges[largest] + edges[largest + 1]) // 2)
+            if by_area != 0:
+                middle = split_range(boxes_inout, items_inout, edges[largest], edges[largest + 1])
+            for move in range(used - largest):
+                edges[used + 1 - move] = edges[used - move]
+                areas[wp.min(used - move, WIDTH - 1)] = areas[used - 1 - move]
+            edges[largest + 1] = middle
+            areas[largest] = float(middle - edges[largest])
+            areas[largest + 1] = float(edges[largest + 2] - middle)
+            if by_area != 0:
+                areas[largest] = range_area(boxes_inout, edges[largest], middle)
+                areas[largest + 1] = range_area(boxes_inout, middle, edges[largest + 2])
+            used += 1
+    inner = int(0)
+    for c in range(used):
+        if edges[c + 1] - edges[c] > 1:
+            inner += 1
+    edges_out[node] = edges
+    inner_counts_out[node] = inner
+
+
+@wp.kernel
+def code_gaussians(
+    start: int,
+    low: wp.vec3,
+    per_cell: wp.vec3,
+    gaussians: GaussianData,
+    codes_out: wp.array(dtype=int),
+    items_out: wp.array(dtype=int),
+):
+    """Morton codes of the means on a grid of 1024^3 cells; what lies outside counts to the nearest cell."""
+    i = start + wp.tid()
+    cell = wp.cw_mul(gaussians.means[i] - low, per_cell)
+    code = int(0)
+    for k in range(3):
+        code = code | (spread_bits(int(wp.clamp(cell[k], 0.0, 1023.0))) << k)
+    codes_out[i] = code
+    items_out[i] = i
+
+
+@wp.func
+def spread_bits(x: int) -> int:
+    """Two zero bits after each of the ten bits of ``x``."""
+    x = (x | (x << 16)) & 0x030000FF
+    x = (x | (x << 8)) & 0x0300F00F
+    x = (x | (x << 4)) & 0x030C30C3
+    return (x | (x << 2)) & 0x09249249
+
+
+@wp.func
+def first_with_digit(codes: wp.array(dtype=int), begin: int, end: int, shift: int, digit: int) -> int:
+    """The first of sorted codes, equal above the digit at ``shift``, whose digit there is at least ``digit``."""
+    low = int(begin)
+    high = int(end)
+    while low < high:
+        middle = (low + high) // 2
+        if ((codes[middle] >> shift) & 7) < digit:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@wp.kernel
+def split_by_code(
+    start: int,
+    node_first: int,
+    begins: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    codes: wp.array(dtype=int),
+    edges_out: wp.array(dtype=Edges),
+    inner_counts_out: wp.array(dtype=int),
+):
+    """Three levels of the binary radix tree at once (Karras 2012): children by the first octal digit that differs.
+
+    Items of one code are dealt out evenly.
+    """
+    node = start + wp.tid()
+    begin = begins[node_first + node]
+    end = ends[node_first + node]
+    edges = Edges(end)
+    differ = codes[begin] ^ codes[end - 1]
+    shift = int(-3)
+    while differ != 0:
+        differ = differ >> 3
+        shift += 3
+    inner = int(0)
+    for c in range(WIDTH):
+        if end - begin <= WIDTH:
+            edges[c] = wp.min(begin + c, end)
+        elif shift < 0:
+            edges[c] = begin + (end - begin) // WIDTH * c + wp.min(c, (end - begin) % WIDTH)
+        else:
+            edges[c] = first_with_digit(codes, begin, end, shift, c)
+    for c in range(WIDTH):
+        if edges[c + 1] - edges[c] > 1:
+            inner += 1
+    edges_out[node] = edges
+    inner_counts_out[node] = inner
+
+
+@wp.kernel
+def link_nodes(
+    start: int,
+    node_first: int,
+    child_first: int,
+    edges: wp.array(dtype=Edges),
+    inner_ends: wp.array(dtype=int),
+    inner_counts: wp.array(dtype=int),
+    begins_out: wp.array(dtype=int),
+    ends_out: wp.array(dtype=int),
+    links_out: wp.array(dtype=ChildLinks),
+):
+    """Numbers the child nodes of a level, and hands them their items."""
+    n = start + wp.tid()
+    ranges = edges[n]
+    child = child_first + inner_ends[n] - inner_counts[n]
+    links = ChildLinks(NO_CHILD)
+    for c in range(WIDTH):
+        begin = ranges[c]
+        end = ranges[c + 1]
+        if end - begin > 1:
+            begins_out[child] = begin
+            ends_out[child] = end
+            links[c] = child
+            child += 1
+        elif end - begin == 1:
+            links[c] = ~begin
+    links_out[node_first + n] = links
+
+
+@wp.kernel
+def gather_particles(
+    start: int,
+    kernel: KernelData,
+    gaussians: GaussianData,
+    items: wp.array(dtype=int),
+    particles_out: wp.array(dtype=Particle),
+    boxes_out: wp.array(dtype=Box),
+):
+    """Particles and their boxes in the order of the tree."""
+    i = start + wp.tid()
+    particles_out[i] = particle_of(kernel, gaussians, items[i])
+    boxes_out[i] = particle_box(kernel, gaussians, items[i])
+
+
+@wp.kernel
+def place_links(start: int, links: wp.array(dtype=ChildLinks), nodes_out: wp.array(dtype=Node)):
+    """Nodes without boxes yet."""
+    n = start + wp.tid()
+    node = Node()
+    node.link = links[n]
+    nodes_out[n] = node
+
+
+@wp.kernel
+def refit_nodes(
+    start: int,
+    node_first: int,
+    boxes: wp.array(dtype=Box),
+    nodes_inout: wp.array(dtype=Node),
+    areas_out: wp.array(dtype=float),
+):
+    """Boxes of the children of a level's nodes, whose own nodes are refitted already."""
+    n = node_first + start + wp.tid()
+    node = nodes_inout[n]
+    whole = empty_box()
+    for c in range(WIDTH):
+        link = node.link[c]
+        box = empty_box()
+        if link < 0:
+            box = boxes[~link]
+        elif link != NO_CHILD:
+            child = nodes_inout[link]
+            box.low = wp.vec3(wp.min(child.low_x), wp.min(child.low_y), wp.min(child.low_z))
+            box.high = wp.vec3(wp.max(child.high_x), wp.max(child.high_y), wp.max(child.high_z))
+        node.low_x[c] = box.low[0]
+        node.low_y[c] = box.low[1]
+        node.low_z[c] = box.low[2]
+        node.high_x[c] = box.high[0]
+        node.high_y[c] = box.high[1]
+        node.high_z[c] = box.high[2]
+        whole = union(whole, box)
+    nodes_inout[n] = node
+    areas_out[n] = half_area(whole.low, whole.high)

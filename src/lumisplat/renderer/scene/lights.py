@@ -1,0 +1,219 @@
+"""The lights of a scene on the device: written every frame, but for the environment's image, which is kept."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.constants import (
+    ENVIRONMENT_SHARE_MIN,
+    ENVIRONMENT_SHARE_STEPS,
+    LIGHT_POWER_MAX,
+    LUMINANCE,
+    TRANSFORM_MAX,
+)
+from lumisplat.device.structs.light import (
+    LIGHT_DIRECTIONAL,
+    LIGHT_ENVIRONMENT,
+    LIGHT_HEADLIGHT,
+    LIGHT_POINT,
+    LIGHT_RECT,
+    LIGHT_SPOT,
+    EnvironmentData,
+    LightData,
+)
+from lumisplat.renderer.scene.device_scene import table_dtype
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.lights import (
+    Light,
+    LightDirectional,
+    LightEnvironment,
+    LightPoint,
+    LightRect,
+    LightSphere,
+    LightSpot,
+)
+from lumisplat.scene.scene import Scene
+
+WHITE = np.ones((1, 1, 3), dtype=np.float32)
+"""The image of an environment of one colour."""
+
+Doubles = npt.NDArray[np.float64]
+
+
+class LightTable:
+    """What kernels know of a scene's lights."""
+
+    def __init__(self) -> None:
+        self.lights: Any = None
+        """`LightData` of the lights that are on, in the scene's order; at least one element."""
+        self.count = 0
+        """How many of them there are."""
+        self.environment = EnvironmentData()
+        self.names: tuple[str, ...] = ()
+        """Of the lights, distinct: their own, else ``light`` and their number in the scene."""
+        self.version = 0
+        """Changes whenever count, environment or arrays did, so that captured graphs can tell."""
+        self._image: Any = None
+        self._brightest = 1.0
+        self._key: object = None
+
+    def sync(self, scene: Scene, camera: Camera, buffers: Buffers) -> None:
+        """Writes the lights as they are now. A scene without any has one at the camera's eye.
+
+        Args:
+            scene: What holds them.
+            camera: Where that one goes.
+            buffers: Where the arrays live; the same ones in every call.
+        """
+        lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled]
+        self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
+        table = light_table([light for _, light in lights])
+        if not scene.lights:
+            self.names, table = ("headlight",), headlight_table(camera)
+        self.count = len(table)
+        self.lights = buffers.get("lights", LightData, max(self.count, 1))
+        self.lights.assign(table if self.count else np.zeros(1, table.dtype))
+        environment = next((light for _, light in lights if isinstance(light, LightEnvironment)), None)
+        self._sync_environment(environment, buffers)
+
+    def _sync_environment(self, light: LightEnvironment | None, buffers: Buffers) -> None:
+        data = self.environment
+        image = WHITE if light is None or light.image is None else light.image
+        if image is not self._image and (light is not None or self._image is None):
+            self._image = None  # until all of it is there
+            self._upload(image, buffers)
+            self._image = image
+        data.exists = int(light is not None)
+        seen: tuple[object, ...] = ()
+        if light is not None:
+            wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
+            power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
+            data.visible = int(light.visible)
+            data.world_from_environment = wp.mat33(*_rotation(wxyz).ravel())
+            data.power = wp.vec3(*power)
+            seen = (*wxyz, *power, light.visible)
+        key = self.count, id(self._image), data.exists, seen
+        if key != self._key:
+            self._key = key
+            self.version += 1
+
+    def _upload(self, image: npt.NDArray[np.floating], buffers: Buffers) -> None:
+        data = self.environment
+        data.height, data.width = image.shape[:2]
+        rows, columns = environment_ends(image)
+        for name, dtype, values in (
+            ("texels", wp.vec3, image.reshape(-1, 3)),
+            ("row_ends", wp.float32, rows),
+            ("column_ends", wp.float32, columns.reshape(-1)),
+        ):
+            array = buffers.get(f"environment.{name}", dtype, len(values))
+            array.assign(np.ascontiguousarray(values))
+            setattr(data, name, array)
+        self._brightest = max(1.0, float(image.max()))
+
+
+def power_of(light: Light) -> Doubles:
+    """Colour times intensity, in the light's own unit, shape (3,)."""
+    return np.minimum(np.array(light.color) * light.intensity, LIGHT_POWER_MAX)
+
+
+def light_table(lights: list[Light]) -> np.ndarray:
+    """The rows that kernels read lights from."""
+    table = np.zeros(len(lights), dtype=table_dtype(LightData))
+    for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
+        row["power"] = power_of(light)
+        row["casts_shadow"] = light.casts_shadow
+        row["range"] = math.inf
+        if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
+            row["position"] = np.clip(light.position, -TRANSFORM_MAX, TRANSFORM_MAX)
+        if isinstance(light, LightPoint | LightSpot | LightSphere):
+            row["kind"] = LIGHT_POINT
+            row["radius"] = min(light.radius, TRANSFORM_MAX)
+        if isinstance(light, LightPoint | LightSpot) and light.range < TRANSFORM_MAX:
+            row["range"] = light.range
+        if isinstance(light, LightSpot | LightDirectional):
+            row["direction"] = light.direction
+
+        if isinstance(light, LightSpot):
+            row["kind"] = LIGHT_SPOT
+            row["inner"], row["outer"] = (2.0 * math.sin(0.5 * a) ** 2 for a in (light.inner_angle, light.outer_angle))
+        elif isinstance(light, LightSphere):
+            candela = math.pi * min(light.radius, TRANSFORM_MAX) ** 2 * power_of(light)
+            row["power"] = np.minimum(candela, LIGHT_POWER_MAX)
+        elif isinstance(light, LightDirectional):
+            row["kind"], row["radius"] = LIGHT_DIRECTIONAL, light.angle
+        elif isinstance(light, LightRect):
+            normal = np.cross(light.edge_u, light.edge_v)
+            row["kind"] = LIGHT_RECT
+            row["direction"] = normal / np.linalg.norm(normal)
+            row["edge_u"], row["edge_v"] = np.clip((light.edge_u, light.edge_v), -TRANSFORM_MAX, TRANSFORM_MAX)
+        elif isinstance(light, LightEnvironment):
+            row["kind"] = LIGHT_ENVIRONMENT
+    return table
+
+
+def headlight_table(camera: Camera) -> np.ndarray:
+    """The one row of a light at the camera's eye, under which a white surface that faces it looks white."""
+    table = np.zeros(1, dtype=table_dtype(LightData))
+    table["kind"] = LIGHT_HEADLIGHT
+    table["position"] = camera.eye
+    table["power"] = math.pi
+    table["range"] = math.inf
+    return table
+
+
+def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Where the shares of an environment's rows end, shape (H,), and of each row's texels, shape (H, W).
+
+    A texel's share is the luminance that bilinear interpolation gives its cell, times the cell's solid angle. Dark rows
+    have no share, of a dark image none has.
+    """
+    luminance = image @ np.array(LUMINANCE, dtype=np.float32)
+    across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
+    mean = _cell_means(np.pad(across, ((1, 1), (0, 0)), mode="edge"))
+    edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
+    rows = _ends(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
+    return rows, np.stack([_ends(row) for row in mean])
+
+
+def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Half the means of what is interpolated down the first axis: 1/8 of the values beside, 3/4 of a cell's own.
+
+    Half, as no sum of float32 numbers then overflows.
+    """
+    parts = padded * np.float32(1.0 / 16.0)
+    return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
+
+
+def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    """Cumulative shares, exact in float32, so that whatever has a weight has a share."""
+    total = float(weights.sum(dtype=np.float64))
+    if total == 0.0:
+        return np.zeros(len(weights), dtype=np.float32)
+    least = ENVIRONMENT_SHARE_MIN / ENVIRONMENT_SHARE_STEPS
+    ends = np.cumsum(np.where(weights > 0.0, np.maximum(weights / total, least), 0.0), dtype=np.float64)
+    return (np.rint(ends / ends[-1] * ENVIRONMENT_SHARE_STEPS) / ENVIRONMENT_SHARE_STEPS).astype(np.float32)
+
+
+def _rotation(wxyz: Doubles) -> Doubles:
+    """The matrix of a unit quaternion q, shape (3, 3): x + 2 w q x x + 2 q x (q x x), column by column."""
+    cross = np.cross(wxyz[1:], np.eye(3)).T
+    return np.eye(3) + 2.0 * wxyz[0] * cross + 2.0 * cross @ cross
+
+
+def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
+    seen: set[str] = set()
+    result = []
+    for name, number in names:
+        unique = name
+        while unique in seen:
+            unique = f"{unique}_{number}"
+        seen.add(unique)
+        result.append(unique)
+    return tuple(result)

@@ -1,0 +1,94 @@
+"""Materials on their way to the device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lumisplat.constants import SHADOW_ONLY_AMBIENT
+from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
+from lumisplat.renderer.scene.upload import TextureKey, texture_key
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene, SplatInstance
+
+_TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
+
+
+def is_untouched(instance: SplatInstance) -> bool:
+    """Whether a splat set shines as captured, whatever the lights."""
+    material = material_of(instance)
+    if instance.shadow_only or isinstance(material, MaterialPbr):
+        return False
+    return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
+
+
+def material_of(instance: SplatInstance) -> Material:
+    """The material of a splat set, or the one it has without."""
+    return instance.material or MaterialSimple()
+
+
+def own_looks(scene: Scene, lit: bool) -> dict[str, list[bool]]:
+    """Which splat instances show the albedo, and which the normals, that their Gaussians carry.
+
+    Normals: those that reflect light. Albedo: those of them that do not shine by themselves, too.
+    """
+    takes = [lit and not is_untouched(instance) for instance in scene.splats]
+    return {
+        "own_normals": [t and i.gaussians.normals is not None for t, i in zip(takes, scene.splats, strict=True)],
+        "own_colors": [
+            t and i.gaussians.albedo is not None and not i.shadow_only and not any(material_of(i).emissive)
+            for t, i in zip(takes, scene.splats, strict=True)
+        ],
+    }
+
+
+def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: Any) -> np.ndarray:
+    """One row of ``dtype``, that of MaterialData, an instance: splats first, then meshes.
+
+    Args:
+        scene: Whose instances they are.
+        texture_first: First texel of each texture.
+        dtype: NumPy's view of MaterialData.
+    """
+    table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=dtype)
+    rows: list[Any] = list(table)
+    for row, splats in zip(rows, scene.splats, strict=False):
+        material = material_of(splats)
+        ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
+        _fill(row, material)
+        row["untouched"] = is_untouched(splats)
+        row["keeps"] = splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
+        if splats.shadow_only:
+            row["shadow_only"] = 1
+            row["emissive"] = 1.0
+            row["ambient"] = ambient if isinstance(splats.material, MaterialSimple) else SHADOW_ONLY_AMBIENT
+    for row, meshes in zip(rows[len(scene.splats) :], scene.meshes, strict=True):
+        _fill(row, meshes.mesh.material)
+        _fill_textures(row, meshes.mesh, texture_first)
+    return table
+
+
+def _fill(row: Any, material: Material) -> None:
+    row["emissive"] = material.emissive
+    if isinstance(material, MaterialSimple):
+        row["model"] = BSDF_SIMPLE
+        for name in ("ambient", "diffuse", "specular", "shininess"):
+            row[name] = getattr(material, name)
+        row["roughness"] = 1.0  # rough, for what asks whether it is smooth
+        return
+    row["model"] = BSDF_PBR
+    row["reflection"] = material.specular
+    for name in ("metallic", "roughness", "ior", "transmission", "normal_scale", "occlusion_strength"):
+        row[name] = getattr(material, name)
+
+
+def _fill_textures(row: Any, mesh: Mesh, texture_first: dict[TextureKey, int]) -> None:
+    if mesh.uvs is None or not isinstance(mesh.material, MaterialPbr):
+        return
+    for name in _TEXTURES:
+        texture = getattr(mesh.material, name)
+        if texture is not None:
+            row[name]["first"] = texture_first[texture_key(texture)]
+            row[name]["height"], row[name]["width"] = texture.shape[:2]

@@ -1,0 +1,1 @@
+"""Shadow rays: how much light passes Gaussians and meshes."""

@@ -1,0 +1,1 @@
+"""Primary hits by rays: through Gaussians, to meshes."""

@@ -1,0 +1,68 @@
+"""The nearest triangle on each ray. One item is one ray; it walks all mesh instances whose box it meets."""
+
+import warp as wp
+
+from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
+from lumisplat.device.mesh.ray_triangle import meet_triangle
+from lumisplat.device.structs.rays import MeshPlacement, RayData, RayMeshHits
+from lumisplat.device.structs.scene import MeshData
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def find_mesh_hits(
+    start: int,
+    placements: wp.array(dtype=MeshPlacement),
+    meshes: MeshData,
+    rays_inout: RayData,
+    hits_out: RayMeshHits,
+):
+    """Looks between a ray's ``t_min`` and ``t_max``, and moves ``t_max`` to what it finds.
+
+    Equally near triangles: the first instance, then the first face.
+    """
+    i = start + wp.tid()
+    t_min = rays_inout.t_min[i]
+    nearest = rays_inout.t_max[i]
+    hits_out.face[i] = -1
+    if not nearest > t_min:
+        return
+    origin = rays_inout.origin[i]
+    direction = rays_inout.direction[i]
+    inverse = inverse_or_large(direction)
+    face = int(-1)
+    which = int(-1)
+    weights = wp.vec2()
+    for number in range(placements.shape[0]):
+        span = box_span(origin, inverse, placements[number].low, placements[number].high)
+        if span[0] <= span[1] and span[1] > t_min and span[0] < nearest:
+            placement = placements[number]
+            ray = ray_in_mesh(placement, origin, direction, span[0], t_min)
+            limit = nearest - ray.begin
+            best = int(-1)
+            query = wp.bvh_query_ray(placement.tree, ray.origin, ray.direction)
+            item = int(0)
+            while wp.bvh_query_next(query, item, limit):
+                corners = meshes.indices[placement.face_first + item]
+                hit = meet_triangle(
+                    ray.origin,
+                    ray.direction,
+                    ray.shear,
+                    meshes.positions[corners[0]],
+                    meshes.positions[corners[1]],
+                    meshes.positions[corners[2]],
+                )
+                t = ray.begin + hit.t
+                if t > t_min and t < nearest and (hit.t < limit or (hit.t == limit and item < best)):
+                    limit = hit.t
+                    best = item
+                    weights = hit.weights
+            if best >= 0:
+                nearest = ray.begin + limit
+                face = placement.face_first + best
+                which = number
+    rays_inout.t_max[i] = nearest
+    hits_out.face[i] = face
+    hits_out.instance[i] = which
+    hits_out.weights[i] = weights

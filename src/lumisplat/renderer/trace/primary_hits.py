@@ -1,0 +1,24 @@
+"""Rays and what they met: where primary visibility ends, and light begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lumisplat.device.structs.rays import RayData, RayMeshHits, RayRadiance
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """Rays, a multiple of a packet's, and what stands on them."""
+
+    rays: RayData
+    """``t_max`` is the distance of the nearest mesh; where it is not above ``t_min``, there is none."""
+    hits: RayMeshHits
+    """The nearest triangles."""
+    radiance: RayRadiance
+    """What the Gaussians before them give."""
+
+    @property
+    def count(self) -> int:
+        """Rays, and places for rays."""
+        return self.rays.t_max.shape[0]

@@ -1,0 +1,1 @@
+"""Where kernels run and what memory they use: launches, buffers, tables of structs."""

@@ -1,0 +1,1 @@
+"""What moves: actors, keyframes, rigs, clips, sequences and Gaussians bound to them."""

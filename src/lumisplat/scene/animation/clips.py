@@ -1,0 +1,85 @@
+"""Clips of a rig: values by key, for each joint's translation, rotation and scale, and for morph weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.math.rotations import slerp
+
+_Floats = npt.NDArray[np.float64]
+
+
+class Channel(Enum):
+    """What of a node a track changes."""
+
+    TRANSLATION = "translation"
+    """(3,)"""
+    ROTATION = "rotation"
+    """Unit quaternion wxyz, (4,)."""
+    SCALE = "scale"
+    """Factors by axis, (3,)."""
+    WEIGHTS = "weights"
+    """Of the morph targets of the node's mesh, (T,)."""
+
+
+class Interpolation(Enum):
+    """How values change between keys (glTF 2.0 appendix C)."""
+
+    STEP = "STEP"
+    LINEAR = "LINEAR"
+    """Rotations by slerp."""
+    CUBICSPLINE = "CUBICSPLINE"
+    """Hermite splines."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One channel of one node over time."""
+
+    node: int
+    channel: Channel
+    interpolation: Interpolation
+    times: _Floats
+    """Seconds, not falling, shape (K,)."""
+    values: _Floats
+    """Shape (K, C)."""
+    tangents: _Floats | None = None
+    """Of a spline: those by which each key is reached and left, in units a second, shape (K, 2, C)."""
+
+    def at(self, time: float) -> _Floats:
+        """The value at a time, shape (C,): before the first key that one's, after the last key that one's."""
+        before = int(np.searchsorted(self.times, time, side="right")) - 1
+        if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
+            return self._settled(self.values[max(before, 0)])
+        first, second = self.values[before], self.values[before + 1]
+        span = float(self.times[before + 1] - self.times[before])
+        share = (time - float(self.times[before])) / span
+        if self.tangents is not None:
+            square, cube = share * share, share * share * share
+            value = (2.0 * cube - 3.0 * square + 1.0) * first + (3.0 * square - 2.0 * cube) * second
+            value = value + span * (cube - 2.0 * square + share) * self.tangents[before, 1]
+            return self._settled(value + span * (cube - square) * self.tangents[before + 1, 0])
+        if self.channel is Channel.ROTATION:
+            return slerp(first, second, share)
+        return (1.0 - share) * first + share * second
+
+    def _settled(self, value: _Floats) -> _Floats:
+        """Rotations at length 1, which splines leave."""
+        return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """A named animation of a rig."""
+
+    name: str
+    tracks: tuple[Track, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of the last key, seconds."""
+        return max((float(track.times[-1]) for track in self.tracks), default=0.0)

@@ -1,0 +1,119 @@
+"""Rigid motion by keyframes: where something stands, turns and how large it is, at given times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.checks import is_number
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.math.rotations import matrices_from_quaternions, slerp
+
+_Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframes:
+    """Poses of an object at K times; between them positions and scales change linearly, rotations by slerp.
+
+    Before the first time the first pose holds, after the last one the last. Rotations take the shorter way round:
+    for a whole turn, give a key each third of it.
+
+    Raises:
+        SceneError: There is no key, shapes do not fit, a value is not finite, times do not rise, a scale is not
+            positive, or a rotation has no length.
+    """
+
+    times: npt.ArrayLike
+    """Seconds, rising, shape (K,)."""
+    positions: npt.ArrayLike | None = None
+    """Where the object's origin is, scene units, shape (K, 3); None: at the origin."""
+    rotations_wxyz: npt.ArrayLike | None = None
+    """Quaternions, scalar first, of any length but zero, shape (K, 4); None: not turned."""
+    scales: npt.ArrayLike | None = None
+    """Uniform scale factors, above 0, shape (K,); None: 1."""
+
+    def __post_init__(self) -> None:
+        times = _numbers("times", self.times)
+        count = times.size
+        rest = {
+            "positions": np.zeros((count, 3)),
+            "rotations_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            "scales": np.ones(count),
+        }
+        given = {name: getattr(self, name) for name in rest}
+        values = {name: rest[name] if value is None else _numbers(name, value) for name, value in given.items()}
+        check_shapes(
+            times=(times, "K"),
+            positions=(values["positions"], "K 3"),
+            rotations_wxyz=(values["rotations_wxyz"], "K 4"),
+            scales=(values["scales"], "K"),
+        )
+        if count == 0:
+            raise SceneError("times is empty: expected at least one keyframe")
+        falls = np.flatnonzero(np.diff(times) <= 0.0)
+        if falls.size:
+            k = int(falls[0])
+            raise SceneError(f"times must rise, but {times[k + 1]:g} follows {times[k]:g} (keyframe {k + 1})")
+        if not (values["scales"] > 0.0).all():
+            raise SceneError(f"scales has {values['scales'].min():g}, expected positive numbers")
+        lengths = np.linalg.norm(values["rotations_wxyz"], axis=1, keepdims=True)
+        if not (lengths > 0.0).all():
+            raise SceneError(f"rotations_wxyz has zero length at keyframe {int(lengths.argmin())}")
+        values["rotations_wxyz"] = values["rotations_wxyz"] / lengths
+        for name, array in {"times": times, **values}.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last keyframe, seconds."""
+        return float(np.asarray(self.times)[-1])
+
+    def at(self, time: float) -> npt.NDArray[np.float64]:
+        """The pose at a time: ``world_from_object``, shape (4, 4).
+
+        Args:
+            time: Seconds.
+
+        Raises:
+            SceneError: ``time`` is not a finite number.
+        """
+        check_time(time)
+        times, positions, rotations, scales = map(
+            np.asarray, (self.times, self.positions, self.rotations_wxyz, self.scales)
+        )
+        before = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, times.size - 1))
+        after = min(before + 1, times.size - 1)
+        span = times[after] - times[before]
+        share = float(np.clip((time - times[before]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        quaternion = slerp(rotations[before], rotations[after], share)
+        scale = (1.0 - share) * scales[before] + share * scales[after]
+        pose = np.eye(4)
+        pose[:3, :3] = scale * matrices_from_quaternions(quaternion[None])[0]
+        pose[:3, 3] = (1.0 - share) * positions[before] + share * positions[after]
+        return pose
+
+
+def check_time(time: float) -> None:
+    """Refuses what is no moment.
+
+    Raises:
+        SceneError: ``time`` is not a finite number.
+    """
+    if not is_number(time) or not np.isfinite(time):
+        raise SceneError(f"time is {time}, expected seconds, a finite number")
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> _Floats:
+    """A float64 copy of finite numbers."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{name} is not an array of numbers: {error}") from None
+    invalid = array.size - np.count_nonzero(np.isfinite(array))
+    if invalid:
+        raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}")
+    return array

@@ -1,0 +1,59 @@
+"""The nodes of a rig: where each is in the world, at rest and at a time of a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.scene.animation.clips import Channel, Clip
+
+_Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skeleton:
+    """N nodes with their transforms at rest; a point is scaled, then rotated, then moved."""
+
+    parents: tuple[int, ...]
+    """Index of each node's parent, -1 of a root."""
+    order: tuple[int, ...]
+    """All nodes, parents first."""
+    translations: _Floats
+    """Shape (N, 3)."""
+    rotations_wxyz: _Floats
+    """Unit quaternions, shape (N, 4)."""
+    scales: _Floats
+    """Shape (N, 3)."""
+    matrices: Mapping[int, _Floats]
+    """``parent_from_node`` of nodes that have it in place of the three; no clip moves them."""
+
+    def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> _Floats:
+        """Where the nodes are, shape (N, 4, 4).
+
+        Args:
+            clip: What moves them; None: they are at rest.
+            time: Of the clip, seconds.
+        """
+        columns = {
+            Channel.TRANSLATION: self.translations.copy(),
+            Channel.ROTATION: self.rotations_wxyz.copy(),
+            Channel.SCALE: self.scales.copy(),
+        }
+        for track in clip.tracks if clip else ():
+            if track.channel is not Channel.WEIGHTS:
+                columns[track.channel][track.node] = track.at(time)
+        local = np.tile(np.eye(4), (len(self.parents), 1, 1))
+        rotations = matrices_from_quaternions(columns[Channel.ROTATION])
+        local[:, :3, :3] = rotations * columns[Channel.SCALE][:, None, :]
+        local[:, :3, 3] = columns[Channel.TRANSLATION]
+        for node, matrix in self.matrices.items():
+            local[node] = matrix
+        world = local.copy()
+        for node in self.order:
+            if self.parents[node] >= 0:
+                world[node] = world[self.parents[node]] @ local[node]
+        return world

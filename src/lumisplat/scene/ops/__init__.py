@@ -1,0 +1,1 @@
+"""What is computed from scenes on the host: colours, normals, irradiance, rays of pixels."""

@@ -1,0 +1,57 @@
+"""Display-referred colours of Gaussians under more or less light."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import RECOLOR_DARK, SH_C0
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import FloatArray, float_array, handed_over, refuse_rows
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.scene.gaussians import Gaussians
+
+
+def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
+    """The same Gaussians, each under ``factors`` times as much light.
+
+    Light is linear, colours are display-referred: a channel's display gain is ``g = encode(f decode(c)) / c`` at the
+    mean colour ``c`` over all directions, and the whole function of direction is scaled by it: ``max(SH + 0.5, 0)``
+    becomes g times as large. So the mean colour gets exactly its share of light, and a highlight keeps its contrast.
+
+    Args:
+        gaussians: Any Gaussians.
+        factors: Linear-light factor of each, at least 0, shape (N,), or a channel, shape (N, 3).
+
+    Returns:
+        Gaussians that differ in ``sh`` only; all other arrays are the same objects. Colours whose factor is exactly 1
+        keep their bits; where all are, this is ``gaussians`` itself.
+
+    Raises:
+        SceneError: The shape is another, or a factor is negative or not finite (the message counts them).
+    """
+    checked = float_array("factors", factors)
+    count = gaussians.count
+    if checked.shape not in ((count,), (count, 3)):
+        raise SceneError(f"factors has shape {checked.shape}, expected ({count},) or ({count}, 3)")
+    per_channel = np.broadcast_to(checked.reshape(count, -1), (count, 3))
+    refuse_rows("factors", "negative", np.asarray((per_channel < 0.0).any(axis=1)))
+    rows = np.flatnonzero((per_channel != 1.0).any(axis=1))
+    if rows.size == 0:
+        return gaussians
+    sh = gaussians.sh.copy()
+    sh[rows] = _scaled(gaussians.sh[rows], per_channel[rows])
+    return replace(gaussians, sh=handed_over(sh))
+
+
+def _scaled(sh: FloatArray, factors: FloatArray) -> FloatArray:
+    """SH of shape (M, K, 3) under ``factors``, shape (M, 3)."""
+    wide = sh.astype(np.float64)
+    # Towards black the gain tends to the factor itself, for the sRGB curve is straight there.
+    mean = np.maximum(SH_C0 * wide[:, 0] + 0.5, RECOLOR_DARK)
+    gains = encode_srgb(factors * decode_srgb(mean)) / mean
+    scaled = gains[:, None, :] * wide
+    scaled[:, 0] += (gains - 1.0) * (0.5 / SH_C0)
+    return np.where(factors[:, None, :] == 1.0, sh, scaled.astype(np.float32))

@@ -1,0 +1,1 @@
+"""From meshes to Gaussians: points well spread over surfaces."""

@@ -1,0 +1,405 @@
+"""What the commands do when everything is right."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from rich.progress import Progress
+
+import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.cli.options.framing import framing_camera
+from lumisplat.cli.output.console import progress_bars
+from lumisplat.io.images.image import read_image
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def test_render_writes_a_picture_per_camera(work):
+    """Each frame of the camera file becomes a picture of its name and size, the same as the library renders."""
+    outcome = work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--device", "cpu")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert {path.name for path in work.path("out").iterdir()} == {"left.png", "right.png"}
+    frame = ls.render(
+        ls.Scene(splats=(ls.SplatInstance(ls.load(work.path("capture.ply"))),)),  # type: ignore[arg-type]
+        ls.load_cameras(work.path("cameras.json"))[0],
+        device="cpu",
+    )
+    expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    assert np.array_equal(read_image(work.path("out/left.png"))["srgb"], expected)
+
+
+def test_render_picks_frames_and_scales(work):
+    """--frame selects, and one given side keeps the aspect ratio."""
+    work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", "--frame", "right", "--width", "32")
+    assert {path.name for path in work.path("out").iterdir()} == {"right.png"}
+    assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
+
+
+def test_render_sizes_cameras_without_a_size(work):
+    """--width and --height are the image size where a camera file gives only an angle."""
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    frame = {"file_path": "0001", "transform_matrix": pose}
+    work.path("angle.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
+    args = ("render", "@mesh.obj", "--cameras", "@angle.json", "-o", "@a.png")
+    assert "give --width and --height" in work.run(*args, "--width", "32").err
+    assert work.run(*args, "--width", "32", "--height", "24").status == 0
+    assert read_image(work.path("a.png"))["srgb"].shape == (24, 32, 3)
+
+
+def test_settings_reach_the_renderer(work):
+    """--antialiasing and --sh-degree give the picture that the library gives with the same settings."""
+    ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
+    scene = ls.Scene([ls.load(work.path("bands.ply"))])  # type: ignore[list-item]
+    camera = ls.load_cameras(work.path("cameras.json"))[0]
+    args = ("render", "@bands.ply", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    for options, settings in [
+        (("--antialiasing", "on"), ls.RasterConfig(antialiasing=ls.Antialiasing.ON)),
+        (("--sh-degree", "0"), ls.RasterConfig(sh_degree=0)),
+    ]:
+        assert work.run(*args, *options).status == 0
+        color = read_image(work.path("a.npz"))["color"]
+        expected, plain = (
+            ls.render(scene, camera, ls.RenderConfig(raster=r), device="cpu").color
+            for r in (settings, ls.RasterConfig())
+        )
+        assert np.abs(color - plain).max() > 0.01
+        np.testing.assert_array_equal(color, expected)
+
+
+TRACE_OPTIONS = (
+    *("--strategy", "stochastic-pass", "--samples", "3", "--seed", "7", "--max-bounces", "5", "--kernel-degree", "4"),
+    *("--min-response", "0.0113", "--hit-distance", "hull", "--normals", "ellipsoid", "--hits-per-pass", "32"),
+    *("--no-jitter", "--sh-degree", "1", "--transmittance-min", "0.01"),
+)
+
+
+def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> ls.RenderConfig:
+    """The settings that a command asks its renderer for; nothing is rendered."""
+    asked = []
+
+    def refuse(config: ls.RenderConfig, *_: object, **__: object) -> None:
+        asked.append(config)
+        raise ls.DeviceError("not today")
+
+    monkeypatch.setattr("lumisplat.create_renderer", refuse, raising=False)
+    assert work.run(*args).err.endswith("error: not today\n")
+    return asked[0]
+
+
+def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
+    """Every option arrives at its setting; those that both pipelines have at both."""
+    config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
+    assert config == ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE,
+        samples=3,
+        seed=7,
+        max_bounces=5,
+        raster=ls.RasterConfig(sh_degree=1, transmittance_min=0.01),
+        trace=ls.TraceConfig(
+            strategy=ls.TraceStrategy.STOCHASTIC_PASS,
+            hits_per_pass=32,
+            kernel_degree=4,
+            min_response=0.0113,
+            hit_distance=ls.HitDistance.HULL,
+            normal_method=ls.NormalMethod.ELLIPSOID,
+            sh_degree=1,
+            transmittance_min=0.01,
+            jitter=False,
+        ),
+    )
+    assert not caplog.records
+
+
+def test_options_are_at_the_defaults_of_the_settings(work, monkeypatch):
+    """What --help calls a default is the library's."""
+    assert configured(work, monkeypatch, "render", "@mesh.obj") == ls.RenderConfig()
+    assert configured(work, monkeypatch, "bench", "@mesh.obj") == ls.RenderConfig()
+
+
+def test_bench_settings(work, monkeypatch):
+    """Bench times the pipeline and the strategy that it is told."""
+    args = ("bench", "@mesh.obj", "--pipeline", "trace", "--strategy", "stochastic-hit")
+    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+
+
+def test_options_that_nothing_uses(work, monkeypatch, caplog):
+    """What is asked for in vain is said in one line, once the scene is known; bench knows at once."""
+    args = ("render", "@mesh.obj", "--width", "16", "-o", "@a.png", "--device", "cpu")
+    assert work.run(*args, *TRACE_OPTIONS).status == 0
+    (record,) = caplog.records
+    assert record.getMessage() == (
+        "not used by --pipeline raster: --strategy, --samples, --seed, --max-bounces, --kernel-degree, --min-response, "
+        "--hit-distance, --normals, --hits-per-pass, --no-jitter (they are of --pipeline trace and hybrid)"
+    )
+    caplog.clear()
+    configured(work, monkeypatch, "bench", "@mesh.obj", "--strategy", "stochastic-hit")
+    (record,) = caplog.records
+    assert record.getMessage() == "not used by --pipeline raster: --strategy (it is of --pipeline trace and hybrid)"
+
+
+def test_render_without_cameras_shows_the_scene(work):
+    """A capture alone gives one picture, in which there is something to see, framed for the size asked for."""
+    args = ("render", "@capture.ply", "-o", "@first.png", "--width", "64", "--height", "64")
+    assert work.run(*args, "--device", "cpu").status == 0
+    picture = read_image(work.path("first.png"))["srgb"]
+    assert picture.shape == (64, 64, 3)
+    scene = ls.Scene([ls.load(work.path("capture.ply"))])  # type: ignore[list-item]
+    framed = ls.render(scene, framing_camera(scene, width=64, height=64), device="cpu")
+    np.testing.assert_array_equal(picture, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+    assert (picture > 0).any(axis=2).mean() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "corner"), [("white", (255, 255, 255)), ("#ff8000", (255, 128, 0)), ("0,0.2,1", (0, 51, 255))]
+)
+def test_background(work, text, corner):
+    """The background is the colour that was asked for, in every notation."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    assert work.run(*args, "--background", text).status == 0
+    assert tuple(read_image(work.path("a.png"))["srgb"][0, 0]) == corner
+
+
+def test_transparent_background(work):
+    """A transparent picture has an alpha channel: 0 beside the mesh, 1 on it."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    work.run(*args, "--background", "transparent")
+    alpha = read_image(work.path("a.png"))["srgb"][..., 3]
+    assert alpha[0, 0] == 0
+    assert alpha[24, 32] == 255
+
+
+def test_layers_beside_png(work):
+    """--aov writes a viewable picture for each layer beside the PNG."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.png")
+    assert work.run(*args, "--aov", "depth,normal,instance_index,gaussian_index").status == 0
+    # The triangle faces the camera at z = 4: its normal is (0, 0, -1), and it holds no Gaussian.
+    assert tuple(read_image(work.path("a.normal.png"))["srgb"][24, 32]) == (128, 128, 0)
+    assert read_image(work.path("a.depth.png"))["srgb"][24, 32].any()
+    assert read_image(work.path("a.instance_index.png"))["srgb"][24, 32].any()
+    assert not read_image(work.path("a.gaussian_index.png"))["srgb"].any()
+    assert not read_image(work.path("a.depth.png"))["srgb"][0, 0].any()
+
+
+def test_layers_in_exr(work):
+    """--aov puts layers into the one EXR, and only those."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@out", "--format", "exr")
+    assert work.run(*args, "--aov", "depth,instance_index").status == 0
+    channels = read_image(work.path("out/left.exr"))
+    assert set(channels) == {"R", "G", "B", "A", "depth.Z", "index.instance"}
+    assert channels["depth.Z"][24, 32] == pytest.approx(4.0, abs=1e-3)
+    assert np.isinf(channels["depth.Z"][0, 0])
+
+
+def test_background_of_exr(work, caplog):
+    """A background asked for with EXR is said to be left out, in one line; without, nothing is said."""
+    args = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.exr")
+    assert work.run(*args).status == 0
+    assert caplog.text == ""
+    assert work.run(*args, "--background", "white").status == 0
+    assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["--background is not used"]
+
+
+def test_stats(work):
+    """--stats names each stage and counts the Gaussians."""
+    outcome = work.run("render", "@capture.ply", "-o", "@a.npz", "--width", "32", "--stats", "--device", "cpu")
+    for word in ("project", "sort", "bin", "composite", "60", "tile pairs", "memory"):
+        assert word in outcome.out
+    assert "color" in read_image(work.path("a.npz"))
+
+
+def test_stats_of_rays(work):
+    """Rays have no tiles and no list of what is visible."""
+    args = ("@capture.ply", "--pipeline", "trace", "--device", "cpu", "--width", "32")
+    for outcome in (
+        work.run("render", *args, "-o", "@a.png", "--stats"),
+        work.run("bench", *args, "--repeats", "1"),
+    ):
+        assert outcome.status == 0
+        assert "Gaussians" in outcome.out and "memory" in outcome.out and "all stages" in outcome.out
+        assert "tile pairs" not in outcome.out and "visible" not in outcome.out
+
+
+def test_render_by_rays(work, monkeypatch):
+    """--pipeline trace gives what the library traces, here glass before a capture; samples are reported one by one."""
+    work.path("scene.toml").write_text(
+        '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
+        '[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, -2]\n'
+        "material = { roughness = 0.0, transmission = 1.0, base_color = [1.0, 0.5, 1.0] }\n"
+    )
+    reports = []
+
+    @contextmanager
+    def recorded():
+        yield lambda label, fraction: reports.append((label, fraction))
+
+    monkeypatch.setattr("lumisplat.cli.commands.render.progress_bars", recorded)
+    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    options = ("--strategy", "stochastic-hit", "--samples", "3", "--seed", "5")
+    assert work.run(*args, "--pipeline", "trace", *options).status == 0
+    trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=3, seed=5, trace=trace)
+    scene, camera = ls.load(work.path("scene.toml")), ls.load_cameras(work.path("cameras.json"))[0]
+    assert isinstance(scene, ls.Scene)
+    expected = ls.render(scene, camera, config, device="cpu")
+    found = read_image(work.path("a.npz"))
+    np.testing.assert_array_equal(found["color"], expected.color)
+    assert found["alpha"][24, 32] == 1.0 and found["instance_index"][24, 32] == 1
+    assert [fraction for label, fraction in reports if label == "tracing"] == pytest.approx([1 / 3, 2 / 3, 1.0])
+
+
+def test_a_bar_ends_and_begins_anew(monkeypatch):
+    """Bars are gone when done, and one whose label comes again, as that of samples in each picture, starts at zero."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    shown = []
+    with progress_bars() as report:
+        bars = next(cell.cell_contents for cell in report.__closure__ if isinstance(cell.cell_contents, Progress))
+        for label, fraction in [("a", 0.0), ("b", 0.5), ("a", 1.0), ("b", 1.0), ("b", 0.25), ("c", 1.0)]:
+            report(label, fraction)
+            shown.append([(task.description, task.completed) for task in bars.tasks])
+    assert shown == [[("a", 0.0)], [("a", 0.0), ("b", 0.5)], [("b", 0.5)], [], [("b", 0.25)], [("b", 0.25)]]
+
+
+def test_scene_of_several_files(work):
+    """Several files make one scene: the mesh hides nothing of the capture in front of it, and both are there."""
+    args = ("--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
+    assert work.run("render", "@capture.ply", "@mesh.obj", *args).status == 0
+    assert set(np.unique(read_image(work.path("a.npz"))["instance_index"])) >= {0, 1}
+
+
+def test_scene_file(work):
+    """A scene.toml places files relative to itself."""
+    work.path("scene.toml").write_text('[[meshes]]\npath = "mesh.obj"\nposition = [0, 0, 4]\n')
+    args = ("--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz")
+    assert work.run("render", "@scene.toml", *args).status == 0
+    assert read_image(work.path("a.npz"))["depth"][24, 32] == pytest.approx(8.0, abs=1e-3)
+
+
+def test_info(work):
+    """Info says what is in captures, meshes and camera files."""
+    outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
+    assert outcome.status == 0
+    scales = ls.load(work.path("capture.ply")).scales  # type: ignore[union-attr]
+    assert f"median {np.median(scales):.4g}   99 %" in outcome.out
+    for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
+        assert text in outcome.out
+
+
+def test_info_says_what_is_unusual(work):
+    """The kernel degree is shown where it is not that of nearly all captures; a mesh shows its surface."""
+    assert "kernel degree" not in work.run("info", "@capture.ply").out
+    work.path("scene.toml").write_text(
+        '[[splats]]\npath = "capture.ply"\nkernel_degree = 4\n'
+        '[[meshes]]\npath = "mesh.obj"\nmaterial = { roughness = 0.0, transmission = 1.0, ior = 1.33 }\n'
+    )
+    shown = " ".join(work.run("info", "@scene.toml").out.split())
+    assert "kernel degree 4" in shown
+    assert "metallic 0 roughness 0 specular 1 ior 1.33 transmission 1" in shown
+
+
+def test_info_tells_entries_apart(work):
+    """Meshes of one entry are numbered and named, and frames are listed under the names of their files."""
+    work.path("two.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl wood\nf 1 2 3\nusemtl brass\nf 3 2 1\n")
+    work.path("scene.toml").write_text('[[meshes]]\npath = "two.obj"\nname = "lamp"\n')
+    ls.save_cameras(work.path("spaced.json"), [front_camera(name="back left")])
+    outcome = work.run("info", "@scene.toml", "@spaced.json")
+    assert "mesh 0   lamp / wood" in outcome.out and "mesh 1   lamp / brass" in outcome.out
+    assert "back_left" in outcome.out
+
+
+def test_info_shows_text_as_it_is(work):
+    """What a file or its name says is not taken for markup or terminal commands."""
+    gaussians = ls.load(work.path("capture.ply"))
+    assert isinstance(gaussians, ls.Gaussians)
+    ls.save(work.path("[bold].ply"), replace(gaussians, comments=("[/red] :cat: \x1b[2J",)))
+    outcome = work.run("info", "@[bold].ply")
+    assert outcome.status == 0
+    assert "[bold].ply" in outcome.out.replace("\n", "")
+    assert "[/red] :cat: ?[2J" in outcome.out
+
+
+def test_convert_keeps_the_kernel_degree(work, caplog):
+    """A capture trained with another kernel is still one in the other format, or one line says that it is not."""
+    gaussians = ls.load(work.path("capture.ply"))
+    assert isinstance(gaussians, ls.Gaussians)
+    ls.save(work.path("quartic.ply"), replace(gaussians, kernel_degree=4))
+    assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0
+    assert ls.load(work.path("copy.compressed.ply")).kernel_degree == 4  # type: ignore[union-attr]
+    assert not caplog.records
+    assert work.run("convert", "@copy.compressed.ply", "@copy.spz").status == 0
+    assert ["cannot store the kernel degree, 4" in record.getMessage() for record in caplog.records] == [True]
+
+
+@pytest.mark.parametrize("target", ["copy.compressed.ply", "copy.spz", "copy.ply"])
+def test_convert(work, target):
+    """A converted capture holds the same Gaussians."""
+    outcome = work.run("convert", "@capture.ply", f"@{target}")
+    assert outcome.status == 0
+    assert "60 Gaussians" in outcome.out
+    before, after = ls.load(work.path("capture.ply")), ls.load(work.path(target))
+    assert isinstance(before, ls.Gaussians) and isinstance(after, ls.Gaussians)
+    assert np.allclose(np.sort(after.means, axis=0), np.sort(before.means, axis=0), atol=2e-3)
+
+
+def test_drop_invalid(work):
+    """--drop-invalid renders what is left of a capture with NaN in it."""
+    data = bytearray(work.path("capture.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32").status == 2
+    assert work.run("render", "@nan.ply", "-o", "@a.png", "--width", "32", "--drop-invalid").status == 0
+
+
+def test_bench(work):
+    """Bench prints a row for loading, the first frame, steady frames and each stage."""
+    outcome = work.run("bench", "@capture.ply", "--width", "64", "--repeats", "2", "--device", "cpu")
+    assert outcome.status == 0
+    for word in ("load", "first frame", "median of 2", "composite", "peak"):
+        assert word in outcome.out
+
+
+def test_help_and_version(capsys):
+    """Without arguments there is help; it lists the commands, and each explains its options."""
+    assert main([]) == 0
+    listed = capsys.readouterr().out
+    for command in ("render", "info", "convert", "demo", "bench", "metrics", "relight"):
+        assert command in listed
+        assert main([command, "--help"]) == 0
+        shown = capsys.readouterr().out
+        assert "--debug" in shown
+        assert ("ray options" in shown) == ("light options" in shown) == (command == "render")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"lumisplat {ls.__version__}\n"
+
+
+def test_help_imports_nothing_heavy():
+    """Help must come at once: it imports neither Warp nor a file library nor NumPy."""
+    program = (
+        "import sys, lumisplat.cli; lumisplat.cli.main(['--help']);"
+        "print(sorted({'warp', 'numpy', 'gsply', 'numba', 'OpenEXR', 'PIL', 'rich.progress'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_console_script_is_silent_on_success(work):
+    """A process of its own prints one line and nothing on standard error, whatever Warp has to say."""
+    command = [sys.executable, "-m", "lumisplat", "render", "capture.ply", "-o", "a.png", "--width", "32"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=True)
+    assert (done.stdout, done.stderr) == (f"{Path('a.png')} (32 x 18)\n", "")

@@ -1,0 +1,417 @@
+"""``lumisplat animate``: frames are the same however they come about; none is half, none of other settings."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.output.frame_folder import STAMP
+from lumisplat.cli.output.named_files import file_marks
+from lumisplat.renderer.renderer import Renderer
+from support.files.cli_files import Workplace
+
+SCENE = """
+[[splats]]
+path = "floor.ply"
+
+[[lights]]
+type = "point"
+position = [0.6, 2.0, 0.4]
+intensity = 4.0
+
+[[actors]]
+path = "ball.ply"
+name = "ball"
+
+[[actors.keyframes]]
+time = 0.0
+position = [-0.5, 0.0, 0.0]
+
+[[actors.keyframes]]
+time = 0.4
+position = [0.5, 0.0, 0.0]
+
+[animation]
+fps = 10.0
+frames = 4
+
+[animation.lighting]
+relight = false
+
+[animation.lighting.shadow]
+resolution = 64
+bins = 32
+
+[[cameras]]
+eye = [0.0, 1.5, 2.5]
+target = [0.0, 0.2, 0.0]
+up = [0.0, 1.0, 0.0]
+width = 48
+height = 32
+"""
+
+
+RELIT = SCENE.replace("relight = false", "relight = true")
+
+
+def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color: float) -> ls.Gaussians:
+    """Gaussians of one shape and one grey."""
+    count = len(means)
+    return ls.Gaussians(
+        means,
+        np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        np.tile(scales, (count, 1)),
+        np.full(count, 0.95),
+        np.full((count, 1, 3), (color - 0.5) / 0.28209479177387814),
+    )
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A ball that moves over a floor, under a lamp."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    across = np.linspace(-1.5, 1.5, 16)
+    floor = np.stack(np.meshgrid(across, [0.0], across), axis=-1).reshape(-1, 3)
+    ls.save(place.path("floor.ply"), disc_gaussians(floor, (0.12, 0.01, 0.12), 0.7))
+    rng = np.random.default_rng(1)
+    ball = rng.normal(size=(80, 3))
+    ball = [0.0, 0.6, 0.0] + 0.2 * ball / np.linalg.norm(ball, axis=1)[:, None]
+    ls.save(place.path("ball.ply"), disc_gaussians(ball, (0.06, 0.06, 0.06), 0.4))
+    place.path("scene.toml").write_text(SCENE)
+    return place
+
+
+def animate(work: Workplace, folder: str, *options: str):
+    """Runs the command on the scene."""
+    return work.run("animate", "@scene.toml", "-o", f"@{folder}", *options)
+
+
+def frames(work: Workplace, folder: str) -> dict[str, bytes]:
+    """The frames of a folder, by their names."""
+    return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("frame_*"))}
+
+
+def names(*indices: int) -> list[str]:
+    """File names of frames."""
+    return [f"frame_{index:04d}.png" for index in indices]
+
+
+def test_frames_are_those_of_the_python_interface(work):
+    """Each frame is the scene that `AvatarLighter` gives at its time: the ball moves, and so does its shadow."""
+    work.path("scene.toml").write_text(RELIT)
+    done = animate(work, "frames")
+    assert (done.status, done.err) == (0, "")
+    assert done.out == f"4 frames in {work.path('frames')}\n"
+    made = frames(work, "frames")
+    assert list(made) == names(0, 1, 2, 3)
+    assert len(set(made.values())) == 4
+    animation = ls.load_animation(work.path("scene.toml"))
+    lighter = ls.AvatarLighter(animation.scene, config=animation.lighting)
+    renderer = ls.create_renderer()
+    for index, time in enumerate(animation.times):
+        frame = renderer.render(lighter.light(animation.actors_at(time)), animation.cameras[0])
+        frame.save(work.path("expected.png"))
+        assert work.path("expected.png").read_bytes() == made[f"frame_{index:04d}.png"]
+    assert {path.name for path in work.path("frames").iterdir()} == {*made, STAMP}
+
+
+def test_an_interrupted_animation_goes_on(work, monkeypatch):
+    """Ctrl-C leaves finished frames; the same command makes the others only, and all are as if made at once."""
+    assert animate(work, "whole").status == 0
+    render, seen = Renderer.render, []
+
+    def interrupted(self, scene, camera, **options):
+        seen.append(camera)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        return render(self, scene, camera, **options)
+
+    monkeypatch.setattr(Renderer, "render", interrupted)
+    stopped = animate(work, "frames", "--video", "@out.mp4")
+    assert (stopped.status, stopped.out) == (130, "")
+    assert stopped.err == f"interrupted: {work.path('frames')} holds 2 of 4 frames; the same command goes on\n"
+    assert list(frames(work, "frames")) == names(0, 1)
+    assert {path.name for path in work.path("frames").iterdir()} == {*names(0, 1), STAMP}
+    assert not work.path("out.mp4").exists() and not list(work.folder.glob(".*"))
+    times = {path.name: path.stat().st_mtime_ns for path in work.path("frames").glob("frame_*")}
+    done = animate(work, "frames", "--video", "@out.mp4")
+    assert done.status == 0
+    assert done.out.startswith(f"4 frames in {work.path('frames')}, 2 of them were there\n")
+    assert frames(work, "frames") == frames(work, "whole")
+    for name, time in times.items():
+        assert (work.path("frames") / name).stat().st_mtime_ns == time
+    assert animate(work, "frames").status == 0
+    assert len(seen) == 3 + 2  # the two that were missing
+
+
+def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
+    """Frames do not depend on which are made: also where lights are looked for, it is about the first one's actors."""
+    text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
+    work.path("scene.toml").write_text(text)
+    lamp = disc_gaussians(np.array([[0.6, 2.0, 0.4]]), (0.05, 0.05, 0.05), 1.5)
+    floor = ls.load(work.path("floor.ply"))
+    assert isinstance(floor, ls.Gaussians)
+    both = {name: np.concatenate([getattr(floor, name), getattr(lamp, name)]) for name in floor.arrays()}
+    ls.save(work.path("floor.ply"), ls.Gaussians(**both))
+    places = []
+
+    def estimated(scene, place, *args, **options):
+        places.append(tuple(place))
+        return ls.estimate_lights(scene, place, *args, **options)
+
+    # By its module: `lumisplat.relight` is the function of that name.
+    monkeypatch.setattr(importlib.import_module("lumisplat.relighting.avatar_lighter"), "estimate_lights", estimated)
+    assert animate(work, "whole").status == 0
+    assert animate(work, "part", "--frames", "2:").status == 0
+    assert places[0] == places[1] and len(places) == 2
+    whole = frames(work, "whole")
+    assert frames(work, "part") == {name: whole[name] for name in names(2, 3)}
+    assert animate(work, "part", "--frames", ":1").status == 0
+    assert list(frames(work, "part")) == names(0, 2, 3)
+
+
+def test_a_still_scene_stands_still(work):
+    """Nothing moves: all frames are the same to the bit, shadows and sampled light included."""
+    work.path("scene.toml").write_text(SCENE.replace("position = [0.5, 0.0, 0.0]", "position = [-0.5, 0.0, 0.0]"))
+    for options in ((), ("--pipeline", "trace", "--samples", "2", "--frames", "0:2")):
+        assert animate(work, "frames", *options, "--overwrite").status == 0
+        assert len(set(frames(work, "frames").values())) == 1
+
+
+@pytest.mark.parametrize("option", ["--no-shadows", "--no-relight", "--direct=0.2", "--background=white", "--width=40"])
+def test_other_settings_do_not_mix(work, option):
+    """Frames of other settings are refused by name of what changed, and stay; --overwrite makes all of them anew."""
+    work.path("scene.toml").write_text(RELIT if option == "--no-relight" else SCENE)
+    assert animate(work, "frames", "--frames", "0:2").status == 0
+    before = frames(work, "frames")
+    refused = animate(work, "frames", option)
+    assert refused.status == 2 and refused.err.count("\n") == 1
+    changed = {"no-shadows": "actors.shadows", "no-relight": "actors.relight", "direct": "actors.direct"}
+    name = option.strip("-").partition("=")[0]
+    assert f"holds frames from before a change of {changed.get(name, name)}: give --overwrite" in refused.err
+    assert frames(work, "frames") == before
+    assert animate(work, "frames", option, "--frames", "1:2", "--overwrite").status == 0
+    after = frames(work, "frames")
+    assert list(after) == names(1)
+    assert after[names(1)[0]] != before[names(1)[0]]
+    assert animate(work, "frames", option, "--frames", "1:2").status == 0
+
+
+def test_changed_files_do_not_mix(work):
+    """A scene file, or a file that it names, of another size or time is another origin."""
+    assert animate(work, "frames", "--frames", "0:1").status == 0
+    status = work.path("ball.ply").stat()
+    os.utime(work.path("ball.ply"), ns=(status.st_atime_ns, status.st_mtime_ns + 10**9))
+    assert "a change of ball.ply: give" in animate(work, "frames").err
+    work.path("scene.toml").write_text(SCENE + "\n# later\n")
+    assert "a change of ball.ply, scene.toml: give" in animate(work, "frames").err
+
+
+def test_unknown_frames_are_not_touched(work):
+    """Frames without a word about what they are of are not ours to mix with; other files are nobody's business."""
+    work.path("frames").mkdir()
+    work.path("frames/notes.txt").write_text("mine")
+    assert animate(work, "frames", "--frames", "0:1").status == 0
+    (work.path("frames") / STAMP).unlink()
+    assert f"holds frames, but no {STAMP}" in animate(work, "frames").err
+    (work.path("frames") / STAMP).write_text("[1, 2")
+    assert f"holds frames, but no {STAMP}" in animate(work, "frames").err
+    assert animate(work, "frames", "--frames", "0:1", "--overwrite").status == 0
+    assert work.path("frames/notes.txt").read_text() == "mine"
+    assert "fps" in json.loads((work.path("frames") / STAMP).read_text())
+
+
+def test_videos(work):
+    """A video holds the frames in order, at their rate; it is made of frames that are there, too."""
+    assert animate(work, "frames").status == 0
+    done = animate(work, "frames", "--video", "@out.mp4")
+    assert done.out.splitlines()[1] == f"{work.path('out.mp4')} (10 frames a second, 0.40 s)"
+    with av.open(str(work.path("out.mp4"))) as container:
+        stream = container.streams.video[0]
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert stream.average_rate == 10
+    shown = [255.0 * ls.load_image(work.path("frames") / name) for name in names(0, 1, 2, 3)]
+    off = np.array([[np.abs(picture - other).mean() for other in shown] for picture in pictures])
+    assert off.argmin(axis=1).tolist() == [0, 1, 2, 3]
+    assert animate(work, "frames", "--video", "@out.gif", "--frames", "1:3").status == 0
+    assert work.path("out.gif").read_bytes().startswith(b"GIF89a")
+
+
+@pytest.mark.parametrize("kept", [0, 200])
+def test_a_damaged_frame_is_not_taken_for_one(work, kept):
+    """A frame that was cut short elsewhere cannot be part of a video: the line says what helps, and it does."""
+    assert animate(work, "frames").status == 0
+    made, frame = frames(work, "frames"), work.path("frames") / names(1)[0]
+    frame.write_bytes(frame.read_bytes()[:kept])
+    done = animate(work, "frames", "--video", "@out.gif")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert done.err.startswith(f"error: {frame}: ")
+    assert done.err.endswith("; delete it and run the command again, which makes it anew\n")
+    assert not work.path("out.gif").exists()
+    frame.unlink()
+    done = animate(work, "frames", "--video", "@out.gif")
+    assert done.out.startswith(f"4 frames in {work.path('frames')}, 3 of them were there\n")
+    assert frames(work, "frames") == made
+
+
+def test_interrupted_while_frames_are_made_anew(work, monkeypatch):
+    """The same command would remove them again: it goes on without --overwrite."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Renderer, "render", interrupted)
+    done = animate(work, "frames", "--frames", "0:1", "--overwrite")
+    assert done.status == 130
+    told = f"{work.path('frames')} holds 0 of 1 frame; the same command without --overwrite goes on"
+    assert done.err == f"interrupted: {told}\n"
+
+
+def test_another_rate_takes_as_long(work):
+    """Half the frames a second are half as many, each second one of the others."""
+    assert animate(work, "whole").status == 0
+    assert animate(work, "half", "--fps", "5").status == 0
+    whole, half = frames(work, "whole"), frames(work, "half")
+    assert list(half) == names(0, 1)
+    assert half[names(1)[0]] == whole[names(2)[0]]
+
+
+def test_cameras(work):
+    """One for all frames, one for each, or one by its name; another number is refused."""
+    animation = ls.load_animation(work.path("scene.toml"))
+    views = [
+        replace(ls.Camera.look_at((x, 1.5, 2.5), (0, 0.2, 0), (0, 1, 0), width=40, height=24), name=f"view{index}")
+        for index, x in enumerate((0.0, 0.4, 0.8, 1.2))
+    ]
+    ls.save_cameras(work.path("four.json"), views)
+    ls.save_cameras(work.path("three.json"), views[:3])
+    assert animate(work, "each", "--cameras", "@four.json").status == 0
+    assert animate(work, "one", "--cameras", "@four.json", "--camera", "view2").status == 0
+    each, one = frames(work, "each"), frames(work, "one")
+    assert each[names(2)[0]] == one[names(2)[0]] and each[names(1)[0]] != one[names(1)[0]]
+    refused = animate(work, "three", "--cameras", "@three.json")
+    assert "three.json has 3 cameras, expected one, or one for each of the 4 frames" in refused.err
+    assert "no camera named 'left': there are view0, view1" in (
+        animate(work, "three", "--cameras", "@three.json", "--camera", "left").err
+    )
+    assert not work.path("three").exists()
+    assert len(animation.cameras) == 1
+
+
+def test_without_cameras_all_is_seen(work):
+    """The camera that frames the scene, of the size that was asked for."""
+    work.path("scene.toml").write_text(SCENE[: SCENE.index("[[cameras]]")])
+    assert animate(work, "frames", "--frames", "0:1", "--width", "40", "--height", "30", "--up", "y-up").status == 0
+    assert ls.load_image(work.path("frames") / names(0)[0]).shape == (30, 40, 3)
+
+
+def test_meshes_alone(work):
+    """A scene without captures has nothing to darken: actors are rendered as they are."""
+    work.path("tile.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 1 0 1\nv -1 0 1\nf 1 4 3\nf 1 3 2\n")
+    work.path("scene.toml").write_text(SCENE.replace("[[splats]]", "[[meshes]]").replace("floor.ply", "tile.obj"))
+    assert animate(work, "frames").status == 0
+    assert len(set(frames(work, "frames").values())) == 4
+
+
+def test_options_without_effect_are_said(work, caplog):
+    """Once, of the scene as it is lit: the lamp says where shadows fall, and there are no meshes for it to light."""
+    assert animate(work, "frames", "--frames", "0:2", "--kernel-degree", "2", "--shadows", "off").status == 0
+    lines = [record.message for record in caplog.records if "not used" in record.message]
+    assert lines == [
+        "not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)",
+        "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
+    ]
+
+
+def test_formats_and_stats(work):
+    """Frames of floats, and what they take."""
+    done = animate(work, "frames", "--format", "npz", "--frames", "0:2", "--stats")
+    assert done.status == 0
+    assert "mean of 2 frames" in done.out and "lighting" in done.out and "last frame" in done.out
+    with np.load(work.path("frames/frame_0001.npz")) as arrays:
+        assert arrays["color"].shape == (32, 48, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--frames", "3"), "--frames is '3', expected A:B"),
+        (("--frames", "2:9"), "--frames is '2:9', of an animation of 4 frames"),
+        (("--frames", "2:2"), "--frames is '2:2', of an animation of 4 frames"),
+        (("--fps", "0"), "--fps is 0"),
+        (("--direct", "2"), "direct is 2"),
+        (("--fps", "1e9"), "frame_count is 400,000,000 at 1e+09 frames a second, expected at most 1,000,000"),
+        (("--video", "@out.avi"), "/out.avi: unknown extension '.avi' of an animation"),
+        (("--video", "@out.png"), "out.png: is a picture's name"),
+        (("--video", "@out.gif", "--fps", "60"), "fps is 60"),
+        (("--video", "@out.mp4", "--format", "exr"), "--video is made of the PNGs"),
+        (("--video", "/proc/out.mp4"), "/proc/"),
+        (("--cameras", "@missing.json"), "missing.json: no such file"),
+        (("--camera", "left"), "no camera named 'left'"),
+        (("--samples", "0"), "samples is 0"),
+    ],
+)
+def test_mistakes_come_before_any_frame(work, options, named):
+    """Exit status 2, one line, and no folder or file is left."""
+    before = work.files()
+    options = tuple(str(work.path(option[1:])) if option.startswith("@") else option for option in options)
+    done = animate(work, "frames", *options)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert named in done.err
+    assert work.files() == before
+
+
+def test_a_missing_package_is_said_before_any_frame(work, monkeypatch):
+    """Without PyAV there is no video, which an hour of frames would be too late to say; frames alone do not need it."""
+    monkeypatch.setitem(sys.modules, "av", None)
+    done = animate(work, "frames", "--video", "@out.mp4")
+    assert done.status == 2 and "pip install 'lumisplat[video]'" in done.err
+    assert not work.path("frames").exists()
+    assert animate(work, "frames", "--frames", ":1").status == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[[splats]]\npath = 'floor.ply'\n", "lists no [[actors]]"),
+        (SCENE.replace("ball.ply", "lost.ply"), "lost.ply"),
+        (SCENE + "\nbroken", "scene.toml: "),
+    ],
+)
+def test_scene_files_that_cannot_be_animated(work, text, named):
+    """What is wrong with the scene file is about the scene file."""
+    work.path("scene.toml").write_text(text)
+    done = animate(work, "frames")
+    assert done.status == 2 and named in done.err and done.err.count("\n") == 1
+    assert "is no scene.toml" in work.run("animate", "@ball.ply").err
+
+
+def test_files_that_a_scene_is_made_of(tmp_path):
+    """What scene files, glTF and OBJ name counts, folders by their files; the folder of the frames does not."""
+    for name in ("walk/0001.ply", "walk/0002.ply", "body.bin", "statue.mtl", "bark.png", "lone.ply", "frames/f.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"data")
+    (tmp_path / "statue.mtl").write_text("newmtl a\nmap_Kd -clamp on bark.png\n")
+    (tmp_path / "statue.obj").write_text("mtllib statue.mtl\nv 0 0 0\n")
+    (tmp_path / "body.gltf").write_text(json.dumps({"buffers": [{"uri": "body.bin"}, {"uri": "data:,x"}]}))
+    (tmp_path / "broken.gltf").write_text("{")
+    (tmp_path / "scene.toml").write_text(
+        'a = ["walk", "broken.gltf", "statue.obj", "", ".", ".."]\n[[b]]\npath = "body.gltf"\nname = "frames"\n'
+    )
+    marks = file_marks([tmp_path / "scene.toml"], tmp_path / "frames")
+    assert set(marks) == {
+        "scene.toml", "walk/0001.ply", "walk/0002.ply", "statue.obj", "statue.mtl", "bark.png", "body.gltf", "body.bin",
+        "broken.gltf",
+    }  # fmt: skip
+    assert marks["body.bin"].startswith("4 bytes, ")

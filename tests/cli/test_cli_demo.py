@@ -1,0 +1,56 @@
+"""``lumisplat demo``: which pictures it leaves, and what they show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from PIL import Image, ImageSequence
+
+import lumisplat as ls
+from lumisplat.io.images.image import read_image
+from support.files.cli_files import Workplace
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def test_demo(work, monkeypatch):
+    """Demo writes a picture for each of its cameras, lit ones, and on request its capture and cameras, which render."""
+    capture = ls.SplatInstance(ls.load(work.path("capture.ply")), material=ls.MaterialPbr())
+    lights = (
+        ls.LightSpot((2.0, -3.0, 1.0), (-1.0, 3.0, 2.0), intensity=300.0, name="spot"),
+        ls.LightPoint((0.0, -1.0, 2.0), radius=0.2, name="lamp"),
+        ls.LightEnvironment(intensity=0.1, visible=False, name="sky"),
+    )
+    monkeypatch.setattr(ls, "demo_scene", lambda report: ls.Scene(splats=[replace(capture, material=None)]))
+    monkeypatch.setattr(ls, "demo_scene_lit", lambda scene: ls.Scene(splats=[capture], lights=lights))
+    monkeypatch.setattr(ls, "demo_cameras", lambda: ls.load_cameras(work.path("cameras.json")))
+    outcome = work.run("demo", "-o", "@demo", "--save-assets", "--width", "64")
+    assert outcome.status == 0
+    pictures = {"left.png", "right.png"}
+    lit = {"lit-raster.png", "lit-trace.png", "lit-hybrid.png", "lit-aovs.png", "lit-swing.gif"}
+    assert {path.name for path in work.path("demo").iterdir()} == pictures | lit | {"demo.ply", "transforms.json"}
+    assert {Path(line).name for line in outcome.out.split()} == pictures | lit
+    args = ("render", "@demo/demo.ply", "--cameras", "@demo/transforms.json", "--frame", "left", "--width", "64")
+    assert work.run(*args, "-o", "@again.png").status == 0
+    first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
+    assert np.abs(first.astype(int) - again).max() <= 1
+    with Image.open(work.path("demo/lit-swing.gif")) as swing:
+        assert (swing.size, swing.n_frames) == ((16, swing.height), 24)
+        frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(swing)]
+    # There and back: the way back shows the same pictures, and the light moves.
+    assert all(np.array_equal(frames[k], frames[24 - k]) for k in range(1, 12))
+    assert np.abs(frames[0].astype(int) - frames[12]).max() > 20
+    pipelines = [read_image(work.path(f"demo/lit-{name}.png"))["srgb"] for name in ("raster", "trace", "hybrid")]
+    assert read_image(work.path("demo/lit-aovs.png"))["srgb"].shape == (48, 64, 3)
+    np.testing.assert_array_equal(pipelines[0], pipelines[2])  # nothing here reflects
+    assert pipelines[1].mean() > 10.0
+    assert not np.array_equal(pipelines[1], pipelines[2])  # thick Gaussians look different along rays

@@ -1,0 +1,292 @@
+"""A user's mistake: exit status 2, one line that names it, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.options.argument_errors import one_line
+from support.files.cli_files import Workplace
+
+CAMERAS = ("--cameras", "@cameras.json")
+
+SINGULAR = [[0.0] * 4, [0.0] * 4, [0.0] * 4, [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """The folder, and in it what a command may stumble over."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("a_file").write_text("in the way of a folder")
+    place.path("empty.ply").write_bytes(b"")
+    place.path("short.ply").write_bytes(place.path("capture.ply").read_bytes()[:-7])
+    place.path("capture.xyz").write_text("0 0 0\n")
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    place.path("points.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n0 0 0\n")
+    place.path("no_frames.json").write_text('{"frames": []}')
+    place.path("broken.json").write_text('{"frames": [')
+    place.write_cameras("zero_width.json", w=0)
+    place.write_cameras("singular.json", transform_matrix=SINGULAR)
+    place.path("typo.toml").write_text('[[splats]]\npath = "capture.ply"\nscael = 2\n')
+    place.path("quintic.toml").write_text('[[splats]]\npath = "capture.ply"\nkernel_degree = 9\n')
+    place.path("settings.toml").write_text('[[meshes]]\npath = "mesh.obj"\n[render]\nsampels = 4\n')
+    place.path("views.toml").write_text('[[meshes]]\npath = "mesh.obj"\n\n[[cameras]]\ntarget = [0, 0, 0]\n')
+    place.path("sky.hdr").write_bytes(b"#?RADIANCE\n\n-Y 4 +X 8\n\2\2")
+    place.path("lost.toml").write_text('[[splats]]\npath = "lost.ply"\n')
+    return place
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (("render",), "no scene"),
+        (("render", "@missing.ply"), "missing.ply"),
+        (("render", "@capture.xyz"), "capture.xyz"),
+        (("render", "@empty.ply"), "empty.ply"),
+        (("render", "@short.ply"), "short.ply"),
+        (("render", "@points.ply"), "point cloud"),
+        (("render", "@typo.toml"), "scael"),
+        (("render", "@lost.toml"), "lost.ply"),
+        (("render", "@capture.ply", "--cameras", "@missing.json"), "missing.json"),
+        (("render", "@capture.ply", "--cameras", "@no_frames.json"), "no_frames.json"),
+        (("render", "@capture.ply", "--cameras", "@broken.json"), "broken.json"),
+        (("render", "@capture.ply", "--cameras", "@zero_width.json"), "zero_width.json"),
+        (("render", "@capture.ply", "--cameras", "@singular.json"), "singular.json"),
+        (("render", "@capture.ply", *CAMERAS, "--frame", "middle"), "no frame is named 'middle'"),
+        (("render", "@capture.ply", *CAMERAS, "--width", "0"), "width"),
+        (("render", "@capture.ply", "--height", "-3"), "height"),
+        (("render", "@capture.ply", "--device", "cuda:7"), "cuda:7"),
+        (("render", "@capture.ply", "--device", "tpu"), "tpu"),
+        (("render", "@capture.ply", "--background", "mauve"), "mauve"),
+        (("render", "@capture.ply", "--background", "0,0,7"), "background"),
+        (("render", "@capture.ply", "--background", "nan,0,0"), "background"),
+        (("render", "@capture.ply", "--aov", "depth,dept"), "'dept'"),
+        (("render", "@capture.ply", "--sh-degree", "4"), "sh_degree"),
+        (("render", "@capture.ply", "--samples", "0"), "samples is 0"),
+        (("render", "@capture.ply", "--seed", "-1"), "seed is -1"),
+        (("render", "@capture.ply", "--max-bounces", "65"), "max_bounces is 65"),
+        (("render", "@capture.ply", "--kernel-degree", "6"), "kernel_degree is 6"),
+        (("render", "@capture.ply", "--min-response", "nan"), "min_response is nan"),
+        (("render", "@capture.ply", "--transmittance-min", "2"), "transmittance_min is 2"),
+        (("render", "@quintic.toml"), "line 3, splats[0]: kernel_degree is 9"),
+        (("render", "@settings.toml"), "line 4, render: unknown 'sampels', did you mean 'samples'?"),
+        (("render", "@settings.toml", "@quintic.toml"), "are both scene files"),
+        (("render", "@views.toml"), "line 4, cameras[0]: lacks eye"),
+        (("render", "@capture.ply", "--cameras", "@lost.toml"), "lost.toml: has no cameras"),
+        (("render", "@capture.ply", "--environment", "@lost.hdr"), "lost.hdr: no such file"),
+        (("render", "@capture.ply", "--environment", "@capture.ply"), "is neither Radiance HDR nor OpenEXR"),
+        (("render", "@capture.ply", "--environment-rotation", "90"), "--environment-rotation turns --environment"),
+        (("render", "@capture.ply", "--exposure", "nan", *CAMERAS), "camera exposure is nan"),
+        (("render", "@capture.ply", "--shadow-offset", "-1"), "offset is -1"),
+        (("render", "@capture.ply", "--shadow-threshold", "1"), "transmittance_threshold is 1"),
+        (("render", "@capture.ply", "--shadow-color", "6"), "color_strength is 6"),
+        (("info",), "no file"),
+        (("info", "@missing.ply"), "missing.ply"),
+        (("info", "@no_frames.json"), "no_frames.json"),
+        (("info", "@sky.hdr"), "sky.hdr: truncated"),
+        (("info", "@views.toml"), "views.toml: line 4, cameras[0]: lacks eye"),
+        (("convert", "@missing.ply", "@out.spz"), "missing.ply"),
+        (("convert", "@capture.ply", "@out.xyz"), "out.xyz"),
+        (
+            ("convert", "@mesh.obj", "@out.ply"),
+            "mesh.obj: is not a capture: convert takes Gaussians only (Python: ls.gau",
+        ),
+        (("convert", "@capture.ply", "@a_file/out.ply"), "a_file"),
+        (("bench", "@missing.ply"), "missing.ply"),
+        (("bench", "@capture.ply", "--repeats", "0"), "repeats"),
+        (("bench", "--device", "cuda:7"), "cuda:7"),
+        (("demo", "--device", "cuda:7"), "cuda:7"),
+    ],
+)
+def test_mistake_is_one_line(work, monkeypatch, args, named):
+    """Exit status 2, one line on standard error that names the culprit, no new file."""
+    monkeypatch.chdir(work.folder)
+    before = work.files()
+    outcome = work.run(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert named in outcome.err
+    assert work.files() == before
+
+
+@pytest.mark.parametrize(
+    ("output", "named"),
+    [
+        (("-o", "@a_file"), "a_file"),
+        (("-o", "@a_file/deeper"), "a_file"),
+        (("-o", "@out.png"), "2 frames"),
+        (("-o", "@out.jpg"), "expected .png, .exr or .npz"),
+        (("-o", "@out.png", "--frame", "left", "--format", "exr"), "--format"),
+        (("-o", "/proc/lumisplat"), "/proc/lumisplat"),
+        (("-o", "/proc/lumisplat.png", "--frame", "left"), "/proc/lumisplat.png"),
+    ],
+)
+def test_output_that_cannot_be_written(work, output, named):
+    """An output that cannot be written is named, and nothing appears."""
+    before = work.files()
+    outcome = work.run("render", "@capture.ply", *CAMERAS, *output)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert named in outcome.err
+    assert work.files() == before
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (("render", "--widht", "5"), "--widht, 5; perhaps you meant --width (see lumisplat --help)"),
+        (("paint",), "paint"),
+        (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
+        (("render", "x.ply", "--width", "wide"), "'wide'"),
+        (("render", "x.ply", "--strategy", "random"), "'random' for argument '--strategy'"),
+        (
+            ("render", "x.ply", "--hits-per-pass", "17"),
+            "'17' for argument '--hits-per-pass'. Expected one of 4, 8, 16, 32.",
+        ),
+        (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree: no type matching INT could"),
+        (("bench", "x.ply", "--pipeline", "rays"), "argument '--pipeline'. Expected one of hybrid, raster, trace."),
+        (("render", "x.ply", "--shadows", "dark"), "argument '--shadows'. Expected one of hard, off, soft."),
+        (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
+        (("render", "x.ply", "--exposure", "bright"), "--exposure: no type matching FLOAT could"),
+        (("render", "x.ply", "--aov"), "'--aov'"),
+        (("convert", "x.ply"), "OUT .ply, .compressed.ply or .spz. (required) (see lumisplat convert --help)"),
+    ],
+)
+def test_unknown_arguments(work, args, named):
+    """Arguments that do not parse are exit status 2 and one line as well."""
+    outcome = work.run(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    assert named in outcome.err
+    assert not set("│─╭╰") & set(outcome.err)
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [
+        "╭─ Title ─────╮\n│ It is wrong │\n│ here.       │\n│ ─────────── │\n│ More.       │\n╰─────────────╯\n",
+        "\x1b[31m╭─ \x1b[1mTitle\x1b[0m ─╮\n│\x1b[0m It is wrong here. \x1b[31m│\n│ │\n│ More. │\n╰──────────╯\n",
+        " Title     \n ---------- \n  It is wrong here. \n  --------- \n  More. \n",
+        "It is wrong here.",
+    ],
+    ids=["framed", "coloured", "ascii", "no panel"],
+)
+def test_panels_become_one_line(panel):
+    """Whatever a terminal makes of the panel, its first paragraph is left."""
+    assert one_line(panel) == "It is wrong here."
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb", "a.gltf", "a.spz", "a.sog", "a.toml", "a.json"])
+@pytest.mark.parametrize(
+    "data", [b"\xff\xfe\x80garbage", b"[" * 100_000, b"3", b'{"frames": [1], "asset": 2}', b"x = " + b"[" * 5000]
+)
+def test_messages_are_about_the_file(work, name, data):
+    """What is said about a file of rubbish is about the file: no Python exception or object shows through."""
+    work.path(name).write_bytes(data)
+    outcome = work.run("info", f"@{name}")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    said = outcome.err.partition(f"{name}: ")[2]
+    assert said
+    for internal in ("Error", "codec", "object at", "has no attribute", "BytesIO", "not subscriptable", "argument"):
+        assert internal not in said
+
+
+def test_output_is_tried_before_loading(work):
+    """A folder that cannot be written to is said before anything is loaded."""
+    outcome = work.run("render", "@missing.ply", "-o", "/proc/lumisplat")
+    assert outcome.err.startswith("error: /proc/lumisplat: cannot be written")
+
+
+def test_demo_checks_before_it_builds(work, monkeypatch):
+    """A bad width is refused before the scene is built, and leaves no folder behind."""
+    monkeypatch.setattr(ls, "demo_scene", lambda report: pytest.fail("the scene was built"))
+    outcome = work.run("demo", "-o", "@demo", "--width", "0")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "width is 0" in outcome.err
+    assert not work.path("demo").exists()
+
+
+def test_no_place_for_kernels(work):
+    """Where Warp cannot make its cache, the error says what it was for and how to move it."""
+    environment = {name: value for name, value in os.environ.items() if name != "WARP_CACHE_PATH"}
+    command = [sys.executable, "-m", "lumisplat", "render", "mesh.obj", "-o", "a.png", "--device", "cpu"]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        cwd=work.folder,
+        env=environment | {"HOME": "/proc/nohome", "XDG_CACHE_HOME": "/proc/nohome"},
+        check=False,
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "cache of compiled kernels" in done.stderr and "WARP_CACHE_PATH" in done.stderr
+
+
+def test_names_too_long(work):
+    """A file name longer than the system takes is an error that says what could not be done."""
+    outcome = work.run("render", "@mesh.obj", *CAMERAS, "--frame", "left", "-o", "@" + "x" * 300 + ".png")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "cannot be written: File name too long" in outcome.err
+    assert "cannot be read: File name too long" in work.run("info", "@" + "x" * 300 + ".ply").err
+
+
+def test_debug_shows_the_traceback(work):
+    """--debug adds the traceback, and the status stays 2."""
+    outcome = work.run("render", "@missing.ply", "--debug")
+    assert outcome.status == 2
+    assert "Traceback" in outcome.err
+
+
+def test_interrupt(work, monkeypatch):
+    """Ctrl-C is status 130 and one word, without a traceback."""
+
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lumisplat.load", interrupt)
+    outcome = work.run("info", "@capture.ply")
+    assert (outcome.status, outcome.err) == (130, "interrupted\n")
+
+
+def test_a_reader_that_has_gone(work):
+    """Printing into a closed pipe, as before ``| head -1``, ends without a word."""
+    for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
+        command = [sys.executable, "-m", "lumisplat", *arguments.split()]
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"}  # the pipe is met inside the command, not after it
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen(command, **pipes, cwd=work.folder, env=environment) as process:
+            assert process.stdout and process.stderr
+            process.stdout.close()
+            assert process.stderr.read() == b""
+            assert process.wait() != 0
+
+
+def test_interrupt_while_importing():
+    """Ctrl-C while the command line is still being imported is status 130 without a traceback."""
+    program = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'tyro': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "from lumisplat.__main__ import main\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_one_line_in_a_process_of_its_own(work):
+    """Seen from outside: the status is the process's, and native libraries add no line."""
+    command = [sys.executable, "-m", "lumisplat", "render", "short.ply", "-o", "out"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=work.folder, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: short.ply: ")
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,100 @@
+"""The camera of a scene that came without one, and the names of output files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli.options.framing import bulk_bounds, framing_camera
+from lumisplat.cli.output.pictures import file_stems, plan_shots
+from lumisplat.frame.views import layer_pictures
+from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
+
+
+def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
+    """Where world points land, shape (N, 3): pixel and view depth."""
+    x, y, z = camera.camera_from_world[:3, :3] @ points.T + camera.camera_from_world[:3, 3:]
+    return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z], axis=1)
+
+
+@pytest.mark.parametrize("up", ["y-down", "y-up", "z-up"])
+@pytest.mark.parametrize("size", [(1280, 720), (100, 400)])
+def test_whole_box_is_in_the_picture(up, size):
+    """All corners of the box are seen, and the box fills the picture in one direction."""
+    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),))
+    low, high = bulk_bounds(scene)
+    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+    seen = pixels(framing_camera(scene, up, *size), corners)
+    assert (seen[:, 2] > 0.0).all()
+    assert (seen[:, :2] >= 0.0).all() and (seen[:, :2] <= size).all()
+    assert (np.ptp(seen[:, :2], axis=0) / size).max() > 0.75
+
+
+@pytest.mark.parametrize(("up", "above"), [("y-down", (0, -1, 0)), ("y-up", (0, 1, 0)), ("z-up", (0, 0, 1))])
+def test_up_is_up(up, above):
+    """What is above the centre appears above it, and the eye looks down a little."""
+    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3)),))
+    camera = framing_camera(scene, up)
+    center = 0.5 * np.add(*bulk_bounds(scene))
+    middle, higher = pixels(camera, np.stack([center, center + 0.1 * np.array(above)]))
+    assert higher[1] < middle[1]
+    assert higher[0] == pytest.approx(middle[0])
+    assert (camera.eye - center) @ above > 0.0
+
+
+def test_up_follows_what_the_scene_holds() -> None:
+    """Without a word about it, captures are y down, also with a mesh beside them, and meshes alone y up."""
+    capture, mesh = random_gaussians(3), quad(1.0)
+    for scene, up in [(ls.Scene([capture]), "y-down"), (ls.Scene([capture], [mesh]), "y-down")]:
+        np.testing.assert_array_equal(framing_camera(scene).eye, framing_camera(scene, up).eye)
+    alone = ls.Scene([], [mesh])
+    np.testing.assert_array_equal(framing_camera(alone).eye, framing_camera(alone, "y-up").eye)
+
+
+def test_strays_do_not_set_the_frame():
+    """A faint Gaussian far away leaves the framing as it was."""
+    bulk = random_gaussians(3, count=500)
+    stray = joined(bulk, one_gaussian(mean=(1e4, 0.0, 0.0), opacity=0.1))
+    near, far = (framing_camera(ls.Scene(splats=(ls.SplatInstance(g),))) for g in (bulk, stray))
+    assert np.allclose(near.eye, far.eye, atol=0.1)
+
+
+def test_empty_scene_has_no_view():
+    """An empty scene is refused."""
+    with pytest.raises(ls.SceneError, match="empty"):
+        framing_camera(ls.Scene())
+
+
+def test_file_stems_are_safe_and_unique():
+    """No stem leaves its folder, is hidden, empty or too long, and no two meet even without regard to case."""
+    names = ["a", "A", "a", "../../etc/passwd", "", "..", "über/öl 1", "x" * 400, "a_2", "."]
+    stems = file_stems(names)
+    assert stems[0] == "a"
+    assert len({stem.casefold() for stem in stems}) == len(names)
+    for stem in stems:
+        assert stem and not stem.startswith(".") and "/" not in stem and len(stem.encode()) < 200
+
+
+def test_shots_follow_the_file_order():
+    """Asking for frames in any order keeps the camera file's."""
+    cameras = [front_camera(name=name) for name in ("a", "b", "c")]
+    shots = plan_shots(cameras, ("c", "a"), Path("out"), "auto")
+    assert [shot.path for shot in shots] == [Path("out/a.png"), Path("out/c.png")]
+
+
+def test_frames_are_picked_by_their_own_names_too():
+    """A name that is no safe file name is asked for as the camera file has it, or as its picture is called."""
+    cameras = [front_camera(name="left eye"), front_camera(name="right eye")]
+    for name in ("left eye", "left_eye"):
+        assert [shot.path for shot in plan_shots(cameras, (name,), Path("out"), "auto")] == [Path("out/left_eye.png")]
+
+
+def test_depth_pictures_are_red_near_and_blue_far():
+    """What the guide says of the colours."""
+    frame = ls.render(ls.Scene([], [quad(2.0, 0.2), quad(4.0, 4.0)]), front_camera(33, 33), device="cpu")
+    picture = layer_pictures(frame, "depth")["depth"]
+    near, far = picture[16, 16], picture[2, 2]
+    assert near[0] > near[2] and far[2] > far[0]

@@ -1,0 +1,387 @@
+"""The command line and light: scene files with cameras and settings, options that win over them, environments."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.commands.render import Render
+from lumisplat.cli.options.common import settled
+from lumisplat.cli.options.lighting import LightOptions
+from lumisplat.cli.options.tracing import TraceOptions
+from lumisplat.cli.options.unused import unused_options
+from lumisplat.io.images.image import read_image, write_exr
+from support.files.cli_files import Workplace
+
+SCENE = """
+[[meshes]]
+path = "mesh.obj"
+
+[[lights]]
+type = "point"
+name = "bulb"
+position = [0, 0, 2]
+intensity = 8
+
+[[cameras]]
+name = "near"
+eye = [0, 0, 2]
+target = [0, 0, 4]
+up = [0, -1, 0]
+width = 24
+height = 16
+exposure = 1
+
+[[cameras]]
+name = "far"
+eye = [0, 0, 0]
+target = [0, 0, 4]
+up = [0, -1, 0]
+width = 24
+height = 16
+
+[render]
+pipeline = "trace"
+samples = 2
+background = "none"
+shadows = "soft"
+tone_map = "agx"
+
+[render.trace]
+min_response = 0.0113
+
+[render.shadow]
+offset = 4
+"""
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in, with a lit scene; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("scene.toml").write_text(SCENE)
+    return place
+
+
+class Stage:
+    """Stands in for a renderer: it keeps what it is asked for, and shows black."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.config = ls.RenderConfig()
+        self.scenes: list[ls.Scene] = []
+        self.cameras: list[ls.Camera] = []
+        self.device = "cpu"
+        monkeypatch.setattr("lumisplat.create_renderer", self._created, raising=False)
+
+    def _created(self, config: ls.RenderConfig, *_: object, **__: object) -> Stage:
+        self.config = config
+        return self
+
+    def render(self, scene: ls.Scene, camera: ls.Camera, **_: object) -> ls.Frame:
+        """A black frame."""
+        self.scenes.append(scene)
+        self.cameras.append(camera)
+        plane = np.zeros((camera.height, camera.width), np.float32)
+        index = plane.astype(np.int32)
+        color = np.zeros((*plane.shape, 3), np.float32)
+        stats = ls.render(ls.Scene(), replace(camera, width=1, height=1), device="cpu").stats
+        return ls.Frame(color, plane, plane, color, index, index, camera, stats=stats)
+
+
+FILE_CONFIG = ls.RenderConfig(
+    pipeline=ls.Pipeline.TRACE,
+    samples=2,
+    background=None,
+    shadows=ls.Shadows.SOFT,
+    tone_map=ls.ToneMap.AGX,
+    trace=ls.TraceConfig(min_response=0.0113),
+    shadow=ls.ShadowConfig(offset=4),
+)
+
+
+def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
+    """Without options, everything is as the file has it."""
+    stage = Stage(monkeypatch)
+    assert work.run("render", "@scene.toml", "-o", "@out").status == 0
+    assert stage.config == FILE_CONFIG
+    assert [(camera.name, camera.exposure) for camera in stage.cameras] == [("near", 1.0), ("far", 0.0)]
+    assert {path.name for path in work.path("out").iterdir()} == {"near.png", "far.png"}
+    assert isinstance(stage.scenes[0].lights[0], ls.LightPoint)
+
+
+def test_options_win_over_the_file(work, monkeypatch):
+    """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
+    stage = Stage(monkeypatch)
+    options = ("--pipeline", "raster", "--samples", "1", "--shadows", "hard", "--tone-map", "none")
+    options += ("--background", "black", "--shadow-offset", "3", "--min-response", "0", "--exposure", "-2")
+    assert work.run("render", "@scene.toml", "-o", "@a.png", "--frame", "near", *options).status == 0
+    assert stage.config == ls.RenderConfig()
+    assert [camera.exposure for camera in stage.cameras] == [-2.0]
+    assert work.run("render", "@scene.toml", "-o", "@out", "--sh-degree", "1", "--lighting", "off").status == 0
+    shared = {"sh_degree": 1}
+    assert stage.config == replace(
+        FILE_CONFIG, lighting=False, raster=ls.RasterConfig(**shared), trace=replace(FILE_CONFIG.trace, **shared)
+    )
+
+
+LIGHT_OPTIONS = (
+    *("--lighting", "on", "--shadows", "soft", "--shadow-method", "stochastic", "--shadow-hits", "8"),
+    *("--shadow-offset", "2.5", "--shadow-offset-absolute", "0.1", "--shadow-threshold", "0.5", "--shadow-color", "3"),
+    *("--tone-map", "neutral", "--raster-strategy", "stochastic", "--pipeline", "hybrid"),
+)
+
+
+def test_every_light_option_arrives(work, monkeypatch):
+    """At the setting of its name."""
+    stage = Stage(monkeypatch)
+    assert work.run("render", "@mesh.obj", "-o", "@a.png", "--exposure", "0.5", *LIGHT_OPTIONS).status == 0
+    assert stage.config == ls.RenderConfig(
+        pipeline=ls.Pipeline.HYBRID,
+        lighting=True,
+        shadows=ls.Shadows.SOFT,
+        tone_map=ls.ToneMap.NEUTRAL,
+        raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
+        shadow=ls.ShadowConfig(
+            method=ls.ShadowMethod.STOCHASTIC,
+            hits=8,
+            offset=2.5,
+            offset_absolute=0.1,
+            transmittance_threshold=0.5,
+            color_strength=3.0,
+        ),
+    )
+    assert [camera.exposure for camera in stage.cameras] == [0.5]
+    for word, lighting in (("auto", None), ("off", False)):
+        assert work.run("render", "@mesh.obj", "-o", "@a.png", "--lighting", word).status == 0
+        assert stage.config.lighting is lighting
+
+
+def test_other_cameras_in_place_of_the_file_s(work, monkeypatch):
+    """--cameras wins, and takes those of another scene file as well; settings stay."""
+    stage = Stage(monkeypatch)
+    work.path("views.toml").write_text("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nname = 'third'\n")
+    assert work.run("render", "@scene.toml", "--cameras", "@views.toml", "-o", "@out", "--width", "32").status == 0
+    assert [(camera.name, camera.width) for camera in stage.cameras] == [("third", 32)]
+    assert stage.config == FILE_CONFIG
+
+
+def test_a_scene_file_without_cameras_is_framed(work, monkeypatch):
+    """As a capture alone is, at the size that is asked for and with the exposure."""
+    stage = Stage(monkeypatch)
+    work.path("plain.toml").write_text(SCENE.partition("[[cameras]]")[0])
+    args = ("render", "@plain.toml", "-o", "@a.png", "--width", "30", "--height", "20", "--exposure", "2")
+    assert work.run(*args).status == 0
+    assert [(camera.name, camera.width, camera.exposure) for camera in stage.cameras] == [("front", 30, 2.0)]
+
+
+def test_bench_takes_a_scene_file_whole(work, monkeypatch):
+    """Its settings and its first camera."""
+    stage = Stage(monkeypatch)
+    assert work.run("bench", "@scene.toml", "--repeats", "1", "--strategy", "stochastic-hit").status == 0
+    strategy = ls.TraceStrategy.STOCHASTIC_HIT
+    assert stage.config == replace(FILE_CONFIG, trace=replace(FILE_CONFIG.trace, strategy=strategy))
+    assert {camera.name for camera in stage.cameras} == {"near"}
+
+
+@pytest.fixture
+def sky(work) -> np.ndarray:
+    """An environment beside the scene, shape (2, 4, 3)."""
+    image = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
+    write_exr(work.path("sky.exr"), {name: image[..., k] for k, name in enumerate("RGB")})
+    return image
+
+
+UP = {"y-up": (0.0, 1.0, 0.0), "y-down": (0.0, -1.0, 0.0), "z-up": (0.0, 0.0, 1.0)}
+AHEAD = {"y-up": (0.0, 0.0, -1.0), "y-down": (0.0, 0.0, 1.0), "z-up": (0.0, 1.0, 0.0)}
+
+
+def turned(wxyz: Any, vector: tuple[float, float, float]) -> np.ndarray:
+    """A vector of the environment in the world: the quaternion's product formula, v + 2 w (q x v) + 2 q x (q x v)."""
+    w, q, v = wxyz[0], np.array(wxyz[1:]), np.array(vector)
+    return v + 2.0 * w * np.cross(q, v) + 2.0 * np.cross(q, np.cross(q, v))
+
+
+@pytest.mark.parametrize("up", UP)
+def test_an_environment_stands_upright(work, monkeypatch, sky, up):
+    """Its zenith is up, its middle ahead of the framing camera; --environment-rotation turns it about the vertical."""
+    stage = Stage(monkeypatch)
+    args = ("render", "@mesh.obj", "-o", "@a.png", "--up", up, "--environment", "@sky.exr")
+    assert work.run(*args).status == 0
+    assert work.run(*args, "--environment-rotation", "90").status == 0
+    plain, quarter = (scene.lights[-1] for scene in stage.scenes)
+    assert isinstance(plain, ls.LightEnvironment) and isinstance(quarter, ls.LightEnvironment)
+    np.testing.assert_array_equal(plain.image, sky)
+    for light in (plain, quarter):
+        np.testing.assert_allclose(turned(light.rotation_wxyz, (0, 1, 0)), UP[up], atol=1e-12)
+    np.testing.assert_allclose(turned(plain.rotation_wxyz, (0, 0, -1)), AHEAD[up], atol=1e-12)
+    # Counter-clockwise from above: what was ahead is then on the left.
+    left = np.cross(UP[up], AHEAD[up])
+    np.testing.assert_allclose(turned(quarter.rotation_wxyz, (0, 0, -1)), left, atol=1e-12)
+
+
+def test_an_environment_takes_the_place_of_the_scene_s(work, monkeypatch, sky):
+    """Other lights stay; up is that of the scene: y down with a capture."""
+    stage = Stage(monkeypatch)
+    text = SCENE + '[environment]\ncolor = [1, 0, 0]\n[[splats]]\npath = "capture.ply"\n'
+    work.path("both.toml").write_text(text)
+    assert work.run("render", "@both.toml", "-o", "@out", "--environment", "@sky.exr").status == 0
+    bulb, environment = stage.scenes[0].lights
+    assert isinstance(bulb, ls.LightPoint) and isinstance(environment, ls.LightEnvironment)
+    np.testing.assert_array_equal(environment.image, sky)
+    np.testing.assert_allclose(turned(environment.rotation_wxyz, (0, 1, 0)), UP["y-down"], atol=1e-12)
+
+
+def test_two_environments_of_two_files(work):
+    """Each of the files is right, and what is wrong with both together is said."""
+    work.path("red.toml").write_text("[environment]\ncolor = [1, 0, 0]\n")
+    outcome = work.run("render", "@scene.toml", "@red.toml", "-o", "@a.png")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "are both scene files" in outcome.err
+
+
+LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])  # type: ignore[arg-type]
+RAYS = TraceOptions(samples=4, seed=1, no_jitter=True, kernel_degree=4, max_bounces=2, normals="ellipsoid")
+LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "scene", "lines"),
+    [
+        (
+            {},
+            ls.Scene(),
+            [
+                "not used by --pipeline raster: --samples, --seed, --max-bounces, --kernel-degree, --normals, "
+                "--no-jitter (they are of --pipeline trace and hybrid)",
+                "not used in an unlit frame: --shadow-offset, --exposure "
+                "(no lights: --lighting on has one at the camera)",
+            ],
+        ),
+        (
+            {"raster": {"strategy": ls.RasterStrategy.STOCHASTIC}, "lighting": False},
+            LAMP,
+            [
+                "not used by --pipeline raster: --max-bounces, --kernel-degree, --normals "
+                "(they are of --pipeline trace and hybrid)",
+                "not used in an unlit frame: --shadow-offset, --exposure (--lighting is off)",
+            ],
+        ),
+        (
+            {},
+            LAMP,
+            ["not used by --pipeline raster: --max-bounces, --normals (they are of --pipeline trace and hybrid)"],
+        ),
+        (
+            {"shadows": ls.Shadows.OFF, "pipeline": ls.Pipeline.TRACE, "lighting": True},
+            ls.Scene(),
+            [
+                "not used by --pipeline trace: --antialiasing (they are of --pipeline raster and hybrid)",
+                "not used without shadows: --shadow-offset (--shadows hard or soft has some)",
+            ],
+        ),
+        ({"pipeline": ls.Pipeline.HYBRID}, LAMP, []),
+    ],
+    ids=["unlit raster", "unlit samples", "lit raster", "lit rays without shadows", "lit hybrid"],
+)
+def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
+    """A line for each reason; what a frame uses is not in it, and what it always uses never."""
+    config = settled(ls.RenderConfig(), settings)
+    assert list(unused_options(config, scene, ["--antialiasing"], RAYS, LIGHT)) == lines
+    assert not list(unused_options(config, scene, [], TraceOptions(), LightOptions()))
+
+
+def test_lit_pictures_come_out(work):
+    """From a scene file with a lamp, through all three pipelines: the mesh is lit, and brighter with more exposure."""
+    args = ("render", "@scene.toml", "-o", "@a.png", "--frame", "far", "--device", "cpu", "--background", "black")
+    for pipeline in ("raster", "trace", "hybrid"):
+        pictures = []
+        for exposure in ("-2", "0"):
+            assert work.run(*args, "--pipeline", pipeline, "--exposure", exposure, "--samples", "1").status == 0
+            pictures.append(read_image(work.path("a.png"))["srgb"].astype(int))
+        assert pictures[0].max() > 5
+        assert (pictures[1] >= pictures[0]).all() and pictures[1].sum() > 1.2 * pictures[0].sum()
+
+
+def hints(options: type) -> dict[str, str]:
+    """What the help calls the defaults of the options of a group."""
+    found = {}
+    for name, hint in get_type_hints(options, include_extras=True).items():
+        if get_origin(hint) is Annotated:
+            text = str(getattr(get_args(hint)[1], "help_behavior_hint", "") or "")
+            if text.startswith("(default: "):
+                found[name] = text.removeprefix("(default: ").removesuffix(")")
+    return found
+
+
+CONFIG = ls.RenderConfig()
+DEFAULTS: dict[str, Any] = {
+    "pipeline": CONFIG.pipeline,
+    "background": "black" if CONFIG.background == (0.0, 0.0, 0.0) else CONFIG.background,
+    "raster_strategy": CONFIG.raster.strategy,
+    "antialiasing": CONFIG.raster.antialiasing,
+    "sh_degree": CONFIG.raster.sh_degree,
+    "transmittance_min": CONFIG.raster.transmittance_min,
+    "strategy": CONFIG.trace.strategy,
+    "samples": CONFIG.samples,
+    "seed": CONFIG.seed,
+    "max_bounces": CONFIG.max_bounces,
+    "min_response": CONFIG.trace.min_response,
+    "hit_distance": CONFIG.trace.hit_distance,
+    "normals": CONFIG.trace.normal_method,
+    "hits_per_pass": CONFIG.trace.hits_per_pass,
+    "lighting": "auto" if CONFIG.lighting is None else CONFIG.lighting,
+    "shadows": CONFIG.shadows,
+    "shadow_method": CONFIG.shadow.method,
+    "shadow_hits": CONFIG.shadow.hits,
+    "shadow_offset": CONFIG.shadow.offset,
+    "shadow_offset_absolute": CONFIG.shadow.offset_absolute,
+    "shadow_threshold": CONFIG.shadow.transmittance_threshold,
+    "shadow_color": CONFIG.shadow.color_strength,
+    "tone_map": CONFIG.tone_map,
+    "environment_rotation": 0,
+}
+
+
+def test_the_help_tells_the_defaults_of_the_library() -> None:
+    """What an option is called to be without, is what the settings are; none is forgotten here."""
+    told = hints(Render) | hints(TraceOptions) | hints(LightOptions)
+    expected = {name: getattr(value, "value", value) for name, value in DEFAULTS.items()}
+    assert told == {name: f"{value:f}".rstrip("0") if value == 1e-4 else str(value) for name, value in expected.items()}
+
+
+def test_info_lists_lights_cameras_and_settings(work, sky):
+    """Of a scene file: each light with what it is, the cameras, and what is not as by default."""
+    text = SCENE + '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = 30\n'
+    text += 'enabled = false\ncolor = [1, 0.5, 0]\n[environment]\npath = "sky.exr"\n'
+    work.path("scene.toml").write_text(text)
+    outcome = work.run("info", "@scene.toml", "@sky.exr")
+    assert (outcome.status, outcome.err) == (0, "")
+    shown = " ".join(outcome.out.split())
+    assert "0 captures, 1 meshes, 3 lights, 2 cameras" in shown
+    assert "point bulb 8 cd at (0, 0, 2)" in shown
+    assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown
+    assert "environment 1 x image 4 x 2" in shown
+    assert "names near, far" in shown
+    assert "pipeline trace background None trace.min_response 0.0113 shadows soft shadow.offset 4" in shown
+    assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
+
+
+def test_info_of_lights_alone(work):
+    """A file without anything to see has no bounds, and no traceback; materials show what they shine and carry."""
+    work.path("lamp.toml").write_text('[[lights]]\ntype = "sphere"\nposition = [0, 0, 1]\nradius = 0.5\n')
+    shown = " ".join(work.run("info", "@lamp.toml").out.split())
+    assert "sphere 1 cd/m2 at (0, 0, 1) radius 0.5" in shown and "bounds" not in shown
+    work.path("glow.toml").write_text(
+        '[[meshes]]\npath = "mesh.obj"\nmaterial = { emissive = 2 }\n'
+        '[[splats]]\npath = "capture.ply"\nshadow_only = true\nmaterial = "dull"\n'
+        '[materials.dull]\ntype = "simple"\ndiffuse = 0.5\n'
+    )
+    shown = " ".join(work.run("info", "@glow.toml").out.split())
+    assert "emissive 2 2 2" in shown and "shadow only" in shown
+    assert "material dull surface emissive 1 1 1 ambient 0 0 0 diffuse 0.5 0.5 0.5" in shown

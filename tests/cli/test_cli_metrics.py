@@ -1,0 +1,191 @@
+"""``lumisplat metrics``: pictures, folders, shadows and avatars on the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.image import write_exr, write_png
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import random_gaussians
+
+
+@pytest.fixture
+def work(tmp_path, capsys) -> Workplace:
+    """A folder with pictures, folders of them, and an avatar in a room."""
+    place = Workplace(tmp_path, capsys)
+    rng = np.random.default_rng(1)
+    picture = rng.uniform(0.2, 0.8, (16, 20, 3))
+    for folder, change in (("ours", 0.1), ("theirs", 0.0)):
+        place.path(folder).mkdir()
+        for index in range(3):
+            write_png(place.path(folder) / f"frame_{index}.png", np.clip(picture + index * change, 0, 1))
+    place.path("empty").mkdir()
+    place.path("fewer").mkdir()
+    for index in (0, 2):
+        write_png(place.path("fewer") / f"frame_{index}.png", picture)
+    write_png(place.path("a.png"), np.full((16, 20, 3), 102 / 255))
+    write_png(place.path("b.png"), np.full((16, 20, 3), 51 / 255))
+    write_png(place.path("small.png"), np.full((16, 19, 3), 0.5))
+    room = random_gaussians(3, count=300)
+    avatar = random_gaussians(4, count=60)
+    ls.save(place.path("room.ply"), replace(room, means=1.2 * (room.means - room.means.mean(axis=0))))
+    figure = replace(avatar, means=0.3 * (avatar.means - avatar.means.mean(axis=0)))
+    ls.save(place.path("avatar.ply"), figure)
+    ls.save(place.path("relit.ply"), ls.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
+    ls.save(place.path("lost.ply"), replace(figure, means=figure.means + np.float32([50, 0, 0])))
+    return place
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """Cells of a printed table by the first of each line."""
+    return {line.split()[0]: line.split()[1:] for line in text.splitlines() if line.split()}
+
+
+def test_two_pictures(work):
+    """One line of figures, those that the functions give; 51 of 255 off is 20 log10(5) = 13.98 dB."""
+    done = work.run("metrics", "@a.png", "@b.png")
+    assert (done.status, done.err) == (0, "")
+    table = rows(done.out)
+    assert table["psnr"] == ["ssim", "flip"]
+    pair = [ls.load_image(work.path(name)) for name in ("a.png", "b.png")]
+    assert table["a"] == ["13.98", f"{ls.ssim(*pair):.4f}", f"{ls.flip(*pair):.4f}"]
+
+
+def test_folders_are_paired_by_name(work):
+    """A row each and their mean; equal pictures are infinitely near."""
+    done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,ssim")
+    assert done.status == 0
+    table = rows(done.out)
+    assert list(table) == ["psnr", "frame_0", "frame_1", "frame_2", "mean"]
+    assert table["frame_0"] == ["inf", "1.0000"]
+    middle = float(table["frame_1"][1]), float(table["frame_2"][1])
+    assert float(table["mean"][1]) == pytest.approx((1.0 + sum(middle)) / 3.0, abs=1e-4)
+
+
+def test_json(work):
+    """The same figures for programs, in full; what is infinite says so."""
+    done = work.run("metrics", "@ours", "@theirs", "--metrics", "psnr,flip", "--json")
+    told = json.loads(done.out)
+    assert [image["name"] for image in told["images"]] == ["frame_0", "frame_1", "frame_2"]
+    assert told["images"][0]["psnr"] == told["mean"]["psnr"] == "inf"
+    flips = [image["flip"] for image in told["images"]]
+    pair = [ls.load_image(work.path(f"{folder}/frame_2.png")) for folder in ("ours", "theirs")]
+    assert flips[2] == ls.flip(*pair)
+    assert told["mean"]["flip"] == pytest.approx(sum(flips) / 3.0)
+
+
+def test_shadows(work):
+    """Pictures of shadow strength: a mean over what exists, and a dash where there is no shadow to compare with."""
+    for folder, strengths in (("mine", (0.6, 0.5)), ("truth", (0.4, 0.0))):
+        work.path(folder).mkdir()
+        for name, strength in zip("xy", strengths, strict=True):
+            shadow = np.zeros((12, 12))
+            shadow[3:9, 3:9] = strength
+            write_exr(work.path(folder) / f"{name}.exr", dict.fromkeys("RGB", shadow))
+    done = work.run("metrics", "@mine", "@truth", "--metrics", "sae,sm-iou,bf")
+    table = rows(done.out)
+    assert table["x"] == ["0.2000", "1.0000", "1.0000"]
+    assert table["y"] == ["-", "0.0000", "0.0000"]
+    assert table["mean"] == ["0.2000", "0.5000", "0.5000"]
+    told = json.loads(work.run("metrics", "@mine", "@truth", "--metrics", "sae", "--json").out)
+    assert told["images"][1] == {"name": "y", "sae": None}
+
+
+def test_an_exr_is_compared_as_it_is_shown(work):
+    """Linear light of an EXR is encoded: the picture is that of the PNG of the same light."""
+    linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
+    write_exr(work.path("b.exr"), dict.fromkeys("RGB", np.full((16, 20), linear)))
+    done = json.loads(work.run("metrics", "@b.exr", "@b.png", "--metrics", "psnr", "--json").out)
+    assert done["mean"]["psnr"] > 120.0
+
+
+def test_transparent_pictures_lie_over_black(work):
+    """Half of white over nothing is grey."""
+    pixels = np.full((16, 20, 4), 1.0)
+    pixels[..., 3] = 51 / 255
+    write_png(work.path("veil.png"), pixels)
+    done = json.loads(work.run("metrics", "@veil.png", "@b.png", "--metrics", "psnr", "--json").out)
+    assert done["mean"]["psnr"] == "inf" or done["mean"]["psnr"] > 120.0
+
+
+def test_an_avatar_in_a_scene(work):
+    """The three figures of the functions, and the table of the paper with an original."""
+    avatar, relit, room = (ls.load(work.path(name)) for name in ("avatar.ply", "relit.ply", "room.ply"))
+    told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
+    assert told == {name: getattr(ls, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
+    options = ("--before", "@avatar.ply", "--radius", "2")
+    done = work.run("metrics", "@relit.ply", "--scene", "@room.ply", *options)
+    table = rows(done.out)
+    assert table["original"] == ["relit", "delta"]
+    before, after = (ls.ncm_ab(side, room, radius=2.0) for side in (avatar, relit))
+    assert table["NCM-ab"] == [f"{before:.2f}", f"{after:.2f}", f"{before - after:.2f}"]
+    assert list(table)[1:] == ["PAA-Y", "APF-Y", "NCM-ab"]
+    assert all(math.isfinite(float(cell)) for cell in table["APF-Y"])
+
+
+def test_invalid_gaussians_are_left_out(work):
+    """What is advised where a capture is refused works: the figures are those of the valid ones."""
+    data = bytearray(work.path("avatar.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    args = ("metrics", "@nan.ply", "--scene", "@room.ply", "--radius", "2", "--json")
+    refused = work.run(*args)
+    assert refused.status == 2 and "--drop-invalid" in refused.err
+    told = json.loads(work.run(*args, "--drop-invalid").out)
+    avatar, room = (ls.load(work.path(name)) for name in ("avatar.ply", "room.ply"))
+    assert isinstance(avatar, ls.Gaussians)
+    assert told["ncm_ab"] == ls.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
+
+
+def test_one_avatar_is_one_column(work):
+    """Without an original there is nothing to gain."""
+    table = rows(work.run("metrics", "@avatar.ply", "--scene", "@room.ply").out)
+    assert table["avatar.ply"] == []
+    assert [len(table[name]) for name in ("PAA-Y", "APF-Y", "NCM-ab")] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        ((), "no file given, expected an image and its reference"),
+        (("@a.png",), "1 file given"),
+        (("@a.png", "@b.png", "@a.png"), "3 files given"),
+        (("@a.png", "@missing.png"), "missing.png: no such file or folder"),
+        (("@a.png", "@small.png"), "small.png: the image is 20 x 16, its reference 19 x 16"),
+        (("@a.png", "@room.ply"), "room.ply: is corrupt, or no image"),
+        (("@ours", "@a.png"), "ours: is a folder and"),
+        (("@ours", "@fewer"), "fewer: has no picture 'frame_1'"),
+        (("@ours", "@empty"), "empty: holds no pictures"),
+        (("@a.png", "@b.png", "--metrics", "psnr,vmaf"), "--metrics has 'vmaf', expected some of psnr, ssim"),
+        (("@a.png", "@b.png", "--metrics", ""), "--metrics has ''"),
+        (("@a.png", "@b.png", "--before", "@a.png"), "--before is about an avatar's light"),
+        (("@a.png", "@b.png", "--radius", "2"), "--radius is about an avatar's light"),
+        (("@a.png", "@b.png", "--drop-invalid"), "--drop-invalid is about an avatar's light"),
+        (("@avatar.ply", "@room.ply", "--scene", "@room.ply"), "2 files given, expected one avatar"),
+        (("@avatar.ply", "--scene", "@room.ply", "--metrics", "psnr"), "--metrics chooses those of pictures"),
+        (("@avatar.ply", "--scene", "@mesh.obj"), "mesh.obj: has no Gaussians"),
+        (("@avatar.ply", "--scene", "@nowhere.ply"), "nowhere.ply: no such file"),
+        (("@lost.ply", "--scene", "@room.ply"), "no Gaussian of the scene is within 1.5 of the avatar's centre"),
+        (("@avatar.ply", "--scene", "@room.ply", "--radius", "-1"), "radius is -1"),
+    ],
+)
+def test_mistakes_are_one_line(work, args, named):
+    """Exit status 2, one line that names the culprit."""
+    done = work.run("metrics", *args)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert named in done.err
+
+
+def test_missing_packages_are_said(work, monkeypatch):
+    """A metric whose package is not installed says what to install; the others do not need it."""
+    monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
+    done = work.run("metrics", "@a.png", "@b.png")
+    assert done.status == 2 and "pip install 'lumisplat[metrics]'" in done.err
+    assert work.run("metrics", "@a.png", "@b.png", "--metrics", "psnr").status == 0

@@ -1,0 +1,133 @@
+"""``lumisplat relight``: an avatar and a scene to a relit capture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.demo import shapes
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import flat_sh, one_gaussian
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """An avatar: a white ball without normals. A room: red light from +x, nothing else."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    ball = ls.gaussians_from_mesh(shapes.sphere(0.5), 400)
+    white = flat_sh(np.ones((400, 3)))
+    ls.save(place.path("ball.ply"), ls.Gaussians(ball.means, ball.rotations_wxyz, ball.scales, ball.opacities, white))
+    ls.save(place.path("room.ply"), one_gaussian((4.0, 0.0, 0.0), 1.5, 1.0, (1.0, 0.2, 0.2)))
+    place.path("two.toml").write_text('[[splats]]\npath = "ball.ply"\n[[splats]]\npath = "room.ply"\n')
+    # Half a turn about y: what is +x in the room is -x for the ball.
+    place.path("turned.toml").write_text(
+        '[[splats]]\npath = "ball.ply"\nrotation_wxyz = [0, 0, 1, 0]\nposition = [0, 0, 0]\nscale = 0.5\n'
+    )
+    place.path("white.toml").write_text('[render]\nbackground = [1, 1, 1]\n[[splats]]\npath = "dust.ply"\n')
+    ls.save(place.path("dust.ply"), one_gaussian((0.0, 0.0, 50.0), 1e-3, 1e-3, (1.0, 1.0, 1.0)))
+    return place
+
+
+def lit_sides(place: Workplace, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Mean colours of the ball's half towards +x, and of the other one."""
+    loaded = ls.load(place.path(name))
+    assert isinstance(loaded, ls.Gaussians)
+    colors = loaded.sh[:, 0] * 0.28209479 + 0.5
+    front = loaded.means[:, 0] > 0.0
+    return colors[front].mean(axis=0), colors[~front].mean(axis=0)
+
+
+@pytest.mark.parametrize("name", ["relit.ply", "relit.compressed.ply", "relit.spz"])
+def test_an_avatar_is_lit_from_where_the_light_is(work, name):
+    """In each format; what is printed says where light was looked for, and how bright it is."""
+    done = work.run("relight", "@ball.ply", "@room.ply", "-o", f"@{name}", "--gamma", "4", "--device", "cpu")
+    assert (done.status, done.err) == (0, "")
+    assert "400 Gaussians" in done.out and "mean light there" in done.out
+    front, back = lit_sides(work, name)
+    assert front[0] > back[0] + 0.3 and front[0] > front[1] + 0.2
+
+
+def test_how_it_stands_counts(work):
+    """A scene.toml places it: light comes from the other side then; its file stays where it was."""
+    assert (
+        work.run("relight", "@turned.toml", "@room.ply", "-o", "@a.ply", "--gamma", "4", "--device", "cpu").status == 0
+    )
+    front, back = lit_sides(work, "a.ply")
+    assert back[0] > front[0] + 0.3
+    loaded, ball = ls.load(work.path("a.ply")), ls.load(work.path("ball.ply"))
+    assert isinstance(loaded, ls.Gaussians) and isinstance(ball, ls.Gaussians)
+    np.testing.assert_array_equal(loaded.means, ball.means)
+
+
+def test_white_light_changes_nothing(work):
+    """Settings of a scene.toml count, and --background goes before them."""
+    assert work.run("relight", "@ball.ply", "@white.toml", "-o", "@same.ply", "--device", "cpu").status == 0
+    assert work.path("same.ply").read_bytes() == work.path("ball.ply").read_bytes()
+    dark = work.run("relight", "@ball.ply", "@white.toml", "--background", "black", "-o", "@b.ply", "--device", "cpu")
+    assert dark.status == 0
+    np.testing.assert_allclose(lit_sides(work, "b.ply"), 0.0, atol=1e-5)
+
+
+def test_options_are_those_of_the_library(work):
+    """The same probe and the same transfer, asked for in Python, give the same capture, and the same image."""
+    options = ("--at", "1", "-0.5", "0.25", "--degree", "2", "--exponent", "3", "--scale-max", "0.5", "--gamma", "2")
+    done = work.run(
+        "relight", "@ball.ply", "@room.ply", "-o", "@a.ply", *options, "--near", "0.1", "--normals", "pca",
+        "--probe", "@p.exr", "--up", "z-up", "--device", "cpu",
+    )  # fmt: skip
+    assert done.status == 0 and "p.exr: the light as an image" in done.out
+    room, ball = (ls.load(work.path(name)) for name in ("room.ply", "ball.ply"))
+    assert isinstance(room, ls.Gaussians) and isinstance(ball, ls.Gaussians)
+    probe = ls.EnvironmentProbe.capture(ls.Scene([room]), (1, -0.5, 0.25), 2, near=0.1, device="cpu")
+    config = ls.RelightConfig(exponent=3.0, scale_max=0.5, gamma=2.0, normals=ls.NormalEstimate.PCA)
+    loaded = ls.load(work.path("a.ply"))
+    assert isinstance(loaded, ls.Gaussians)
+    np.testing.assert_array_equal(loaded.sh, ls.relight(ball, probe, config).sh)
+    half = np.sqrt(0.5)
+    np.testing.assert_array_equal(ls.load_radiance(work.path("p.exr")), probe.image(rotation_wxyz=(half, half, 0, 0)))
+
+
+def test_a_dim_place_is_told(work):
+    """Where the avatar gets much darker, what gamma keeps it as bright is printed."""
+    told = work.run("relight", "@ball.ply", "@room.ply", "-o", "@a.ply", "--device", "cpu").out
+    assert "to keep the avatar about as bright as it was: --gamma" in told
+
+
+def test_darkness_is_told(work):
+    """Where no gamma would help, none is suggested."""
+    told = work.run("relight", "@ball.ply", "@dust.ply", "-o", "@a.ply", "--device", "cpu").out
+    assert "there is next to no light there" in told and "--gamma" not in told
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (("@missing.ply", "@room.ply"), "missing.ply"),
+        (("@ball.ply", "@missing.ply"), "missing.ply"),
+        (("@ball.ply",), "no scene given"),
+        (("@mesh.obj", "@room.ply"), "mesh.obj: is not a capture"),
+        (("@mesh.obj", "@room.ply"), "ls.gaussians_from_mesh"),
+        (("@two.toml", "@room.ply"), "two.toml: is not a capture"),
+        (("@ball.ply", "@room.ply", "-o", "@relit.png"), "relit.png: unknown extension, expected .ply"),
+        (("@ball.ply", "@room.ply", "--probe", "@probe.hdr"), "probe.hdr: unknown extension"),
+        (("@ball.ply", "@room.ply", "--gamma", "-1"), "gamma is -1.0, expected 0.0 to 1000.0"),
+        (("@ball.ply", "@room.ply", "--exponent", "0"), "exponent is 0.0"),
+        (("@ball.ply", "@room.ply", "--degree", "9"), "degree is 9, expected a whole number from 0 to 8"),
+        (("@ball.ply", "@room.ply", "--near", "0"), "near is 0.0"),
+        (("@ball.ply", "@room.ply", "--at", "nan", "0", "0"), "--at is nan 0 0, expected finite numbers"),
+        (("@ball.ply", "@room.ply", "--background", "mauve"), "mauve"),
+        (("@ball.ply", "@room.ply", "--device", "cuda:7"), "cuda:7"),
+    ],
+)
+def test_mistakes_are_one_line(work, monkeypatch, args, named):
+    """Exit status 2, one line on standard error that names the culprit, no new file."""
+    monkeypatch.chdir(work.folder)
+    before = work.files()
+    done = work.run("relight", *args)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("error: ") and done.err.count("\n") == 1
+    assert named in done.err
+    assert work.files() == before

@@ -1,0 +1,93 @@
+"""``lumisplat shadowmap``: captures in shadow, maps in files, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+
+LIGHT = "0,0,-6"
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Workplace:
+    """A folder with a capture around z = 4 and a small mesh before it."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    (tmp_path / "mesh.obj").write_text("v -0.3 -0.3 1\nv 0.3 -0.3 1\nv 0 0.3 1\nf 1 2 3\n")
+    return place
+
+
+def run(work: Workplace, *args: str) -> tuple[int, str, str]:
+    """Casts the mesh's shadow onto the capture."""
+    outcome = work.run("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--device", "cpu", *args)
+    return outcome.status, outcome.out, outcome.err
+
+
+def test_capture_is_saved_in_shadow(work: Workplace) -> None:
+    """What lies behind the mesh is darker, the rest keeps its bits; the casters are not part of it."""
+    status, out, err = run(work, "--light", LIGHT, "--direct", "1", "-o", "@dark.ply")
+    assert (status, err) == (0, "")
+    before, after = ls.load(work.path("capture.ply")), ls.load(work.path("dark.ply"))
+    assert isinstance(before, ls.Gaussians) and isinstance(after, ls.Gaussians)
+    shadow = ls.DeepShadowMap.build(ls.load(work.path("mesh.obj")), (0, 0, -6), before, device="cpu")
+    light = shadow.transmittance_of(before)
+    assert 0 < (light < 0.5).sum() < before.count
+    expected = ls.shadowed(before, [ls.LightPoint((0, 0, -6))], light[None], 1.0)
+    np.testing.assert_array_equal(after.sh, expected.sh)
+    np.testing.assert_array_equal(after.sh[light == 1.0], before.sh[light == 1.0])
+    assert f"{(light < 1.0).sum()} of {before.count} Gaussians are in shadow" in out
+
+
+def test_map_is_saved(work: Workplace) -> None:
+    """An .npz is the map, for Python, with the settings that were given."""
+    status, out, err = run(work, "--sun", "0,0,1", "--resolution", "128", "--strength", "2", "-o", "@sun.npz")
+    assert (status, err) == (0, "")
+    assert "bins of" in out
+    shadow = ls.DeepShadowMap.load(work.path("sun.npz"), device="cpu")
+    assert (shadow.config.resolution, shadow.config.strength) == (128, 2.0)
+    capture = ls.load(work.path("capture.ply"))
+    assert isinstance(capture, ls.Gaussians)
+    assert shadow.transmittance_of(capture).min() < 0.5
+
+
+def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
+    """What is advised where a file is refused works: for the capture and for what casts."""
+    data = bytearray(work.path("capture.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    args = ("shadowmap", "@nan.ply", "--onto", "@nan.ply", "--light", LIGHT, "-o", "@dark.ply", "--device", "cpu")
+    refused = work.run(*args)
+    assert refused.status == 2 and "--drop-invalid" in refused.err
+    assert work.run(*args, "--drop-invalid").status == 0
+    dark = ls.load(work.path("dark.ply"))
+    assert isinstance(dark, ls.Gaussians) and dark.count == 59
+
+
+@pytest.mark.parametrize(
+    ("args", "problem"),
+    [
+        (("--light", "1,2", "-o", "@a.ply"), "--light is '1,2'"),
+        (("--light", "nan,2,3", "-o", "@a.ply"), "--light is 'nan,2,3', expected finite numbers"),
+        (("--sun", "0,0,inf", "-o", "@a.ply"), "--sun is '0,0,inf', expected finite numbers"),
+        (("--sun", "0,0,0", "-o", "@a.ply"), "direction has no length"),
+        (("--sun", "0,0,1", "--light", LIGHT, "-o", "@a.ply"), "choose one"),
+        (("--light", LIGHT, "-o", "@a.png"), "a.png: expected .ply"),
+        (("--light", LIGHT, "--light", "0,0,9", "-o", "@a.npz"), "a map is of one light, got 2"),
+        (("--light", LIGHT, "--direct", "0.5", "-o", "@a.npz"), "--direct is about the capture"),
+        (("--light", LIGHT, "--resolution", "100", "-o", "@a.ply"), "resolution is 100"),
+        (("--light", LIGHT, "--onto", "@mesh.obj", "-o", "@a.ply"), "mesh.obj: is not a capture"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(work: Workplace, args: tuple[str, ...], problem: str) -> None:
+    """A mistake leaves no file, and ends with status 2 and one line."""
+    before = work.files()
+    status, out, err = run(work, *args)
+    assert (status, out) == (2, "")
+    assert problem in err and err.count("\n") == 1
+    assert work.files() == before

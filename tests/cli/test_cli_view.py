@@ -1,0 +1,105 @@
+"""``--view`` and ``--aov`` of ``lumisplat render``."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.options.view import FrameWriter
+from lumisplat.io.images.image import read_image
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import front_camera
+
+ARGS = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--device", "cpu")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def mesh_scene(work: Workplace) -> ls.Scene:
+    """What the commands render."""
+    mesh = ls.load(work.path("mesh.obj"))
+    assert isinstance(mesh, ls.Mesh)
+    return ls.Scene(meshes=[mesh])
+
+
+@pytest.mark.parametrize("view", ["normal", "depth", "index", "transmittance"])
+def test_a_view_takes_the_place_of_the_picture(work, view):
+    """--view writes what the library's view of the same frame is, under the picture's name, and nothing else."""
+    assert work.run(*ARGS, "--frame", "left", "--view", view, "-o", "@out").status == 0
+    scene, camera = mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0]
+    expected = ls.render(scene, camera, device="cpu").view(view)
+    assert [path.name for path in work.path("out").iterdir()] == ["left.png"]
+    np.testing.assert_array_equal(
+        read_image(work.path("out/left.png"))["srgb"], np.floor(expected * 255.0 + 0.5).astype(np.uint8)
+    )
+
+
+def test_views_of_one_run_compare(work):
+    """The range of depth of the first frame is that of all, and is printed: the same colour is the same distance."""
+    back = np.eye(4)
+    back[2, 3] = 2.0
+    ls.save_cameras(
+        work.path("two.json"), [front_camera(name="left"), front_camera(name="right", camera_from_world=back)]
+    )
+    outcome = work.run("render", "@mesh.obj", "--cameras", "@two.json", "--view", "depth", "-o", "@out")
+    scene, cameras = mesh_scene(work), ls.load_cameras(work.path("two.json"))
+    left, right = (ls.render(scene, camera, device="cpu") for camera in cameras)
+    near, far = left.view_limits("depth")
+    assert right.view_limits("depth") != (near, far)
+    found = re.search(r"from ([\d.]+) \(red\) to ([\d.]+) \(blue\)", outcome.out)
+    assert found and [float(number) for number in found.groups()] == pytest.approx([near, far], rel=1e-3)
+    expected = np.floor(right.view("depth", (near, far)) * 255.0 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(read_image(work.path("out/right.png"))["srgb"], expected)
+
+
+def test_shadows_of_a_lit_scene(work):
+    """The renderer is asked for lights: the lit side of the triangle is white, what no light can reach is blue."""
+    work.path("scene.toml").write_text(
+        '[[meshes]]\npath = "mesh.obj"\n'
+        '[[lights]]\nname = "lamp"\ntype = "point"\nposition = [0, 0, 1]\nintensity = 9\n'
+    )
+    args = ("render", "@scene.toml", "--cameras", "@cameras.json", "--frame", "left", "--device", "cpu")
+    assert work.run(*args, "--view", "shadow", "-o", "@a.png").status == 0
+    picture = read_image(work.path("a.png"))["srgb"]
+    assert tuple(picture[24, 32]) == (255, 255, 255)
+    assert tuple(picture[0, 0]) == (23, 33, 82)
+    assert work.run(*args, "--aov", "albedo,lights", "-o", "@b.exr").status == 0
+    channels = read_image(work.path("b.exr"))
+    assert {"albedo.R", "light.lamp.direct.G", "light.lamp.shadow.B"} < set(channels)
+    assert channels["light.lamp.direct.G"][24, 32] == pytest.approx(channels["G"][24, 32], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (("--view", "shadow"), "no 'lights'"),
+        (("--aov", "albedo"), "no 'albedo'"),
+        (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
+        (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
+        (("--view", "shadows"), "'shadows'"),
+        (("--aov", "depth,shadow"), "--aov has 'shadow', expected some of depth, normal"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(work, options, error):
+    """One line says why, nothing is written, and the status is 2."""
+    outcome = work.run(*ARGS, "--frame", "left", *options, "-o", "@out")
+    assert outcome.status == 2 and error in outcome.err
+    assert outcome.err.count("\n") == 1
+    assert not list(work.path("out").glob("*"))
+
+
+def test_renderers_are_asked_for_what_is_needed():
+    """Views and layers name the images that they are made of, each once."""
+    assert FrameWriter("depth, albedo,lights", None).aovs == ("albedo", "lights")
+    assert FrameWriter("", "shadow").aovs == ("lights",)
+    assert FrameWriter("", "hits").aovs == ("hits",)
+    assert FrameWriter("", "depth").aovs == () and FrameWriter("", None).aovs == ()

@@ -1,0 +1,136 @@
+"""Settings at the door: of the right type and in their range, or refused in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+WHOLE = "expected a whole number from"
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (ls.RenderConfig, {"pipeline": "trace"}, "pipeline is 'trace', expected a Pipeline such as Pipeline.TRACE"),
+        (ls.RenderConfig, {"pipeline": None}, "pipeline is None, expected a Pipeline such as Pipeline.RASTER"),
+        (ls.RenderConfig, {"pipeline": ls.TraceStrategy.SORTED}, "expected a Pipeline such as Pipeline.RASTER"),
+        (
+            ls.RasterConfig,
+            {"antialiasing": "on"},
+            "antialiasing is 'on', expected an Antialiasing such as Antialiasing.ON",
+        ),
+        (ls.TraceConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a TraceStrategy such as"),
+        (ls.TraceConfig, {"hit_distance": "hull"}, "expected a HitDistance such as HitDistance.HULL"),
+        (
+            ls.TraceConfig,
+            {"normal_method": 1},
+            "normal_method is 1, expected a NormalMethod such as NormalMethod.PLANE",
+        ),
+        (ls.RenderConfig, {"raster": {"dilation": 0.0}}, "raster is {'dilation': 0.0}, expected a RasterConfig"),
+        (ls.RenderConfig, {"trace": ls.RasterConfig()}, "expected a TraceConfig"),
+        (ls.RenderConfig, {"samples": 1.5}, f"samples is 1.5, {WHOLE} 1 to 16777216"),
+        (ls.RenderConfig, {"samples": 0}, f"samples is 0, {WHOLE} 1 to"),
+        (ls.RenderConfig, {"seed": 0.5}, f"seed is 0.5, {WHOLE} 0 to 4294967295"),
+        (ls.RenderConfig, {"max_bounces": 2.5}, f"max_bounces is 2.5, {WHOLE} 0 to 64"),
+        (ls.RenderConfig, {"max_bounces": np.float32(2.0)}, f"max_bounces is 2.0, {WHOLE} 0 to 64"),
+        (ls.RenderConfig, {"background": "white"}, "background is 'white', expected three numbers in 0..1 or None"),
+        (ls.RenderConfig, {"background": 0.5}, "background is 0.5, expected three numbers"),
+        (ls.RenderConfig, {"background": np.eye(3)}, "expected 0.0 to 1.0"),
+        (ls.RenderConfig, {"background": ("r", "g", "b")}, "background is 'r', expected 0.0 to 1.0"),
+        (ls.RenderConfig, {"lighting": 1}, "lighting is 1, expected True or False"),
+        (ls.RenderConfig, {"shadows": True}, "shadows is True, expected a Shadows such as Shadows.OFF"),
+        (ls.RenderConfig, {"shadow": None}, "shadow is None, expected a ShadowConfig"),
+        (ls.RenderConfig, {"tone_map": "agx"}, "tone_map is 'agx', expected a ToneMap such as ToneMap.AGX"),
+        (ls.RenderConfig, {"aovs": "albedo"}, "aovs is 'albedo', expected some of albedo, emission"),
+        (ls.RenderConfig, {"aovs": ("depth",)}, "aovs is ('depth',), expected some of"),
+        (ls.RenderConfig, {"aovs": [["hits"]]}, "aovs is [['hits']], expected some of"),
+        (ls.RenderConfig, {"aovs": 3}, "aovs is 3, expected some of"),
+        (ls.ShadowConfig, {"method": "exact"}, "method is 'exact', expected a ShadowMethod such as ShadowMethod.EXACT"),
+        (ls.ShadowConfig, {"hits": 17}, "hits is 17, expected 4, 8, 16 or 32"),
+        (ls.ShadowConfig, {"offset": -1.0}, "offset is -1.0, expected 0.0 to 100.0"),
+        (ls.ShadowConfig, {"offset_absolute": np.inf}, "offset_absolute is inf, expected 0.0 to 1000000.0"),
+        (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
+        (ls.ShadowConfig, {"color_strength": 6.0}, "color_strength is 6.0, expected 0.0 to 5.0"),
+        (ls.RasterConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a RasterStrategy such as"),
+        (ls.RasterConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),
+        (ls.RasterConfig, {"dilation": "0.3"}, "dilation is '0.3', expected 0.0 to 10.0"),
+        (ls.RasterConfig, {"dilation": True}, "dilation is True, expected 0.0 to 10.0"),
+        (ls.TraceConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),
+        (ls.TraceConfig, {"kernel_degree": 2.5}, f"kernel_degree is 2.5, {WHOLE} 0 to 5"),
+        (ls.TraceConfig, {"kernel_degree": True}, f"kernel_degree is True, {WHOLE} 0 to 5"),
+        (ls.TraceConfig, {"hits_per_pass": 16.0}, "hits_per_pass is 16.0, expected 4, 8, 16 or 32"),
+        (ls.TraceConfig, {"hits_per_pass": np.eye(9)}, "expected 4, 8, 16 or 32"),
+        (ls.TraceConfig, {"jitter": 3}, "jitter is 3, expected True or False"),
+        (ls.TraceConfig, {"adaptive_clamping": None}, "adaptive_clamping is None, expected True or False"),
+        (ls.TraceConfig, {"min_response": "a"}, "min_response is 'a', expected 0.0 to 0.97"),
+        (ls.TraceConfig, {"acceptance_scale": 5e-4}, "acceptance_scale is 0.0005, expected 0.001 to 1.0"),
+        (ls.AvatarLightingConfig, {"direct": 1.1}, "direct is 1.1, expected 0.0 to 1.0"),
+        (ls.AvatarLightingConfig, {"shadows": 1}, "shadows is 1, expected True or False"),
+        (ls.AvatarLightingConfig, {"relight": None}, "relight is None, expected True or False"),
+        (ls.AvatarLightingConfig, {"light_count": 0}, f"light_count is 0, {WHOLE} 1 to 64"),
+        (ls.AvatarLightingConfig, {"shadow": ls.ShadowConfig()}, "expected a DeepShadowConfig"),
+        (ls.AvatarLightingConfig, {"transfer": 1.0}, "transfer is 1.0, expected a RelightConfig"),
+        (ls.AvatarLightingConfig, {"estimation": {}}, "estimation is {}, expected a LightEstimationConfig"),
+        (ls.LightEstimationConfig, {"radius": 0.0}, "radius is 0.0, expected 1e-06 to"),
+        (ls.LightEstimationConfig, {"viewpoint_distance": -1.0}, "viewpoint_distance is -1.0, expected 1e-06 to"),
+        (ls.LightEstimationConfig, {"emitter_size": "a"}, "emitter_size is 'a', expected 1e-06 to"),
+        (ls.LightEstimationConfig, {"separation": np.nan}, "separation is nan, expected 1e-06 to"),
+        (ls.LightEstimationConfig, {"compactness": 2.0}, "compactness is 2.0, expected 0.0 to 1.0"),
+        (ls.LightEstimationConfig, {"weakest": -0.1}, "weakest is -0.1, expected 0.0 to 1.0"),
+        (ls.LightEstimationConfig, {"irradiance": 0.0}, "irradiance is 0.0, expected 1e-06 to"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else None,
+)
+def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], message: str) -> None:
+    """Where they are made, and in one line that names the setting, its value and what was expected."""
+    with pytest.raises(ls.ConfigError) as caught:
+        kind(**settings)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
+    """Further images count once, in any order and from any iterable."""
+    asked = ls.RenderConfig(aovs=(name for name in ("hits", "albedo", "hits")))  # type: ignore[arg-type]
+    assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
+    assert asked.aovs == ("albedo", "hits")
+
+
+def test_numbers_of_numpy_are_settings() -> None:
+    """They give the frame that Python's give, and a background is a tuple whatever it came as."""
+    one, two = np.int64(1), np.int32(2)
+    trace = ls.TraceConfig(
+        strategy=ls.TraceStrategy.STOCHASTIC_PASS,
+        hits_per_pass=np.int64(8),
+        kernel_degree=two,
+        sh_degree=one,
+        min_response=np.float64(0.1),
+        jitter=np.bool_(False),
+    )
+    background = np.array([0.5, 0.25, 0.0])
+    config = ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE, trace=trace, samples=two, seed=np.uint32(7), max_bounces=one, background=background
+    )
+    plain = ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE,
+        trace=ls.TraceConfig(
+            strategy=ls.TraceStrategy.STOCHASTIC_PASS,
+            hits_per_pass=8,
+            kernel_degree=2,
+            sh_degree=1,
+            min_response=0.1,
+            jitter=False,
+        ),
+        samples=2,
+        seed=7,
+        max_bounces=1,
+        background=(0.5, 0.25, 0.0),
+    )
+    assert config == plain
+    assert ls.RenderConfig(background=[0.5, 0.25, 0.0]) == ls.RenderConfig(background=(0.5, 0.25, 0.0))
+    scene = ls.Scene([random_gaussians(5, 60, degree=2)])
+    frame, expected = (ls.render(scene, front_camera(24, 18), c, device="cpu") for c in (config, plain))
+    np.testing.assert_array_equal(frame.color, expected.color)

@@ -1,0 +1,148 @@
+"""The demo scene: complete, within its promises, and solid from its own cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.demo import room as demo_room
+from lumisplat.math.color import decode_srgb
+
+
+@pytest.fixture(scope="module")
+def heard() -> list[float]:
+    """What the progress callback was told while the scene was built."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def demo(heard: list[float]) -> ls.Scene:
+    """The scene, built once."""
+    return ls.demo_scene(progress=lambda _, share: heard.append(share))
+
+
+def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
+    """One set of 150,000 to 300,000 Gaussians with surface data, some meshes, all in a room of a few metres."""
+    assert len(demo.splats) == 1
+    assert 150_000 <= demo.gaussian_count <= 300_000
+    assert {instance.name for instance in demo.meshes} == {"white paint", "striped glass", "brass", "aquamarine"}
+    gaussians = demo.splats[0].gaussians
+    for name in ("normals", "albedo", "roughness", "metallic"):
+        assert getattr(gaussians, name) is not None
+    low, high = demo.bounds()
+    assert (low > [-4.0, -0.5, -4.5]).all()
+    assert (high < [3.0, 4.0, 3.5]).all()
+
+
+def test_the_room_is_seen_from_inside() -> None:
+    """Walls, niche and floor face their middle: the sun must not shine on the outside of what is seen from within."""
+    rng = np.random.default_rng(0)
+    room, niche = (-0.05, 1.2, 0.0), (demo_room.NICHE_X, 0.9, demo_room.BACK - 0.1)
+    walls = [*demo_room.side_walls(rng), demo_room.back_wall(rng), demo_room.floor(rng)]
+    for mesh, middle in [*((wall, room) for wall in walls), (demo_room.niche(rng), niche)]:
+        assert mesh.normals is not None
+        assert np.einsum("ij,ij->i", mesh.normals, middle - mesh.positions).min() > 0.0
+        a, b, c = mesh.positions[mesh.indices].swapaxes(0, 1)
+        assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), middle - a) > 0.0).all()
+
+
+def test_demo_is_made_of_different_materials(demo: ls.Scene) -> None:
+    """Colours, roughness and metalness vary over the scene."""
+    gaussians = demo.splats[0].gaussians
+    assert gaussians.roughness is not None
+    assert np.unique(gaussians.roughness).size >= 5
+    assert any(instance.mesh.material.metallic == 1.0 for instance in demo.meshes)
+
+
+def test_baked_daylight_only_darkens_the_albedo(demo: ls.Scene) -> None:
+    """Display colour is albedo times a light of 0..1, and that light varies: there is sun and shade."""
+    gaussians = demo.splats[0].gaussians
+    assert gaussians.albedo is not None
+    shown = decode_srgb(np.clip(gaussians.sh[:, 0] * SH_C0 + 0.5, 0.0, 1.0)).sum(axis=1)
+    share = shown / np.maximum(gaussians.albedo.sum(axis=1), 1e-3)
+    assert share.max() < 1.01
+    assert np.percentile(share, 5) < 0.5
+    assert np.percentile(share, 95) > 0.7
+    for instance in demo.meshes:
+        assert instance.mesh.colors is not None
+        assert 0.0 <= instance.mesh.colors.min() < instance.mesh.colors.max() <= 1.0
+
+
+def test_demo_cameras_are_named_and_start_with_the_hero() -> None:
+    """Names are unique, sizes and count as asked for."""
+    cameras = ls.demo_cameras(320, 180)
+    names = [camera.name for camera in cameras]
+    assert names[0] == "hero"
+    assert len(set(names)) == len(names) >= 4
+    assert {(camera.width, camera.height) for camera in cameras} == {(320, 180)}
+    assert [camera.name for camera in ls.demo_cameras(count=2)] == names[:2]
+
+
+def test_every_view_of_the_demo_is_filled_without_holes(demo: ls.Scene) -> None:
+    """Behind every pixel of every view there is something opaque."""
+    renderer = ls.create_renderer(device="cpu")
+    for camera in ls.demo_cameras(480, 270):
+        frame = renderer.render(demo, camera)
+        assert (frame.alpha < 0.98).mean() < 2e-3, camera.name
+        assert np.isfinite(frame.depth[frame.alpha > 0.98]).all()
+        assert frame.color.std() > 0.06
+
+
+def test_demo_reports_progress(demo: ls.Scene, heard: list[float]) -> None:
+    """A progress callback hears of shares that only grow, up to one."""
+    assert heard[0] == 0.0
+    assert heard == sorted(heard)
+    assert heard[-1] == 1.0
+
+
+@pytest.fixture(scope="module")
+def lit(demo: ls.Scene) -> ls.Scene:
+    """The scene in the evening."""
+    return ls.demo_scene_lit(demo)
+
+
+def test_relit_demo_holds_the_same_things(demo: ls.Scene, lit: ls.Scene) -> None:
+    """Room and garden are the capture, meshes are where they were; a mirror, glass, and three kinds of light."""
+    assert [instance.name for instance in lit.splats] == ["room", "garden"]
+    means = np.concatenate([instance.gaussians.means for instance in lit.splats])
+    np.testing.assert_array_equal(means, demo.splats[0].gaussians.means)
+    assert [one.name for one in lit.meshes] == [one.name for one in demo.meshes]
+    for one, before in zip(lit.meshes, demo.meshes, strict=True):
+        np.testing.assert_array_equal(one.mesh.positions, before.mesh.positions)
+        assert one.mesh.colors is None
+    smooth = [one.mesh.material for one in lit.meshes if one.mesh.material.is_smooth]
+    assert sorted(material.transmission for material in smooth if isinstance(material, ls.MaterialPbr)) == [0.0, 1.0]
+    assert [type(light) for light in lit.lights] == [ls.LightSpot, ls.LightPoint, ls.LightEnvironment]
+    assert [light.name for light in lit.lights] == ["spot", "lamp", "sky"]
+
+
+def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
+    """Where all lights are off, the room is black, and the garden shines as in a picture without lights."""
+    camera = ls.demo_cameras(160, 90, count=1)[0]
+    off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
+    dark = ls.render(off, camera, ls.RenderConfig(shadows=ls.Shadows.OFF), device="cpu")
+    unlit = ls.render(lit, camera, ls.RenderConfig(lighting=False), device="cpu")
+    assert dark.light is not None
+    room = (dark.instance_index == 0) & (dark.alpha > 0.999)
+    assert np.abs(dark.color[room]).max() < 1e-5
+    untouched = (dark.instance_index == 1) & (dark.light == 0.0).all(axis=2)
+    assert untouched.sum() > 300
+    np.testing.assert_array_equal(dark.pixels_srgb()[untouched], unlit.pixels_srgb()[untouched])
+
+
+def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
+    """From every camera, most of the picture is neither black nor white, and warm and cool light are both there."""
+    config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
+    renderer = ls.create_renderer(config, "cpu")
+    for camera in ls.demo_cameras(160, 90):
+        frame = renderer.render(lit, camera)
+        pixels = frame.pixels_srgb()[frame.instance_index != 1]
+        brightest = pixels.max(axis=1)
+        assert 0.15 < np.median(brightest) < 0.8, camera.name
+        assert (brightest > 0.99).mean() < 0.02, camera.name
+        assert (brightest < 0.02).mean() < 0.05, camera.name
+        assert frame.stats is not None and frame.stats.nonfinite_count == 0

@@ -1,0 +1,165 @@
+"""What a frame says and saves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.images.image import read_image
+from lumisplat.math.color import decode_srgb
+from support.scenes import raster_scenes as scenes
+from support.scenes.trace_scenes import GLASS, slab
+
+
+@pytest.fixture(scope="module")
+def frame() -> ls.Frame:
+    """Splats over a grey background, a mesh among them."""
+    scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
+    return ls.render(scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125)), device="cpu")
+
+
+def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
+    """A point at distance ``depth`` along a pixel's ray has view depth ``depth_z``."""
+    y, x = np.argwhere(np.isfinite(frame.depth))[0]
+    camera = frame.camera
+    ray = np.array([(x + 0.5 - camera.cx) / camera.fx, (y + 0.5 - camera.cy) / camera.fy, 1.0])
+    point = ray / np.linalg.norm(ray) * frame.depth[y, x]
+    assert frame.depth_z[y, x] == pytest.approx(point[2], rel=1e-5)
+
+
+def test_premultiplied_takes_the_background_away(frame: ls.Frame) -> None:
+    """The same view without a background has the radiance that ``premultiplied`` recovers."""
+    scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
+    bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None), device="cpu")
+    np.testing.assert_allclose(frame.premultiplied(), bare.color, atol=1e-6)
+    np.testing.assert_allclose(frame.premultiplied(), frame.straight() * frame.alpha[..., None], atol=1e-6)
+
+
+def test_png_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> None:
+    """An unlit frame is written without tone mapping: its display-referred values, rounded to 8 bits."""
+    frame.save(tmp_path / "a.png")
+    expected = np.floor(np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"], expected)
+
+
+def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
+    """Without a background the PNG has an alpha channel and colours that are not darkened by it."""
+    scene = ls.Scene([scenes.one_gaussian(opacity=0.5, color=(0.8, 0.4, 0.2))])
+    frame = ls.render(scene, scenes.front_camera(31, 31), ls.RenderConfig(background=None), device="cpu")
+    frame.save(tmp_path / "a.png")
+    center = frame.alpha[15, 15]
+    assert center == pytest.approx(0.5, abs=0.01)
+    saved = read_image(tmp_path / "a.png")["srgb"][15, 15]
+    np.testing.assert_allclose(saved / 255.0, (0.8, 0.4, 0.2, center), atol=0.5 / 255.0)
+
+
+def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> None:
+    """One part holds linear premultiplied RGBA and every AOV, bit for bit, under the names that Nuke reads."""
+    frame.save(tmp_path / "a.exr")
+    channels = read_image(tmp_path / "a.exr")
+    index = {"index.gaussian", "index.instance"}
+    points = {f"{layer}.{axis}" for layer in ("normal", "position") for axis in "XYZ"}
+    assert channels.keys() == {"R", "G", "B", "A", "depth.Z"} | points | index
+    np.testing.assert_array_equal(channels["A"], frame.alpha)
+    np.testing.assert_array_equal(channels["depth.Z"], frame.depth)
+    np.testing.assert_array_equal(channels["normal.Y"], frame.normal[..., 1])
+    np.testing.assert_array_equal(channels["position.X"], frame.position[..., 0])
+    expected = decode_srgb(frame.straight()) * frame.alpha[..., None]
+    np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
+
+
+def test_layers_are_chosen(frame: ls.Frame, tmp_path: Path) -> None:
+    """Layers that are named go into an EXR, no others; beside a PNG they are pictures; a typo writes nothing."""
+    frame.save(tmp_path / "a.exr", ["depth"])
+    assert read_image(tmp_path / "a.exr").keys() == {"R", "G", "B", "A", "depth.Z"}
+    frame.save(tmp_path / "b.png", ["normal"])
+    assert {path.name for path in tmp_path.iterdir()} == {"a.exr", "b.png", "b.normal.png"}
+    with pytest.raises(ls.ConfigError, match="unknown layer 'dept'"):
+        frame.save(tmp_path / "c.png", ["dept"])
+    assert not (tmp_path / "c.png").exists()
+
+
+def test_no_index_is_the_largest_in_exr(frame: ls.Frame, tmp_path: Path) -> None:
+    """Where there is nothing, index layers say 4294967295, as the guide says."""
+    frame.save(tmp_path / "a.exr", ["instance_index"])
+    index = read_image(tmp_path / "a.exr")["index.instance"]
+    assert index.dtype == np.uint32
+    assert (index[frame.instance_index == -1] == 4294967295).all() and (frame.instance_index == -1).any()
+
+
+def test_reprs_are_short(frame: ls.Frame) -> None:
+    """A frame, a capture and a mesh show what they are, not their arrays."""
+    gaussians = scenes.random_gaussians(3, count=40)
+    assert len(gaussians) == 40
+    assert repr(gaussians) == f"Gaussians(count=40, sh_degree={gaussians.sh_degree})"
+    assert repr(frame) == "Frame(40 x 30, name='', background=(0.5, 0.25, 0.125))"
+    assert repr(scenes.octahedron((0.4, 0.2, 4.0), 0.5)) == "Mesh(name='', vertices=6, faces=8, normals)"
+
+
+def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
+    """Arrays come back as they were."""
+    frame.save(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as saved:
+        for name, array in frame.arrays().items():
+            np.testing.assert_array_equal(saved[name], array)
+
+
+def test_only_scenes_are_rendered() -> None:
+    """A bare capture is refused with how to make a scene of it."""
+    with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
+        ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # type: ignore[arg-type]
+
+
+def test_only_cameras_show_scenes() -> None:
+    """A view that is none is refused, with how to make one."""
+    with pytest.raises(ls.SceneError, match=r"expected a Camera, got str: ls\.Camera\.look_at"):
+        ls.render(ls.Scene(), "front", device="cpu")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("config", ["fast", ls.RasterConfig(), ""], ids=type)
+def test_only_settings_are_settings(config: Any) -> None:
+    """Wherever settings are taken, what is none is refused in the same words."""
+    rays = (ls.Scene(), np.zeros((1, 3)), np.ones((1, 3)))
+    view = scenes.front_camera(8, 8)
+    for attempt in (
+        lambda: ls.create_renderer(config, "cpu"),
+        lambda: ls.render(ls.Scene(), view, config, device="cpu"),
+        lambda: ls.trace_rays(*rays, config, device="cpu"),
+        lambda: ls.transmittance(*rays, config=config, device="cpu"),
+    ):
+        with pytest.raises(ls.ConfigError, match=r"^config is .*, expected a RenderConfig$"):
+            attempt()
+
+
+def test_glass_is_opaque_over_transparency() -> None:
+    """Clear glass has alpha 1 and lets rays through for nothing; what has no background is black behind it."""
+    scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
+    camera = scenes.front_camera(8, 8)
+    clear, red = (
+        ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=b), device="cpu")
+        for b in (None, (1.0, 0.0, 0.0))
+    )
+    np.testing.assert_array_equal(clear.alpha, 1.0)
+    np.testing.assert_array_equal(clear.color, 0.0)
+    assert red.color[..., 0].min() > 0.8
+    hits = ls.trace_rays(scene, np.zeros((1, 3)), [(0.0, 0.0, 1.0)], device="cpu")
+    assert hits.transmittance[0] == 0.0
+
+
+def test_image_beyond_the_indices_is_refused() -> None:
+    """An image too large for 32-bit indices is an error before anything is allocated."""
+    with pytest.raises(ls.SceneError, match="at most 200,000,000 pixels"):
+        ls.render(ls.Scene(), scenes.front_camera(65536, 65536), device="cpu")
+
+
+def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
+    """The message says what there is to choose from, and nothing is written."""
+    with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):
+        frame.save(tmp_path / "a.jpg")
+    with pytest.raises(ls.ConfigError, match="expected some of depth, normal, gaussian_index"):
+        frame.layers(["shadow"])
+    assert not list(tmp_path.iterdir())

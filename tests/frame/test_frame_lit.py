@@ -1,0 +1,227 @@
+"""What a lit frame says and saves; the frame is made by formulas, so that every image of it is known."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.frame.frame import FrameStats
+from lumisplat.io.images.image import read_image
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.tone_map import tone_mapped
+from support.scenes.lit_frames import ball_frame, unlit
+
+MAPS = list(ls.ToneMap)
+
+
+def untouched(frame: ls.Frame) -> np.ndarray:
+    """Where the formulas put a capture, or the background, and no light."""
+    assert frame.light is not None
+    return ~frame.light.any(axis=2) & (frame.instance_index != 1)
+
+
+@pytest.mark.parametrize("tone_map", MAPS)
+@pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
+def test_untouched_pixels_are_as_unlit(tone_map: ls.ToneMap, background: tuple | None, tmp_path: Path) -> None:
+    """Where no light came, values and PNG bytes are those of the unlit frame; elsewhere they are not."""
+    frame = ball_frame(background=background, tone_map=tone_map)
+    same = untouched(frame)
+    assert 0.3 < same.mean() < 0.9
+    np.testing.assert_array_equal(frame.pixels_srgb()[same], unlit(frame).pixels_srgb()[same])
+    frame.save(tmp_path / "lit.png")
+    unlit(frame).save(tmp_path / "unlit.png")
+    lit, plain = (read_image(tmp_path / name)["srgb"] for name in ("lit.png", "unlit.png"))
+    np.testing.assert_array_equal(lit[same], plain[same])
+    assert (lit != plain).any(axis=2)[~same].mean() > 0.5
+
+
+@pytest.mark.parametrize("tone_map", MAPS)
+def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) -> None:
+    """Where nothing was captured, bytes are those of the tone mapper on the light, brightened by the exposure."""
+    frame = ball_frame(tone_map=tone_map, exposure=1.5)
+    assert frame.light is not None and frame.captured_weight is not None
+    frame.save(tmp_path / "a.png")
+    bare = frame.captured_weight == 0.0
+    expected = np.floor(tone_mapped(2.0**1.5 * frame.light[bare], tone_map) * 255.0 + 0.5)
+    saved = read_image(tmp_path / "a.png")["srgb"][bare]
+    assert bare.any() and np.abs(saved - expected).max() <= 1.0
+
+
+def test_transparent_png_divides_by_alpha(tmp_path: Path) -> None:
+    """Half a pixel of light has the colour of the whole, and alpha a half."""
+    frame = ball_frame(background=None, tone_map=ls.ToneMap.NEUTRAL)
+    assert frame.light is not None and frame.captured is not None and frame.captured_weight is not None
+    thin = replace(
+        frame,
+        alpha=0.5 * frame.alpha,
+        light=0.5 * frame.light,
+        captured=0.5 * frame.captured,
+        captured_weight=0.5 * frame.captured_weight,
+    )
+    np.testing.assert_allclose(thin.pixels_srgb()[..., :3], frame.pixels_srgb()[..., :3], atol=1e-6)
+    thin.save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][..., 3], np.where(frame.alpha > 0.0, 128, 0))
+
+
+def test_premultiplied_is_linear_and_without_background() -> None:
+    """The same view without a background has the radiance that is recovered from the one with it."""
+    over, bare = ball_frame(), ball_frame(background=None)
+    np.testing.assert_allclose(over.premultiplied(), bare.color, atol=2e-6)
+    np.testing.assert_allclose(over.straight() * over.alpha[..., None], over.premultiplied(), atol=1e-6)
+    assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
+
+
+def test_thin_captures_lose_the_background_only() -> None:
+    """A capture of alpha 0.6 over a background has 0.6 of its own radiance, and its own colour."""
+    frame = ball_frame(1, 1)
+    captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)
+    thin = replace(
+        frame,
+        alpha=np.full((1, 1), 0.6, np.float32),
+        captured=0.6 * captured + 0.4 * np.array([0.25, 0.5, 0.75], np.float32),
+        captured_weight=np.ones((1, 1), np.float32),
+        light=np.zeros((1, 1, 3), np.float32),
+    )
+    np.testing.assert_allclose(thin.premultiplied(), 0.6 * decode_srgb(captured), atol=1e-6)
+    np.testing.assert_allclose(thin.straight(), decode_srgb(captured), atol=1e-6)
+    np.testing.assert_allclose(unlit(thin).straight(), captured, atol=1e-6)
+    np.testing.assert_allclose(thin.layers(())["R"], unlit(thin).layers(())["R"], atol=1e-6)
+
+
+def test_exr_is_the_light_of_the_scene(tmp_path: Path) -> None:
+    """RGBA is premultiplied and linear, whatever the exposure and the tone map; every layer has its channels."""
+    frame = ball_frame(tone_map=ls.ToneMap.AGX, exposure=2.0)
+    frame.save(tmp_path / "a.exr")
+    channels = read_image(tmp_path / "a.exr")
+    color = np.stack([channels[name] for name in "RGB"], axis=2)
+    np.testing.assert_allclose(color, ball_frame(background=None).color, atol=2e-6)
+    np.testing.assert_array_equal(channels["A"], frame.alpha)
+    expected = {"R", "G", "B", "A", "depth.Z", "hits.Y", "index.gaussian", "index.instance"}
+    expected |= {f"{name}.{axis}" for name in ("normal", "position") for axis in "XYZ"}
+    per_light = [f"light.{name}.{part}" for name in ("key", "1") for part in ("direct", "shadow")]
+    expected |= {f"{name}.{c}" for name in ("albedo", "emission", "reflection", *per_light) for c in "RGB"}
+    assert channels.keys() == expected
+    assert frame.light_shadow is not None and frame.light_direct is not None and frame.hits is not None
+    np.testing.assert_array_equal(channels["light.key.shadow.G"], frame.light_shadow[0, ..., 1])
+    np.testing.assert_array_equal(channels["light.1.direct.B"], frame.light_direct[1, ..., 2])
+    np.testing.assert_array_equal(channels["hits.Y"], frame.hits)
+    np.testing.assert_array_equal(channels["position.Z"], frame.position[..., 2])
+
+
+def test_exr_of_captures_is_that_of_the_unlit_frame(tmp_path: Path) -> None:
+    """Untouched pixels have the same linear channels, lit or not."""
+    frame = ball_frame()
+    lit, plain = frame.layers(()), unlit(frame).layers(())
+    for name in "RGBA":
+        np.testing.assert_allclose(lit[name][untouched(frame)], plain[name][untouched(frame)], atol=1e-6)
+
+
+def test_pictures_beside_the_png(tmp_path: Path) -> None:
+    """Each layer has a picture of its name; lights have two each."""
+    ball_frame().save(tmp_path / "a.png", ["albedo", "lights", "position"])
+    names = ["albedo", "light.key.direct", "light.key.shadow", "light.1.direct", "light.1.shadow", "position"]
+    assert {path.name for path in tmp_path.iterdir()} == {"a.png", *(f"a.{name}.png" for name in names)}
+
+
+def test_npz_holds_what_there_is(tmp_path: Path) -> None:
+    """Every image and the lights' names come back; what was not asked for has no place in the file."""
+    frame = replace(ball_frame(), reflection=None)
+    frame.save(tmp_path / "a.npz")
+    arrays = read_image(tmp_path / "a.npz")
+    for name in ("color", "captured", "captured_weight", "light", "albedo", "light_direct", "light_shadow", "hits"):
+        np.testing.assert_array_equal(arrays[name], getattr(frame, name))
+    assert arrays["light_names"].tolist() == ["key", ""]
+    assert "reflection" not in arrays and "depth_z" in arrays and "position" in arrays
+
+
+def test_layers_that_are_not_there(tmp_path: Path) -> None:
+    """A layer or a view of an image that was not asked for is refused with what would make it; nothing is written."""
+    frame = replace(ball_frame(), albedo=None, light_direct=None, light_shadow=None, hits=None)
+    for layer in ("albedo", "lights", "hits"):
+        for name in ("a.png", "a.exr"):
+            with pytest.raises(ls.ConfigError, match=rf"no '{layer}'.*RenderConfig\.aovs"):
+                frame.save(tmp_path / name, [layer])
+    for view, needed in (("shadow", "lights"), ("hits", "hits")):
+        assert ls.Frame.NEEDS[view] == needed
+        with pytest.raises(ls.ConfigError, match=f"no '{needed}'"):
+            frame.save_view(tmp_path / "a.png", view)
+    assert "albedo.R" not in frame.layers()
+    assert not list(tmp_path.iterdir())
+
+
+def test_labels_of_lights() -> None:
+    """Names become fit for channels and file names, and stay apart from each other."""
+    frame = ball_frame()
+    direct, shadow = np.zeros((6, 27, 48, 3), np.float32), np.ones((6, 27, 48, 3), np.float32)
+    names = ("sun", "Sun", "", "a.b/../c", "\u592a\u967d", "x" * 300)
+    frame = replace(frame, light_direct=direct, light_shadow=shadow, light_names=names)
+    labels = {name.split(".")[1] for name in frame.layers(["lights"]) if name.startswith("light.")}
+    assert labels == {"sun", "Sun_2", "2", "a_b_c", "4", "x" * 60}
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", ["light", "captured", "captured_weight", "alpha", "color"])
+def test_nonfinite_radiance_is_black_and_told(
+    value: float, field: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One line counts such pixels, PNG and EXR have 0 there, and all others are what they would be."""
+    good = ball_frame(tone_map=ls.ToneMap.AGX)
+    image = np.array(getattr(good, field))
+    image[20, 10:13] = value
+    frame = replace(good, **{field: image})
+    for name in ("a.png", "a.exr"):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, "lumisplat"):
+            frame.save(tmp_path / name, ())
+        assert [record.getMessage() for record in caplog.records] == [
+            f"{tmp_path / name}: 3 pixels are not finite, black in the file"
+        ]
+    good.save(tmp_path / "b.png")
+    saved, expected = (np.array(read_image(tmp_path / name)["srgb"]) for name in ("a.png", "b.png"))
+    expected[20, 10:13] = 0
+    np.testing.assert_array_equal(saved, expected)
+    channels = read_image(tmp_path / "a.exr")
+    for name in "RGBA":
+        assert np.isfinite(channels[name]).all() and not channels[name][20, 10:13].any()
+
+
+def test_nonfinite_layers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What is not finite in a layer of radiance only does not blacken the picture, and is not kept silent either."""
+    frame = ball_frame()
+    assert frame.light_direct is not None
+    direct = np.array(frame.light_direct)
+    direct[1, 20, 4, 2] = np.nan
+    frame = replace(frame, light_direct=direct)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        frame.save(tmp_path / "a.exr")
+    assert "1 pixels are not finite" in caplog.text
+    channels = read_image(tmp_path / "a.exr")
+    assert channels["light.1.direct.B"][20, 4] == 0.0 and channels["B"][20, 4] > 0.0
+
+
+def test_counted_samples_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """What the renderer left out because it was not finite is said once when the frame is saved; nothing else is."""
+    good = FrameStats({}, 1, 1, 0, 1, 1, 1)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        replace(ball_frame(), stats=good).save(tmp_path / "a.png")
+        assert not caplog.records
+        replace(ball_frame(), stats=replace(good, nonfinite_count=7)).save(tmp_path / "a.png", ["depth"])
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{tmp_path / 'a.png'}: 7 Gaussians or samples were not finite, and left out"
+    ]
+
+
+def test_color_is_what_it_is_made_of() -> None:
+    """The frame of the formulas keeps the rule that renderers are to keep: captured part, decoded, plus light."""
+    frame = ball_frame()
+    plain = untouched(frame)
+    np.testing.assert_allclose(encode_srgb(frame.color[plain]), unlit(frame).color[plain], atol=1e-6)
+    bare = frame.captured_weight == 0.0
+    assert frame.light is not None
+    np.testing.assert_array_equal(frame.color[bare], frame.light[bare])
+    np.testing.assert_allclose(frame.color[0, 0], decode_srgb(np.array([0.25, 0.5, 0.75])), atol=1e-6)

@@ -1,0 +1,257 @@
+"""Camera files: axes, intrinsics, names, round trip, and one clear error for each thing that can be wrong."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.camera_json import load_cameras, save_cameras
+from lumisplat.scene.camera import Camera
+from support.files.mesh_files import png_bytes
+
+IDENTITY = np.eye(4).tolist()
+FRAME: dict[str, Any] = {"file_path": "images/0001.png", "transform_matrix": IDENTITY}
+FILE: dict[str, Any] = {"w": 8, "h": 6, "fl_x": 10.0, "fl_y": 11.0, "cx": 4.5, "cy": 2.5, "frames": [FRAME]}
+INRIA = {
+    "id": 0,
+    "img_name": "00001",
+    "width": 8,
+    "height": 6,
+    "position": [1, 2, 3],
+    "rotation": [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
+    "fx": 10.0,
+    "fy": 11.0,
+}
+
+
+def load(tmp_path: Path, content: object) -> list[Camera]:
+    """Writes the content as JSON and loads it."""
+    (tmp_path / "cameras.json").write_text(content if isinstance(content, str) else json.dumps(content))
+    return load_cameras(tmp_path / "cameras.json")
+
+
+def test_nerfstudio_axes(tmp_path: Path) -> None:
+    """An OpenGL camera at the identity looks along -z with +y up: image x is world x, image y is world -y."""
+    (camera,) = load(tmp_path, FILE)
+    np.testing.assert_array_equal(camera.camera_from_world[:3, :3], np.diag([1, -1, -1]))
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (8, 6, 10, 11, 4.5, 2.5)
+    assert camera.name == "0001"
+
+
+def test_inria_axes(tmp_path: Path) -> None:
+    """The columns of INRIA's rotation are the camera's x, y, z axes in the world, and the position is its eye."""
+    (camera,) = load(tmp_path, [INRIA])
+    np.testing.assert_allclose(camera.eye, (1, 2, 3), atol=1e-12)
+    forward_x = camera.camera_from_world @ (1 + 5, 2, 3, 1)  # rotation's third column is world +x
+    np.testing.assert_allclose(forward_x, (0, 0, 5, 1), atol=1e-12)
+    assert (camera.cx, camera.cy) == (4, 3)
+
+
+def test_frames_override_the_file(tmp_path: Path) -> None:
+    """Intrinsics of a frame win over those of the file, and order and names are the file's."""
+    frames = [FRAME, {**FRAME, "file_path": "images/0000.png", "w": 16, "fl_x": 20.0}]
+    first, second = load(tmp_path, {**FILE, "frames": frames})
+    assert (first.name, second.name) == ("0001", "0000")
+    assert (first.width, second.width, second.fx, second.fy) == (8, 16, 20.0, 11.0)
+
+
+def test_field_of_view_and_image_size(tmp_path: Path) -> None:
+    """NeRF's synthetic form: size from the image that the frame names, focal length from the angle, centre implied."""
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "r_0.png").write_bytes(png_bytes(np.zeros((30, 40, 3), np.uint8)))
+    content = {"camera_angle_x": 0.5 * math.pi, "frames": [{**FRAME, "file_path": "./train/r_0"}]}
+    (camera,) = load(tmp_path, content)
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
+    assert camera.fx == pytest.approx(20.0)
+    assert camera.fy == pytest.approx(20.0)
+
+
+def test_image_size_of_the_caller(tmp_path: Path) -> None:
+    """Where neither the file nor an image tells a size, that of the caller is taken; it overrides nothing."""
+    (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
+    (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
+    assert camera.fx == pytest.approx(20.0)
+    with pytest.raises(FormatError, match="give --width and --height"):
+        ls.load_cameras(tmp_path / "a.json", width=40)
+    (tmp_path / "b.json").write_text(json.dumps(FILE))
+    assert ls.load_cameras(tmp_path / "b.json", width=40, height=30)[0].width == FILE["w"]
+
+
+def test_names_are_unique(tmp_path: Path) -> None:
+    """Pictures are named after cameras, so equal and missing names are told apart; inner dots stay."""
+    paths = ["a/1.png", "b/1.png", "", "c/view.left"]
+    cameras = load(tmp_path, {**FILE, "frames": [{**FRAME, "file_path": p} for p in paths]})
+    assert [camera.name for camera in cameras] == ["1", "1_2", "frame_00002", "view.left"]
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    """What is saved loads as the same cameras to float precision, in order, with their names."""
+    rng = np.random.default_rng(4)
+    cameras = [
+        replace(
+            Camera.look_at(rng.normal(size=3) * 5, rng.normal(size=3), fov_y=0.3 + k, width=64 + k, name=f"v.{k}"),
+            cx=31.25,
+        )
+        for k in range(3)
+    ]
+    save_cameras(tmp_path / "transforms.json", cameras)
+    for camera, loaded in zip(cameras, load_cameras(tmp_path / "transforms.json"), strict=True):
+        np.testing.assert_allclose(loaded.camera_from_world, camera.camera_from_world, atol=1e-14)
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "name"):
+            assert getattr(loaded, name) == getattr(camera, name)
+
+
+@pytest.mark.parametrize(
+    ("keys", "model"),
+    [
+        ({}, ls.CameraModel.PINHOLE),
+        ({"camera_model": "OPENCV"}, ls.CameraModel.PINHOLE),
+        ({"camera_type": "perspective"}, ls.CameraModel.PINHOLE),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.0, "k4": 0.0}, ls.CameraModel.FISHEYE),
+        ({"is_fisheye": True}, ls.CameraModel.FISHEYE),
+        ({"camera_type": "fisheye"}, ls.CameraModel.FISHEYE),
+        ({"camera_model": "ORTHOPHOTO"}, ls.CameraModel.ORTHOGRAPHIC),
+    ],
+)
+def test_camera_models(tmp_path: Path, keys: dict[str, object], model: ls.CameraModel) -> None:
+    """The names that nerfstudio and instant-ngp give their models; focal lengths mean the same there and here."""
+    (camera,) = load(tmp_path, {**FILE, **keys})
+    assert camera.model is model
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (10, 11, 4.5, 2.5)
+
+
+@pytest.mark.parametrize("model", list(ls.CameraModel))
+def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
+    """Each model comes back as itself, also where nerfstudio looks for it: once, for the whole file."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0), width=20, height=10, fov_y=0.7, model=model)
+    save_cameras(tmp_path / "transforms.json", [camera, camera])
+    saved = json.loads((tmp_path / "transforms.json").read_text())
+    names = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "orthographic": "ORTHOPHOTO"}
+    assert saved["camera_model"] == names[model.value]
+    for loaded in load_cameras(tmp_path / "transforms.json"):
+        np.testing.assert_allclose(loaded.ray_directions(), camera.ray_directions(), atol=1e-15)
+        assert (loaded.model, loaded.fx) == (model, camera.fx)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"aperture": 0.1}, r"camera 1 \(late\) has an aperture"),
+        ({"camera_from_world_end": np.eye(4)}, r"camera 1 \(late\) has a rolling shutter"),
+        ({"model": ls.CameraModel.FISHEYE}, "one model, these are fisheye and pinhole"),
+    ],
+)
+def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    """Nothing is left out in silence: a lens, a rolling shutter and mixed models are named, and no file is written."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0), name="late")
+    with pytest.raises(SceneError, match=message):
+        save_cameras(tmp_path / "transforms.json", [camera, replace(camera, **changes)])
+    assert not list(tmp_path.iterdir())
+
+
+def test_exposures_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """In one line, however many cameras there are; without any nothing is said."""
+    camera = Camera.look_at((1, 2, 3), (0, 0, 0))
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        save_cameras(tmp_path / "plain.json", [camera, camera])
+        assert not caplog.records
+        save_cameras(tmp_path / "bright.json", [replace(camera, exposure=1.0), replace(camera, exposure=2.0)])
+    assert ["cannot hold the exposure" in record.getMessage() for record in caplog.records] == [True]
+    assert load_cameras(tmp_path / "bright.json")[0].exposure == 0.0
+
+
+def test_saving_nothing_is_refused(tmp_path: Path) -> None:
+    """No cameras, no file."""
+    with pytest.raises(SceneError, match="no cameras"):
+        save_cameras(tmp_path / "transforms.json", [])
+    assert not list(tmp_path.iterdir())
+
+
+def test_distortion_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Lens distortion that is not zero gives one log line, however many frames there are."""
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        load(tmp_path, {**FILE, "k1": 0.1, "k2": 0.0, "frames": [FRAME, FRAME]})
+    assert [record.message.rpartition("lens ")[2] for record in caplog.records] == ["distortion (k1) is ignored"]
+
+
+def pose(*diagonal: float) -> dict:
+    """A file whose only frame has this diagonal pose."""
+    return {**FILE, "frames": [{**FRAME, "transform_matrix": np.diag([*diagonal, 1.0]).tolist()}]}
+
+
+def without(content: dict, *names: str) -> dict:
+    """The content less some keys."""
+    return {key: value for key, value in content.items() if key not in names}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", "is empty"),
+        ("{\n\n  nonsense", "invalid JSON at line 3"),
+        ("3", "not a camera file"),
+        ({"a": 1}, "not a camera file"),
+        ([{"a": 1}], "not a camera file"),
+        ([3], "damaged, or not a camera file"),
+        (without(FILE, "frames"), "not a camera file"),
+        ({**FILE, "frames": []}, "has no frames"),
+        ([], "has no frames"),
+        (pose(1, 1, 0), r"frame 0 \(images/0001.png\) has a singular pose"),
+        (pose(1, 2, 1), "frame 0 .* stretches"),
+        (pose(2, 2, 2), "frame 0 .* scaled by 2"),
+        (pose(-1, 1, 1), "frame 0 .* mirrors"),
+        (pose(math.nan, 1, 1), "frame 0 .* expected 4 x 4 finite numbers"),
+        ({**FILE, "frames": [{"file_path": "x"}]}, r"frame 0 \(x\) lacks transform_matrix"),
+        (
+            {**FILE, "frames": [{**FRAME, "transform_matrix": [[1, 2], [3]]}]},
+            r"has transform_matrix \[\[1, 2\], \[3\]\], expected",
+        ),
+        ({**FILE, "frames": [FRAME, 7]}, "frame 1 is 7, expected an object"),
+        ({**FILE, "w": 0}, "frame 0 .* width is 0"),
+        ({**FILE, "h": 0}, "frame 0 .* height is 0"),
+        ({**FILE, "h": -4}, "frame 0 .* height is -4"),
+        ({**FILE, "w": 1e9}, "frame 0 .* width is 1000000000"),
+        ({**FILE, "fl_x": 0}, "frame 0 .* fx is 0"),
+        ({**FILE, "fl_x": None}, "frame 0 .* has fl_x null, expected a number"),
+        ({**FILE, "w": "800"}, 'frame 0 .* has w "800", expected a number'),
+        ({**FILE, "w": None}, "frame 0 .* has w null, expected a number"),
+        ([{**INRIA, "position": "here"}], 'has position "here", expected 3 finite numbers'),
+        ("[" * 100_000, "nested too deeply"),
+        ("\N{BYTE ORDER MARK}ply\n", r"invalid JSON at line 1.* expected transforms\.json or cameras\.json"),
+        (without(FILE, "fl_x"), "frame 0 .* no intrinsics"),
+        (without({**FILE, "camera_angle_x": 4.0}, "fl_x"), "frame 0 .* camera_angle_x 4.0"),
+        (without(FILE, "w"), "frame 0 .* no w and h"),
+        ({**FILE, "camera_model": "EQUIRECTANGULAR"}, 'frame 0 .* has camera_model "EQUIRECTANGULAR", expected one of'),
+        ({**FILE, "camera_type": "equirectangular"}, 'has camera_type "equirectangular", expected one of'),
+        ({**FILE, "camera_model": 7}, "has camera_model 7, expected one of OPENCV"),
+        ({**FILE, "frames": [FRAME, {**FRAME, "camera_model": "FOV"}]}, 'frame 1 .* has camera_model "FOV"'),
+        (without({**FILE, "camera_model": "OPENCV_FISHEYE", "camera_angle_x": 1.0}, "fl_x"), "frame 0 .* lacks fl_x"),
+        ([{**INRIA, "width": 0}], r"frame 0 \(00001\) camera width is 0"),
+        ([INRIA, without(INRIA, "fx")], r"frame 1 \(00001\) lacks fx"),
+        ([{**INRIA, "rotation": np.zeros((3, 3)).tolist()}], "frame 0 .* singular"),
+    ],
+)
+def test_bad_camera_files(tmp_path: Path, content: object, expected: str) -> None:
+    """Every bad camera file is one line that names the file and what is wrong, of which frame."""
+    with pytest.raises(FormatError, match=expected) as raised:
+        load(tmp_path, content)
+    assert str(raised.value).startswith(str(tmp_path / "cameras.json") + ": ")
+    assert "\n" not in str(raised.value)
+
+
+def test_missing_camera_file(tmp_path: Path) -> None:
+    """A path that does not exist, and a folder, say so."""
+    with pytest.raises(FormatError, match="no such file"):
+        load_cameras(tmp_path / "none.json")
+    with pytest.raises(FormatError, match="is a folder"):
+        load_cameras(tmp_path)

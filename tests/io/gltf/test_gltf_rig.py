@@ -1,0 +1,336 @@
+"""Rigs of glTF files: poses against a float64 twin, rigid motion, morphs, several meshes, and files that are broken."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.rig_files import BEND, CARRY, VANISH, TubeRig, quaternion_xyzw
+from support.oracles.rig_oracle import posed, world_matrices
+
+
+def load(rig: TubeRig, folder) -> ls.Rig:
+    """The rig, written and read."""
+    return ls.load_rig(rig.write(folder / "tube.glb"))
+
+
+def random_rig(seed: int) -> TubeRig:
+    """Joints that rest askew, two sets of weights, a bind pose of its own, and a clip of all ways and paths."""
+    rng = np.random.default_rng(seed)
+    rig = TubeRig()
+    count = len(rig.positions)
+    rig.joints = rng.integers(0, 3, (count, 8), dtype=np.uint8)
+    rig.weights = np.where(rng.random((count, 8)) < 0.4, 0.0, rng.random((count, 8))).astype(np.float32)
+    rig.weights[:, 0] += 0.1
+    rig.joint_from_bind = (np.eye(4) + 0.2 * rng.standard_normal((3, 4, 4))).astype(np.float32)
+    rig.joint_from_bind[:, 3] = (0.0, 0.0, 0.0, 1.0)
+    for node in rig.nodes[1:]:
+        node["rotation"] = quaternion_xyzw(tuple(rng.standard_normal(3)), rng.uniform(-90.0, 90.0))
+        node["scale"] = rng.uniform(0.5, 1.5, 3).tolist()
+        node["translation"] = rng.standard_normal(3).tolist()
+    tracks = []
+    for node in (1, 2, 3, 4):
+        for path, width in (("translation", 3), ("rotation", 4), ("scale", 3)):
+            way = str(rng.choice(["LINEAR", "STEP", "CUBICSPLINE"]))
+            times = np.cumsum(rng.uniform(0.1, 0.6, 5)).astype(np.float32)
+            values = rng.standard_normal((5, width))
+            if path == "rotation":
+                values /= np.linalg.norm(values, axis=1, keepdims=True)
+            elif path == "scale":
+                values = np.abs(values) + 0.3
+            if way == "CUBICSPLINE":
+                values = np.stack([rng.standard_normal((5, width)), values, rng.standard_normal((5, width))], 1)
+            tracks.append((node, path, times, values.reshape(-1, width).astype(np.float32), way))
+    rig.clips["all"] = tracks
+    return rig
+
+
+def test_bound_pose_is_the_mesh(tmp_path):
+    """With joints where they were bound, vertices and normals are those of the file, to float32."""
+    rig = TubeRig(clips={"bend": BEND})
+    loaded = load(rig, tmp_path)
+    assert loaded.clips == ("bend",) and loaded.duration() == 1.0
+    for mesh in (loaded.mesh, loaded.pose(0.0)):
+        np.testing.assert_allclose(mesh.positions, rig.positions, atol=1e-6)
+        np.testing.assert_allclose(mesh.normals, rig.normals, atol=1e-6)
+        np.testing.assert_array_equal(mesh.indices, rig.triangles)
+    assert loaded.mesh.material.base_color == pytest.approx((0.8, 0.4, 0.2))
+
+
+def test_a_carried_rig_is_a_rigid_body(tmp_path):
+    """Where the root alone moves, all vertices and normals move as it does."""
+    rig = TubeRig(clips={"carry": CARRY})
+    loaded = load(rig, tmp_path)
+    for time in (0.3, 1.0, 1.9):
+        root = world_matrices(rig, "carry", time)[1]
+        mesh = loaded.pose(time)
+        np.testing.assert_allclose(mesh.positions, rig.positions @ root[:3, :3].T + root[:3, 3], atol=2e-6)
+        np.testing.assert_allclose(mesh.normals, rig.normals @ root[:3, :3].T, atol=2e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_match_the_twin(seed, tmp_path):
+    """Every interpolation of every channel, eight influences a vertex, before, in and after the clip."""
+    rig = random_rig(seed)
+    loaded = load(rig, tmp_path)
+    for time in (-1.0, 0.0, *np.linspace(0.05, loaded.duration("all"), 13), 99.0):
+        positions, normals = posed(rig, "all", float(time))
+        mesh = loaded.pose(float(time), "all")
+        np.testing.assert_allclose(mesh.positions, positions, atol=1e-5 * np.abs(positions).max())
+        # float32 accessors bound what nearly flat joint matrices leave of a normal.
+        np.testing.assert_allclose(mesh.normals, normals, atol=2e-4)
+
+
+def test_the_rest_is_what_load_shows(tmp_path):
+    """`load` and the rig agree on the pose at rest, also where a node mirrors."""
+    rig = random_rig(7)
+    rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
+    loaded = load(rig, tmp_path)
+    shown = ls.load(tmp_path / "tube.glb").meshes[0].mesh
+    np.testing.assert_allclose(loaded.mesh.positions, shown.positions, atol=1e-5)
+    np.testing.assert_allclose(loaded.mesh.normals, shown.normals, atol=1e-5)
+    np.testing.assert_array_equal(loaded.mesh.indices, shown.indices)
+
+
+def test_mirrored_rigs_face_outwards(tmp_path):
+    """A rig whose root mirrors has its triangles turned round, and its normals with them."""
+    rig = TubeRig()
+    rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
+    mesh = load(rig, tmp_path).mesh
+    a, b, c = mesh.positions[mesh.indices].swapaxes(0, 1)
+    faces = np.cross(b - a, c - a)
+    outwards = (a + b + c) * (1.0, 0.0, 1.0)
+    assert ((faces * outwards).sum(axis=1) > 0.0).all()
+    assert ((mesh.normals * mesh.positions)[:, [0, 2]].sum(axis=1) > 0.0).all()
+
+
+def test_meshes_without_a_skin_follow_their_node(tmp_path):
+    """A mesh that a node alone moves is a rig as well: its vertices go where the node takes them."""
+    rig = TubeRig(joints=None, weights=None, clips={"go": [(0, *CARRY[0][1:]), (0, *CARRY[1][1:])]})
+    del rig.nodes[0]["skin"]
+    loaded = load(rig, tmp_path)
+    node = world_matrices(rig, "go", 1.3)[0]
+    np.testing.assert_allclose(loaded.pose(1.3).positions, rig.positions @ node[:3, :3].T + node[:3, 3], atol=2e-6)
+
+
+def test_morph_weights_are_animated(tmp_path):
+    """Targets add by weight, before the joints pose; without a clip, by the weights of the mesh."""
+    rng = np.random.default_rng(3)
+    rig = TubeRig()
+    rig.targets = list(rng.standard_normal((2, *rig.positions.shape)).astype(np.float32))
+    rig.clips["talk"] = [(0, "weights", [0.0, 1.0], np.array([0.0, 1.0, 1.0, 0.5], np.float32))]
+    loaded = load(rig, tmp_path)
+    np.testing.assert_allclose(loaded.mesh.positions, rig.positions, atol=1e-6)
+    wanted = rig.positions + 0.25 * rig.targets[0] + 0.875 * rig.targets[1]
+    np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
+
+
+def two_primitives(rig: TubeRig, same_material: bool):
+    """The tube twice in one mesh, the copy without its first triangle."""
+    gltf = rig.gltf()
+    first = gltf.json["meshes"][0]["primitives"][0]
+    material = 0 if same_material else gltf.add("materials", name="other")
+    less = gltf.accessor(rig.triangles[1:].reshape(-1))
+    gltf.json["meshes"][0]["primitives"].append({**first, "indices": less, "material": material})
+    return gltf
+
+
+def test_primitives_of_one_material_are_one_mesh(tmp_path):
+    """Those of one material are joined; others are meshes of their own, which `poses` gives and `pose` refuses."""
+    rig = TubeRig(clips={"bend": BEND})
+    count, faces = len(rig.positions), len(rig.triangles)
+    (tmp_path / "one.glb").write_bytes(two_primitives(rig, True).glb())
+    one = ls.load_rig(tmp_path / "one.glb").pose(0.5)
+    assert (one.vertex_count, one.face_count) == (2 * count, 2 * faces - 1)
+    np.testing.assert_array_equal(one.positions[:count], one.positions[count:])
+    (tmp_path / "two.glb").write_bytes(two_primitives(rig, False).glb())
+    two = ls.load_rig(tmp_path / "two.glb")
+    assert [mesh.material.name for mesh in two.poses(0.5)] == ["skin", "other"]
+    assert [mesh.face_count for mesh in two.meshes] == [faces, faces - 1]
+    with pytest.raises(ls.SceneError, match=r"2 meshes of different materials: use rig\.poses\(time\)"):
+        two.pose(0.5)
+    with pytest.raises(ls.SceneError, match=r"use rig\.meshes"):
+        _ = two.mesh
+
+
+def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
+    """A rig that has shrunk away has no meshes at that time, and says so where one is asked for."""
+    loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
+    assert loaded.poses(1.0) == ()
+    with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to nothing"):
+        loaded.pose(1.0)
+
+
+def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
+    """Poses share their triangles, by which shadow maps know a surface again, also where some are left out."""
+    rig = TubeRig(clips={"bend": BEND})
+    rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
+    read = load(rig, tmp_path)
+    early, late = read.pose(0.25), read.pose(0.75)
+    assert len(early.indices) == len(rig.triangles) - 1
+    assert early.indices is late.indices
+
+
+def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
+    """A mesh that its node hides by a scale of 0 is left out with a line; a rig of nothing else is refused."""
+    rig = TubeRig(clips={"bend": BEND})
+    rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
+    gltf = rig.gltf()
+    alone = {**gltf.json["meshes"][0]["primitives"][0], "material": gltf.add("materials", name="other")}
+    gltf.json["nodes"][-1]["mesh"] = gltf.add("meshes", primitives=[alone], name="hat")
+    (tmp_path / "two.glb").write_bytes(gltf.glb())
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert ls.load_rig(tmp_path / "two.glb").mesh.material.name == "skin"
+    assert "mesh 'hat' left out: at rest it has no triangles with an area" in caplog.text
+    rig.nodes[1]["scale"] = [0.0, 0.0, 0.0]
+    with pytest.raises(ls.FormatError, match="has no triangles with an area at rest"):
+        load(rig, tmp_path)
+
+
+def test_clips_are_chosen_by_name(tmp_path):
+    """The first clip is the default; another name is refused with those there are."""
+    loaded = load(TubeRig(clips={"bend": BEND, "carry": CARRY}), tmp_path)
+    assert loaded.duration("carry") == 2.0
+    np.testing.assert_array_equal(loaded.pose(0.5).positions, loaded.pose(0.5, "bend").positions)
+    assert np.abs(loaded.pose(0.5).positions - loaded.pose(0.5, "carry").positions).max() > 0.1
+    with pytest.raises(ls.SceneError, match="the rig has no clip 'run', it has 'bend', 'carry'"):
+        loaded.pose(0.0, "run")
+    for time in (np.nan, np.inf, "now"):
+        with pytest.raises(ls.SceneError, match="time is"):
+            loaded.pose(time)
+
+
+def test_rigs_without_clips_stand_still(tmp_path):
+    """A skin without animation is posed at rest at any time, and has no duration."""
+    loaded = load(TubeRig(), tmp_path)
+    np.testing.assert_array_equal(loaded.pose(5.0).positions, loaded.mesh.positions)
+    with pytest.raises(ls.SceneError, match="the rig has no clips"):
+        loaded.duration()
+
+
+def without_skin(rig: TubeRig) -> None:
+    """Neither skin nor weights."""
+    del rig.nodes[0]["skin"]
+    rig.joints = rig.weights = None
+
+
+def keys(rig: TubeRig, path: str, times: list, values: list, way: str = "LINEAR", node: int = 3) -> None:
+    """One track."""
+    rig.clips["clip"] = [(node, path, times, values, way)]
+
+
+def unweighted(rig: TubeRig, value: float) -> None:
+    """All weights of two vertices replaced."""
+    rig.weights[[3, 5]] = value
+
+
+def broken_bind(rig: TubeRig) -> None:
+    """A matrix that is not finite."""
+    rig.joint_from_bind = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))
+    rig.joint_from_bind[1, 0, 0] = np.nan
+
+
+NAN, VALUES = float("nan"), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+BROKEN = [
+    (without_skin, "is no rig: it has neither a skin nor an animation"),
+    (lambda rig: setattr(rig, "joints", None), "has no skin weights: expected JOINTS_0 and WEIGHTS_0"),
+    (lambda rig: setattr(rig, "weights", None), "needs JOINTS_0 and WEIGHTS_0 for each vertex"),
+    (lambda rig: unweighted(rig, 0.0), "is skinned, but 2 vertices have no weight"),
+    (lambda rig: unweighted(rig, NAN), "2 vertices have skin weights that are negative or not finite"),
+    (lambda rig: unweighted(rig, -1.0), "2 vertices have skin weights that are negative or not finite"),
+    (lambda rig: rig.joints.__setitem__((0, 0), 9), "uses joint 9, but its skin has 3"),
+    (broken_bind, "skins[0]: 1 of 3 inverse bind matrices are not finite"),
+    (lambda rig: keys(rig, "translation", [0, 1], [[0, 0, NAN], [NAN, 0, 0]]), "2 of 6 key values are not finite"),
+    (lambda rig: keys(rig, "translation", [0, NAN], VALUES), "1 of 2 key times are not finite"),
+    (lambda rig: keys(rig, "translation", [1, 0], VALUES), "key times must rise, but 0 follows 1 s"),
+    (lambda rig: keys(rig, "translation", [0, 1, 2], VALUES), "has 2 values for 3 keys, expected 3"),
+    (lambda rig: keys(rig, "scale", [0, 1], VALUES, "CUBICSPLINE"), "has 2 values for 2 keys, expected 6"),
+    (lambda rig: keys(rig, "scale", [0, 1], VALUES, "QUINTIC"), "expected one of STEP, LINEAR, CUBICSPLINE"),
+    (lambda rig: keys(rig, "rotation", [0], [[0.0, 0.0, 0.0, 0.0]]), "1 rotations have zero length"),
+    (lambda rig: keys(rig, "rotation", [0], [[0.0, 0.0, 0.0]]), "expected VEC4"),
+    (lambda rig: keys(rig, "scale", [0, 1], VALUES, node=77), "refers to nodes[77]"),
+    (lambda rig: keys(rig, "weights", [0], [[1.0]][0], node=0), "a mesh without morph targets"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("breaks", "problem"), BROKEN, ids=[problem[:40] for _, problem in BROKEN])
+def test_broken_rigs_are_refused(breaks, problem, tmp_path):
+    """One line that names the file and the item, and counts what is not finite."""
+    rig = TubeRig()
+    breaks(rig)
+    with pytest.raises(ls.FormatError) as caught:
+        load(rig, tmp_path)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "tube.glb")) and "\n" not in message
+    assert problem in message
+
+
+def test_damaged_rigs_are_refused_or_read(tmp_path):
+    """Random bytes anywhere give one line, or a rig that can be posed; nothing else."""
+    rng = np.random.default_rng(0)
+    data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
+    refused = 0
+    for _ in range(80):
+        damaged = bytearray(data)
+        for at in rng.integers(20, len(damaged), 3):
+            damaged[at] = rng.integers(0, 256)
+        (tmp_path / "tube.glb").write_bytes(bytes(damaged))
+        try:
+            loaded = ls.load_rig(tmp_path / "tube.glb")
+            for clip in loaded.clips:
+                loaded.poses(0.4, clip)
+        except ls.FormatError as error:
+            assert "\n" not in str(error)
+            refused += 1
+        except ls.SceneError as error:  # a pose beyond float32
+            assert "non-finite" in str(error)
+    assert 10 < refused < 80
+
+
+def test_other_kinds_of_files_are_no_rigs(tmp_path):
+    """By their names, before what is in them is taken for a glTF that breaks off; capital letters are fine."""
+    (tmp_path / "spot.obj").write_text("v 0 0 0\n")
+    with pytest.raises(
+        ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
+    ):
+        ls.load_rig(tmp_path / "spot.obj")
+    assert ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
+
+
+def test_a_matrix_is_not_animated(tmp_path):
+    """A node that is given as a matrix has no parts that a clip could move."""
+    rig = TubeRig(clips={"bend": BEND})
+    rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
+    with pytest.raises(ls.FormatError, match=r"moves nodes\[3\], which has a matrix"):
+        load(rig, tmp_path)
+
+
+def test_colours_that_are_none_are_told_and_left_out(tmp_path, caplog):
+    """Vertex colours multiply the base colour, as the format says; nearly black ones are told, and can be left out."""
+    rig = TubeRig()
+    rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
+    path = rig.write(tmp_path / "tube.glb")
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert not ls.load_rig(path).mesh.colors.any()
+    assert "COLOR_0 makes 100 % of the vertices of 'tube' black" in caplog.text
+    caplog.clear()
+    assert ls.load_rig(path, vertex_colors=False).mesh.colors is None
+    assert not caplog.records
+
+
+@pytest.mark.data
+def test_the_walker_walks(data_dir):
+    """The real avatar: one clip, which ends as it begins, and moves in between; at rest it is what `load` shows."""
+    path = data_dir / "avatars" / "walk.glb"
+    rig = ls.load_rig(path, vertex_colors=False)
+    assert len(rig.clips) == 1
+    assert rig.duration() == pytest.approx(29.0 / 30.0)
+    first, middle, last = (rig.pose(share * rig.duration()).positions for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(first, last, atol=1e-5)
+    assert 0.02 < np.abs(middle - first).max() < 0.2
+    shown = ls.load(path).meshes[0].mesh
+    np.testing.assert_allclose(rig.mesh.positions, shown.positions, atol=1e-6)
+    np.testing.assert_allclose(rig.mesh.normals, shown.normals, atol=1e-6)

@@ -1,0 +1,305 @@
+"""glTF: hierarchy, accessors in all their forms, materials, textures, skins; the real files load."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lumisplat.io.gltf.scene import read_gltf
+from lumisplat.io.gltf.textures import Placement
+from lumisplat.scene.scene import MeshInstance, Scene
+from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
+
+
+def read(tmp_path: Path, gltf: Gltf) -> Scene:
+    """Writes the document as GLB and reads it."""
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    return read_gltf(tmp_path / "a.glb")
+
+
+def one(scene: Scene) -> MeshInstance:
+    """The only mesh instance."""
+    assert len(scene.meshes) == 1
+    return scene.meshes[0]
+
+
+@pytest.mark.parametrize("container", ["glb", "data uri", "external"])
+def test_quad_with_texture(tmp_path: Path, container: str) -> None:
+    """Geometry, factors and texture come through every container unchanged."""
+    gltf = quad_gltf()
+    if container == "glb":
+        instance = one(read(tmp_path, gltf))
+    else:
+        (tmp_path / "my data.bin").write_bytes(gltf.data)
+        (tmp_path / "a.gltf").write_bytes(gltf.gltf("my%20data.bin" if container == "external" else None))
+        instance = one(read_gltf(tmp_path / "a.gltf"))
+    mesh = instance.mesh
+    np.testing.assert_array_equal(mesh.positions, QUAD)
+    np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
+    np.testing.assert_array_equal(mesh.uvs, QUAD_UVS)
+    np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
+    assert mesh.material.base_color == (0.5, 0.25, 1.0)
+    assert (mesh.material.metallic, mesh.material.roughness) == (0.25, 0.75)
+    assert instance.name == "quad"
+
+
+def test_image_beside_the_file(tmp_path: Path) -> None:
+    """A texture may be a file of its own."""
+    gltf = quad_gltf()
+    gltf.json["images"] = [{"uri": "paint.png"}]
+    (tmp_path / "paint.png").write_bytes(png_bytes())
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
+
+
+def test_parents_then_children(tmp_path: Path) -> None:
+    """A child's TRS applies before its parent's column-major matrix."""
+    half = np.sqrt(0.5)
+    gltf = quad_gltf(translation=[1, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
+    matrix = np.diag([1.0, 1.0, -1.0, 1.0])
+    matrix[:3, 3] = (0, 0, 5)
+    gltf.add("nodes", children=[0], matrix=matrix.T.reshape(-1).tolist())
+    gltf.add("scenes", nodes=[1])
+    world_from_object = one(read(tmp_path, gltf)).transform
+    # (1, 0, 0): doubled, turned a quarter from x to y, moved by 1 in x; then the parent.
+    np.testing.assert_allclose(world_from_object @ (1, 0, 0, 1), (1, 2, 5, 1), atol=1e-12)
+    np.testing.assert_allclose(world_from_object @ (0, 1, 1, 1), (0, 0, 4, 1), atol=1e-12)
+
+
+def test_shared_mesh_is_read_once(tmp_path: Path) -> None:
+    """Two nodes with one mesh are two instances of the same object, so that it is uploaded once."""
+    gltf = quad_gltf()
+    gltf.add("nodes", mesh=0, translation=[3, 0, 0])
+    first, second = read(tmp_path, gltf).meshes
+    assert first.mesh is second.mesh
+
+
+def test_only_the_default_scene(tmp_path: Path) -> None:
+    """Nodes of other scenes, and nodes scaled to nothing, are not shown."""
+    gltf = quad_gltf()
+    gltf.add("nodes", mesh=0, scale=[0, 0, 0])
+    gltf.add("nodes", mesh=0, name="shown")
+    gltf.json |= {"scenes": [{"nodes": [0]}, {"nodes": [1, 2]}], "scene": 1}
+    assert one(read(tmp_path, gltf)).name == "shown"
+
+
+@pytest.mark.parametrize(
+    ("mode", "corners", "triangles"),
+    [(5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]), (6, [0, 1, 2, 3], [(0, 1, 2), (0, 2, 3)])],
+)
+def test_strips_and_fans(tmp_path: Path, mode: int, corners: list, triangles: list) -> None:
+    """Strips and fans become triangles of one winding."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["meshes"][0]["primitives"][0] |= {"mode": mode, "indices": gltf.accessor(np.array(corners, np.uint8))}
+    mesh = one(read(tmp_path, gltf)).mesh
+    np.testing.assert_array_equal(mesh.indices, triangles)
+    a, b, c = (mesh.positions[mesh.indices[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
+
+
+def test_interleaved_normalised_and_sparse_accessors(tmp_path: Path) -> None:
+    """Strides, offsets, normalised integers and sparse replacements are decoded as section 3.6.2 says."""
+    gltf = quad_gltf(textured=False)
+    rows = b"".join(struct.pack("<3f4B", *p, 255, 51, 0, 255) for p in QUAD)
+    view = gltf.view(rows, byteStride=16)
+    positions = gltf.add(
+        "accessors",
+        bufferView=view,
+        componentType=5126,
+        type="VEC3",
+        count=4,
+        sparse={
+            "count": 1,
+            "indices": {"bufferView": gltf.view(np.array([2], np.uint16).tobytes()), "componentType": 5123},
+            "values": {"bufferView": gltf.view(np.array([7, 8, 9], np.float32).tobytes())},
+        },
+    )
+    colors = gltf.add(
+        "accessors", bufferView=view, byteOffset=12, componentType=5121, type="VEC4", count=4, normalized=True
+    )
+    gltf.json["meshes"][0]["primitives"][0]["attributes"] = {"POSITION": positions, "COLOR_0": colors}
+    mesh = one(read(tmp_path, gltf)).mesh
+    np.testing.assert_array_equal(mesh.positions, [QUAD[0], QUAD[1], (7, 8, 9), QUAD[3]])
+    np.testing.assert_allclose(mesh.colors, [(1.0, 0.2, 0.0)] * 4)
+
+
+def test_quantized_positions(tmp_path: Path) -> None:
+    """KHR_mesh_quantization: signed normalised integers reach -1 at both of their lowest values."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["extensionsRequired"] = ["KHR_mesh_quantization"]
+    stored = np.array([(-128, 0, 0), (127, 0, 0), (0, -127, 0), (0, 127, 0)], np.int8)
+    attributes = {"POSITION": gltf.accessor(stored, normalized=True)}
+    gltf.json["meshes"][0]["primitives"][0]["attributes"] = attributes
+    expected = [(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.positions, expected)
+
+
+def test_texture_transform_turns_counter_clockwise() -> None:
+    """A quarter turn takes +u to -v, which points up in the image; scale comes first, offset last."""
+    uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
+    turned = Placement(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).applied(uvs)
+    np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
+
+
+def test_texture_uses_its_own_uv_set(tmp_path: Path) -> None:
+    """The base colour texture's texCoord selects the set."""
+    gltf = quad_gltf()
+    gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
+    attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["TEXCOORD_1"] = gltf.accessor(QUAD_UVS * np.float32(0.5))
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.uvs, QUAD_UVS * 0.5)
+
+
+def test_material_extensions_and_defaults(tmp_path: Path) -> None:
+    """Refraction index and specular are read; a primitive without material gets glTF's default."""
+    gltf = quad_gltf(textured=False)
+    extensions = {"KHR_materials_ior": {"ior": 1.33}, "KHR_materials_specular": {"specularFactor": 0.4}}
+    gltf.json["materials"][0]["extensions"] = extensions
+    primitive = gltf.json["meshes"][0]["primitives"][0]
+    bare = {key: value for key, value in primitive.items() if key != "material"}
+    gltf.json["meshes"][0]["primitives"].append(bare)
+    first, second = read(tmp_path, gltf).meshes
+    assert (first.mesh.material.ior, first.mesh.material.specular) == (1.33, 0.4)
+    assert second.mesh.material.base_color == (1.0, 1.0, 1.0)
+
+
+GLASS = {
+    "KHR_materials_transmission": {"transmissionFactor": 0.75},
+    "KHR_materials_ior": {"ior": 1.45},
+    "KHR_materials_volume": {"thicknessFactor": 0.01},
+}
+
+
+def test_glass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A solid that transmits is read without a word; factors left out are those of the extensions."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["materials"][0] = {
+        "extensions": GLASS,
+        "pbrMetallicRoughness": {"roughnessFactor": 0, "metallicFactor": 0},
+    }
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = one(read(tmp_path, gltf)).mesh.material
+        assert (material.transmission, material.ior, material.roughness) == (0.75, 1.45, 0.0)
+        gltf.json["materials"][0]["extensions"] = {"KHR_materials_transmission": {}, "KHR_materials_ior": {}}
+        material = one(read(tmp_path, gltf)).mesh.material
+        assert (material.transmission, material.ior, material.specular) == (0.0, 1.5, 1.0)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        (
+            {"KHR_materials_volume": {}},
+            "1 thin-walled materials bend light as solid bodies do, .* (first materials[0] 'painted')",
+        ),
+        ({"KHR_materials_volume": {"thicknessFactor": 0}}, "1 thin-walled"),
+        (
+            {"KHR_materials_transmission": {"transmissionFactor": 1.0, "transmissionTexture": {"index": 0}}},
+            "transmissionTexture and attenuation of 1 materials are not read (first materials[0] 'painted')",
+        ),
+        (
+            {"KHR_materials_volume": {"thicknessFactor": 1, "attenuationDistance": 2}},
+            "transmissionTexture and attenuation of 1 materials",
+        ),
+    ],
+)
+def test_what_is_lost_of_glass_is_announced(
+    tmp_path: Path, changes: dict, line: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Thin walls, and transmission that varies over the surface or with depth, give a line each."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["materials"][0]["extensions"] = GLASS | changes
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert one(read(tmp_path, gltf)).mesh.material.ior == 1.45
+    (record,) = caplog.records
+    for part in line.split(".*"):
+        assert part in record.message
+
+
+def test_unread_materials_are_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Transparency gives one line for the whole file; else there is none."""
+    gltf = quad_gltf()
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        read(tmp_path, gltf)
+        assert not caplog.records
+        gltf.json["materials"][0]["alphaMode"] = "MASK"
+        gltf.add("materials", name="leaf", alphaMode="BLEND")
+        read(tmp_path, gltf)
+    (transparent,) = (record.message for record in caplog.records)
+    assert "2 transparent materials are drawn opaque (first materials[0] 'painted')" in transparent
+
+
+def test_texture_is_opaque(tmp_path: Path) -> None:
+    """An alpha channel that is not used does not reach the scene."""
+    gltf = quad_gltf()
+    rgba = np.dstack([TEXELS, np.full((2, 2), 7, np.uint8)])
+    gltf.json["images"][0]["bufferView"] = gltf.view(png_bytes(rgba))
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
+
+
+def test_texture_without_coordinates_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A texture whose set of coordinates the primitive lacks is dropped with a log line."""
+    gltf = quad_gltf()
+    del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert one(read(tmp_path, gltf)).mesh.material.base_color_texture is None
+    assert ["the texture of 'painted' is left out" in record.message for record in caplog.records] == [True]
+
+
+def test_skin_poses_the_mesh_once(tmp_path: Path) -> None:
+    """Vertices follow joint pose times inverse bind matrix, blended; the mesh node's own transform is ignored."""
+    gltf = quad_gltf(textured=False, translation=[100, 0, 0], skin=0)
+    attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["NORMAL"] = gltf.accessor(np.array([(0, 0, 1)] * 4, np.float32))
+    attributes["JOINTS_0"] = gltf.accessor(np.array([(0, 1, 0, 0)] * 4, np.uint8))
+    weights = np.array([(1, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0.5, 0.5, 0, 0)], np.float32)
+    attributes["WEIGHTS_0"] = gltf.accessor(weights)
+    bind = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
+    bind[1, :3, 3] = (-1, 0, 0)
+    half = np.sqrt(0.5)
+    gltf.add("nodes", translation=[0, 0, 2], children=[2])
+    gltf.add("nodes", translation=[1, 0, 0], rotation=[half, 0, 0, half])  # y to z about x
+    gltf.add("skins", joints=[1, 2], inverseBindMatrices=gltf.accessor(bind))
+    instance = one(read(tmp_path, gltf))
+    np.testing.assert_array_equal(instance.transform, np.eye(4))
+    expected = [(0, 0, 2), (1, 0, 2), (1, 0, 3), (0, 0.5, 2.5)]
+    np.testing.assert_allclose(instance.mesh.positions, expected, atol=1e-6)
+    assert instance.mesh.normals is not None
+    np.testing.assert_allclose(instance.mesh.normals[:3], [(0, 0, 1), (0, 0, 1), (0, -1, 0)], atol=1e-6)
+
+
+def test_morph_targets_at_default_weights(tmp_path: Path) -> None:
+    """Offsets of the morph targets are added with the mesh's weights."""
+    gltf = quad_gltf(textured=False)
+    offsets = gltf.accessor(np.array([(0, 0, 4)] * 4, np.float32))
+    gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": offsets}]
+    gltf.json["meshes"][0]["weights"] = [0.25]
+    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.positions, QUAD + np.float32([0, 0, 1]))
+
+
+def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
+    """A normal of zero length becomes that of the triangles around it, not NaN."""
+    gltf = quad_gltf(textured=False)
+    normals = gltf.accessor(np.array([(0, 0, 0), (0, 3, 0), (0, 0, 0), (1, 0, 0)], np.float32))
+    gltf.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
+    np.testing.assert_allclose(one(read(tmp_path, gltf)).mesh.normals, [(0, 0, 1), (0, 1, 0), (0, 0, 1), (1, 0, 0)])
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "instances", "faces"),
+    [("meshes/Duck.glb", 1, 4212), ("meshes/statue.glb", 5, 16259), ("avatars/walk.glb", 1, 6050)],
+)
+def test_real_files(data_dir: Path, name: str, instances: int, faces: int) -> None:
+    """Real exports load with their textures, unit normals, and stand upright: y is the tallest side."""
+    scene = read_gltf(data_dir / name)
+    assert (len(scene.meshes), scene.face_count) == (instances, faces)
+    for instance in scene.meshes:
+        assert instance.mesh.material.base_color_texture is not None
+        np.testing.assert_allclose(np.linalg.norm(instance.mesh.normals, axis=1), 1.0, atol=1e-5)
+    low, high = scene.bounds()
+    assert name == "meshes/Duck.glb" or np.argmax(high - low) == 1

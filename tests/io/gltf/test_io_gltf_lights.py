@@ -1,0 +1,143 @@
+"""KHR_lights_punctual: what a light is, where its node puts it, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.mesh_files import Gltf, quad_gltf
+
+HALF = math.sqrt(0.5)
+TURN_DOWN = [-HALF, 0.0, 0.0, HALF]
+"""xyzw: a quarter turn about x that takes -z to -y."""
+
+
+def lamp(light: dict[str, Any], **node: Any) -> Gltf:
+    """A document of one light and nothing else."""
+    gltf = Gltf()
+    gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [light]}}
+    gltf.json["extensionsUsed"] = ["KHR_lights_punctual"]
+    gltf.add("nodes", extensions={"KHR_lights_punctual": {"light": 0}}, **node)
+    return gltf
+
+
+def read(tmp_path: Path, gltf: Gltf) -> ls.Scene:
+    """The scene of a document."""
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    scene = ls.load(tmp_path / "a.glb")
+    assert isinstance(scene, ls.Scene)
+    return scene
+
+
+def test_a_point_light(tmp_path: Path) -> None:
+    """Colour, candela and range are the file's; a file of lights alone loads."""
+    light = {"type": "point", "color": [1.0, 0.5, 0.25], "intensity": 40.0, "range": 7.0, "name": "bulb"}
+    scene = read(tmp_path, lamp(light, translation=[1, 2, 3]))
+    assert not scene.meshes
+    (point,) = scene.lights
+    assert isinstance(point, ls.LightPoint)
+    assert point.position == (1.0, 2.0, 3.0)
+    assert (point.color, point.intensity, point.range, point.name) == ((1.0, 0.5, 0.25), 40.0, 7.0, "bulb")
+    assert point.radius == 0.0 and point.enabled and point.casts_shadow
+
+
+def test_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
+    """White, 1 candela, no end, and a cone that fades from its axis to 45 degrees."""
+    (spot,) = read(tmp_path, lamp({"type": "spot", "spot": {}})).lights
+    assert isinstance(spot, ls.LightSpot)
+    assert (spot.color, spot.intensity, spot.range) == ((1.0, 1.0, 1.0), 1.0, math.inf)
+    assert (spot.inner_angle, spot.outer_angle) == (0.0, math.pi / 4)
+    assert spot.direction == (0.0, 0.0, -1.0)
+
+
+@pytest.mark.parametrize("scale", [[1, 1, 1], [3, 3, 3], [1, 2, 5]])
+def test_nodes_place_a_spot(tmp_path: Path, scale: list[float]) -> None:
+    """It shines along the node's -z from its origin; scales move it, and change neither intensity nor range."""
+    light = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
+    gltf = lamp(light, translation=[0, 1, 0], rotation=TURN_DOWN, name="over the table")
+    gltf.add("nodes", children=[0], translation=[10, 0, 0], scale=scale, rotation=[0, 0, 1, 0])
+    (spot,) = read(tmp_path, gltf).lights
+    assert isinstance(spot, ls.LightSpot)
+    # The parent is turned by half about z: its y points down, so that the spot, 1 above it, hangs below and shines up.
+    np.testing.assert_allclose(spot.position, (10.0, -scale[1], 0.0), atol=1e-12)
+    np.testing.assert_allclose(spot.direction, (0.0, 1.0, 0.0), atol=1e-12)
+    assert (spot.intensity, spot.range, spot.name) == (9.0, 4.0, "over the table")
+    assert (spot.inner_angle, spot.outer_angle) == (0.1, 0.5)
+
+
+def test_the_sun(tmp_path: Path) -> None:
+    """A directional light has lux and a direction, and no position."""
+    (sun,) = read(tmp_path, lamp({"type": "directional", "intensity": 5.0}, rotation=TURN_DOWN)).lights
+    assert isinstance(sun, ls.LightDirectional)
+    np.testing.assert_allclose(sun.direction, (0.0, -1.0, 0.0), atol=1e-12)
+    assert sun.intensity == 5.0
+
+
+def test_lights_beside_meshes(tmp_path: Path) -> None:
+    """Meshes and lights of one file; nodes may share a light; other scenes and nodes scaled to nothing give none."""
+    gltf = quad_gltf()
+    gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}, {"type": "directional"}]}}
+    for which, keys in enumerate([{"translation": [1, 0, 0]}, {"translation": [2, 0, 0]}, {"scale": [0, 0, 0]}, {}]):
+        gltf.add("nodes", extensions={"KHR_lights_punctual": {"light": int(which == 3)}}, **keys)
+    gltf.json |= {"scenes": [{"nodes": [0, 1, 2, 3]}], "scene": 0}
+    scene = read(tmp_path, gltf)
+    assert len(scene.meshes) == 1
+    assert [light.position[0] for light in scene.lights] == [1.0, 2.0]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("light", "message"),
+    [
+        ({"type": "point", "intensity": -3.0}, r"lights\[0\] 'bulb': intensity is -3.0, expected a number at least 0"),
+        ({"type": "point", "intensity": "bright"}, r"lights\[0\] 'bulb': intensity is bright"),
+        ({"type": "point", "intensity": math.nan}, r"lights\[0\] 'bulb': intensity is nan"),
+        ({"type": "point", "color": [1, -1, 0]}, r"lights\[0\] 'bulb': color is .* expected no negative"),
+        ({"type": "point", "color": [1, 1]}, r"lights\[0\] 'bulb': color has shape \(2,\), expected three numbers"),
+        ({"type": "point", "range": 0.0}, r"lights\[0\] 'bulb': range is 0.0, expected a number above 0"),
+        ({"type": "area"}, r"lights\[0\] 'bulb': type is 'area', expected point, spot or directional"),
+        ({}, r"lights\[0\] 'bulb': type is None"),
+        (
+            {"type": "spot", "spot": {"innerConeAngle": 0.9, "outerConeAngle": 0.5}},
+            r"lights\[0\] 'bulb': a spot's inner_angle is 0.9 and its outer_angle 0.5, expected 0 <= inner < outer",
+        ),
+        ({"type": "spot", "spot": {"outerConeAngle": 3.0}}, r"lights\[0\] 'bulb': .* outer_angle 3, expected"),
+        ({"type": "spot", "spot": {"innerConeAngle": -0.1}}, r"lights\[0\] 'bulb': inner_angle is -0.1"),
+    ],
+)
+def test_wrong_lights_are_refused(tmp_path: Path, light: dict[str, Any], message: str) -> None:
+    """In one line that names the file and the light."""
+    with pytest.raises(ls.FormatError, match=message) as caught:
+        read(tmp_path, lamp({"name": "bulb", **light}))
+    assert str(caught.value).startswith(f"{tmp_path / 'a.glb'}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("node", "message"),
+    [
+        ({"extensions": {"KHR_lights_punctual": {"light": 4}}}, r"nodes\[0\] refers to lights\[4\], but there are 1"),
+        ({"extensions": {"KHR_lights_punctual": {"light": -1}}}, r"nodes\[0\] refers to lights\[-1\]"),
+        ({"extensions": {"KHR_lights_punctual": {}}}, r"nodes\[0\] refers to lights\[None\]"),
+        ({"translation": [0, math.nan, 0]}, r"nodes\[0\] has translation .* expected 3 finite numbers"),
+        ({"children": [0]}, r"nodes\[0\] is its own ancestor"),
+    ],
+)
+def test_wrong_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: str) -> None:
+    """Bad references, NaN in a transform and a node that is its own ancestor are one line each."""
+    gltf = lamp({"type": "point"})
+    gltf.json["nodes"][0] |= node
+    with pytest.raises(ls.FormatError, match=message):
+        read(tmp_path, gltf)
+
+
+def test_a_file_of_nothing_is_refused(tmp_path: Path) -> None:
+    """Neither mesh nor light nor camera."""
+    gltf = Gltf()
+    gltf.add("nodes", name="empty")
+    with pytest.raises(ls.FormatError, match="no triangle mesh, light or camera"):
+        read(tmp_path, gltf)

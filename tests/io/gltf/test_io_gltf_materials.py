@@ -1,0 +1,159 @@
+"""glTF materials whole: every texture, emission, unlit ones; which textures one set of coordinates can place."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.io.gltf.scene import read_gltf
+from support.files.mesh_files import QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
+
+
+def textured(**material: Any) -> Gltf:
+    """The quad, its material with these keys, and four textures besides the base colour's."""
+    gltf = quad_gltf()
+    for shade in (1, 2, 3, 4):
+        gltf.add("images", bufferView=gltf.view(png_bytes(TEXELS // 8 + np.uint8(10 * shade))), mimeType="image/png")
+        gltf.add("textures", source=shade)
+    gltf.json["materials"][0] |= material
+    return gltf
+
+
+def texels(shade: int) -> np.ndarray:
+    """What texture number ``shade`` holds."""
+    return TEXELS // 8 + np.uint8(10 * shade)
+
+
+def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
+    """The only mesh of a document."""
+    (tmp_path / "a.glb").write_bytes(gltf.glb())
+    (instance,) = read_gltf(tmp_path / "a.glb").meshes
+    return instance.mesh
+
+
+def test_every_texture_has_its_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Each texture with its factors, as stored; nothing is said about what is read."""
+    gltf = textured(
+        normalTexture={"index": 2, "scale": 0.5},
+        occlusionTexture={"index": 3, "strength": 0.25},
+        emissiveTexture={"index": 4},
+        emissiveFactor=[1.0, 0.5, 0.25],
+        extensions={"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}},
+    )
+    gltf.json["materials"][0]["pbrMetallicRoughness"]["metallicRoughnessTexture"] = {"index": 1}
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = read(tmp_path, gltf).material
+    assert isinstance(material, ls.MaterialPbr)
+    np.testing.assert_array_equal(material.base_color_texture, TEXELS)
+    np.testing.assert_array_equal(material.metallic_roughness_texture, texels(1))
+    np.testing.assert_array_equal(material.normal_texture, texels(2))
+    np.testing.assert_array_equal(material.occlusion_texture, texels(3))
+    np.testing.assert_array_equal(material.emissive_texture, texels(4))
+    assert (material.normal_scale, material.occlusion_strength) == (0.5, 0.25)
+    assert material.emissive == (8.0, 4.0, 2.0)
+    assert not caplog.records
+
+
+def test_without_textures_and_emission(tmp_path: Path) -> None:
+    """What a file leaves out is as the format says: no emission, whatever its strength."""
+    gltf = quad_gltf(textured=False)
+    gltf.json["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
+    material = read(tmp_path, gltf).material
+    assert isinstance(material, ls.MaterialPbr)
+    assert material.emissive == (0.0, 0.0, 0.0)
+    assert (material.normal_scale, material.occlusion_strength) == (1.0, 1.0)
+    assert material.normal_texture is None and material.emissive_texture is None
+
+
+def test_unlit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """KHR_materials_unlit shines by its base colour and reflects nothing; its other textures mean nothing."""
+    gltf = textured(normalTexture={"index": 2, "texCoord": 1}, extensions={"KHR_materials_unlit": {}})
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = read(tmp_path, gltf).material
+    assert isinstance(material, ls.MaterialSimple)
+    assert material.base_color == (0.5, 0.25, 1.0)
+    assert (material.emissive, material.diffuse, material.name) == ((1.0,) * 3, (0.0,) * 3, "painted")
+    np.testing.assert_array_equal(material.base_color_texture, TEXELS)
+    assert not caplog.records
+
+
+TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
+
+
+def test_textures_placed_otherwise_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Another set of coordinates or another transform than the base colour's: one line names them all."""
+    gltf = textured(
+        normalTexture={"index": 2, "texCoord": 1},
+        occlusionTexture={"index": 3},
+        emissiveTexture={"index": 4, "extensions": TRANSFORM},
+    )
+    gltf.add("materials", name="unused", normalTexture={"index": 2}, occlusionTexture={"index": 3, "texCoord": 2})
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        mesh = read(tmp_path, gltf)
+    material = mesh.material
+    assert isinstance(material, ls.MaterialPbr)
+    assert material.normal_texture is None and material.emissive_texture is None
+    assert material.occlusion_texture is not None and material.base_color_texture is not None
+    np.testing.assert_array_equal(mesh.uvs, QUAD_UVS)
+    (record,) = caplog.records
+    assert (
+        "normalTexture, emissiveTexture of materials[0] 'painted'; occlusionTexture of materials[1]" in record.message
+    )
+
+
+def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The transform is applied to the coordinates, and the same number written otherwise is the same."""
+    gltf = textured(
+        normalTexture={"index": 2, "extensions": {"KHR_texture_transform": {"scale": [2, 2], "offset": [0, 0]}}}
+    )
+    gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = TRANSFORM
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        mesh = read(tmp_path, gltf)
+    assert mesh.material.normal_texture is not None  # type: ignore[union-attr]
+    np.testing.assert_array_equal(mesh.uvs, 2.0 * QUAD_UVS)
+    assert not caplog.records
+
+
+def test_without_a_base_colour_texture_the_first_one_leads(tmp_path: Path) -> None:
+    """The normal texture's set of coordinates is taken where it is the material's first texture."""
+    gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
+    del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["TEXCOORD_1"] = gltf.accessor(QUAD_UVS * np.float32(0.5))
+    mesh = read(tmp_path, gltf)
+    assert isinstance(mesh.material, ls.MaterialPbr)
+    np.testing.assert_array_equal(mesh.uvs, QUAD_UVS * 0.5)
+    assert mesh.material.normal_texture is not None and mesh.material.occlusion_texture is None
+
+
+def test_textures_without_coordinates_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """All of them, and one line counts them."""
+    gltf = textured(normalTexture={"index": 2})
+    del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = read(tmp_path, gltf).material
+    assert isinstance(material, ls.MaterialPbr)
+    assert material.base_color_texture is None and material.normal_texture is None
+    assert ["the 2 textures of 'painted' are left out" in record.message for record in caplog.records] == [True]
+
+
+@pytest.mark.parametrize(
+    ("material", "message"),
+    [
+        ({"emissiveFactor": [-1, 0, 0]}, r"materials\[0\] 'painted': emissive is .* at least 0"),
+        ({"occlusionTexture": {"index": 3, "strength": 2.0}}, r"materials\[0\] 'painted': occlusion_strength is 2"),
+        ({"normalTexture": {"index": 9}}, r"materials\[0\] 'painted' refers to textures\[9\], but there are 5"),
+        ({"normalTexture": {}}, r"materials\[0\] 'painted' refers to textures\[None\]"),
+        ({"normalTexture": {"index": 2, "extensions": {"KHR_texture_transform": {"scale": "big"}}}}, "damaged"),
+    ],
+)
+def test_wrong_materials_are_refused(tmp_path: Path, material: dict[str, Any], message: str) -> None:
+    """In one line that names the material."""
+    with pytest.raises(ls.FormatError, match=message) as caught:
+        read(tmp_path, textured(**material))
+    assert "\n" not in str(caught.value)

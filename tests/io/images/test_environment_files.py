@@ -1,0 +1,204 @@
+"""Images of radiance: both encodings of Radiance HDR, OpenEXR, and one clear line for what is neither."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.io.images.radiance_hdr import decode_hdr
+from support.files.hdr_files import HEADER, hdr_bytes, radiance, write_exr
+from support.files.mesh_files import TEXELS, png_bytes
+
+
+def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np.ndarray:
+    """RGBE bytes with runs in them, none of which looks like a mark of the encodings, shape (H, W, 4)."""
+    rng = np.random.default_rng(seed)
+    rgbe = np.repeat(rng.integers(2, levels, (height, width, 4)), 4, axis=1)[:, rng.integers(0, 4) :][:, :width]
+    rgbe[..., 0] |= 4
+    rgbe[0, 0, 3] = 0
+    return rgbe.astype(np.uint8)
+
+
+def load(tmp_path: Path, data: bytes) -> np.ndarray:
+    """What a file of these bytes holds."""
+    (tmp_path / "a.hdr").write_bytes(data)
+    return ls.load_radiance(tmp_path / "a.hdr")
+
+
+@pytest.mark.parametrize("encoding", ["flat", "old", "new"])
+def test_encodings_agree(tmp_path: Path, encoding: str) -> None:
+    """However the pixels are stored, they are mantissa times 2^(exponent - 136), and 0 where the exponent is 0."""
+    rgbe = pixels(1)
+    image = load(tmp_path, hdr_bytes(rgbe, encoding))
+    np.testing.assert_array_equal(image, radiance(rgbe))
+    assert image.dtype == np.float32 and not image.flags.writeable
+    assert not image[0, 0].any() and image[1:].any()
+
+
+@given(
+    width=st.one_of(st.integers(1, 300), st.just(1000)),
+    height=st.integers(1, 4),
+    seed=st.integers(0, 1000),
+    encoding=st.sampled_from(["flat", "old", "new"]),
+)
+def test_any_picture_comes_back(width: int, height: int, seed: int, encoding: str) -> None:
+    """Runs of every length, across the limits of 127, 128 and 255."""
+    if encoding == "new" and width < 8:
+        encoding = "flat"
+    rgbe = pixels(seed, height, width, levels=8)
+    if seed % 3 == 0:
+        rgbe[:] = rgbe[0, 0] | 2
+    np.testing.assert_array_equal(decode_hdr("a.hdr", hdr_bytes(rgbe, encoding)), radiance(rgbe))
+
+
+def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
+    """Each row says how it is stored; one of runs, one flat, one of old repeats."""
+    rgbe = pixels(2, height=3)
+    parts = [hdr_bytes(rgbe[k : k + 1], name, b"", b"-") for k, name in enumerate(("new", "flat", "old"))]
+    data = HEADER + b"\n-Y 3 +X 40\n" + b"".join(part[len(b"\n-\n") :] for part in parts)
+    np.testing.assert_array_equal(load(tmp_path, data), radiance(rgbe))
+
+
+def test_exposures_are_undone(tmp_path: Path) -> None:
+    """Every EXPOSURE and COLORCORR of the header divides."""
+    rgbe = pixels(3)
+    header = HEADER + b"EXPOSURE=4\nSOFTWARE=x\nEXPOSURE= 0.5\nCOLORCORR=1 2 4\n"
+    np.testing.assert_allclose(load(tmp_path, hdr_bytes(rgbe, "new", header)), radiance(rgbe) / (2.0, 4.0, 8.0))
+
+
+@pytest.mark.parametrize("encoding", ["flat", "old", "new"])
+def test_truncated_at_any_byte(tmp_path: Path, encoding: str) -> None:
+    """A file that breaks off is refused wherever it does."""
+    data = hdr_bytes(pixels(4, height=2, width=12), encoding)
+    for size in range(1, len(data)):
+        with pytest.raises(ls.FormatError) as caught:
+            decode_hdr("a.hdr", data[:size])
+        assert "truncated" in str(caught.value) or "resolution" in str(caught.value)
+    with pytest.raises(ls.FormatError, match="truncated: the pixels end in row 1 of 2"):
+        load(tmp_path, data[:-1])
+
+
+GOOD = pixels(5)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (png_bytes(TEXELS), "is a PNG image and is 8 bit, expected .hdr or .exr"),
+        (b"\xff\xd8\xff\xe0 jpeg", "is a JPEG image and is 8 bit, expected .hdr or .exr"),
+        (b"ply\nformat ascii 1.0\n", "is neither Radiance HDR nor OpenEXR, expected .hdr or .exr"),
+        (b"", "is empty"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "truncated: the header"),
+        (hdr_bytes(GOOD, header=b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n"), "has FORMAT '32-bit_rle_xyze', expected"),
+        (hdr_bytes(GOOD, header=HEADER + b"EXPOSURE=0\n"), "has EXPOSURE '0', expected a positive number"),
+        (hdr_bytes(GOOD, header=HEADER + b"EXPOSURE=bright\n"), "has EXPOSURE 'bright', expected"),
+        (hdr_bytes(GOOD, header=HEADER + b"EXPOSURE=nan\n"), "has EXPOSURE 'nan', expected"),
+        (hdr_bytes(GOOD, resolution=b"+Y 5 +X 40"), r"is stored as '\+Y 5 \+X 40', expected '-Y height \+X width'"),
+        (hdr_bytes(GOOD, resolution=b"+X 40 -Y 5"), r"is stored as '\+X 40 -Y 5'"),
+        (hdr_bytes(GOOD, resolution=b"-Y 5 -X 40"), r"is stored as '-Y 5 -X 40'"),
+        (hdr_bytes(GOOD, resolution=b"5 by 40"), "has the resolution '5 by 40'"),
+        (hdr_bytes(GOOD, resolution=b"-Y 0 +X 40"), "has no pixels: 40 x 0"),
+        (hdr_bytes(GOOD, resolution=b"-Y 900000 +X 900000"), "900000 x 900000 pixels would take .* bytes of memory"),
+        (HEADER + b"\n-Y 1 +X 8\n\2\2\0\10" + b"\x90\1" * 4, "damaged: a run crosses the end of row 0"),
+        (HEADER + b"\n-Y 1 +X 2\n\1\1\1\1\5\5\5\5", "damaged: a run crosses the end of row 0"),
+        (HEADER + b"\n-Y 1 +X 2\n\5\5\5\5\1\1\1\7", "damaged: a run crosses the end of row 0"),
+        (b"\x76\x2f\x31\x01\x02\0\0\0garbage", "damaged, or not an EXR file"),
+    ],
+)
+def test_what_is_no_radiance_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    """In one line that names the file, whatever its extension says."""
+    with pytest.raises(ls.FormatError, match=message) as caught:
+        load(tmp_path, data)
+    assert str(caught.value).startswith(f"{tmp_path / 'a.hdr'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_files(tmp_path: Path) -> None:
+    """No such file, and a folder."""
+    with pytest.raises(ls.FormatError, match="no such file"):
+        ls.load_radiance(tmp_path / "lost.exr")
+    with pytest.raises(ls.FormatError, match="is a folder"):
+        ls.load_radiance(tmp_path)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_exr(tmp_path: Path, dtype: type) -> None:
+    """R, G and B, half or float; other channels do not matter."""
+    image = np.random.default_rng(6).uniform(0.0, 9.0, (3, 5, 3)).astype(dtype)
+    planes = {name: image[..., k] for k, name in enumerate("RGB")}
+    write_exr(tmp_path / "a.exr", **planes, A=np.ones((3, 5), dtype))
+    loaded = ls.load_radiance(tmp_path / "a.exr")
+    np.testing.assert_array_equal(loaded, image.astype(np.float32))
+    assert loaded.dtype == np.float32 and loaded.flags.c_contiguous and not loaded.flags.writeable
+
+
+PLANE = np.ones((3, 5), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("channels", "message"),
+    [
+        ({"Y": PLANE}, "has no channel R nor G nor B, only Y: expected R, G and B"),
+        ({"R": PLANE, "G": PLANE, "depth.Z": PLANE}, "has no channel B, only "),
+        ({name: PLANE.astype(np.uint32) for name in "RGB"}, r"has R, G and B as uint32 \(3, 5\), .* expected half"),
+    ],
+)
+def test_exr_of_other_channels(tmp_path: Path, channels: dict[str, np.ndarray], message: str) -> None:
+    """What lacks a colour, or counts instead of measuring, is refused by name."""
+    write_exr(tmp_path / "a.exr", **channels)
+    with pytest.raises(ls.FormatError, match=message):
+        ls.load_radiance(tmp_path / "a.exr")
+
+
+def test_truncated_exr(tmp_path: Path) -> None:
+    """A file cut in its pixels is refused."""
+    noise = np.random.default_rng(7).uniform(size=(40, 50)).astype(np.float32)
+    data = write_exr(tmp_path / "a.exr", R=noise, G=noise, B=noise).read_bytes()
+    (tmp_path / "a.exr").write_bytes(data[: len(data) // 2])
+    with pytest.raises(ls.FormatError, match="damaged, or not an EXR file"):
+        ls.load_radiance(tmp_path / "a.exr")
+
+
+def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Negative and non-finite values become 0, with one line that counts both; good files are silent."""
+    plane = np.ones((2, 4), np.float32)
+    bad = plane.copy()
+    bad[0] = (np.nan, np.inf, -np.inf, -0.5)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        ls.load_radiance(write_exr(tmp_path / "good.exr", R=plane, G=plane, B=plane))
+        assert not caplog.records
+        image = ls.load_radiance(write_exr(tmp_path / "bad.exr", R=bad, G=plane, B=-plane))
+    (record,) = caplog.records
+    assert record.getMessage().endswith("bad.exr: values set to 0: 3 not finite, 9 negative")
+    np.testing.assert_array_equal(image[0], [(0, 1, 0)] * 4)
+    np.testing.assert_array_equal(image[1], [(1, 1, 0)] * 4)
+
+
+def test_an_environment_takes_it_as_it_is(tmp_path: Path) -> None:
+    """What was loaded is neither copied nor changed."""
+    image = load(tmp_path, hdr_bytes(GOOD))
+    assert ls.LightEnvironment(image=image).image is image
+
+
+@pytest.mark.data
+def test_real_files(data_dir: Path) -> None:
+    """Real environments: an HDR in runs, an EXR; twice as wide as high, and brighter than a display somewhere."""
+    for name in ("composition.hdr", "envmap3.exr"):
+        image = ls.load_radiance(data_dir / "env" / name)
+        assert image.shape[1] == 2 * image.shape[0]
+        assert image.max() > 3.0 and (image >= 0.0).all()
+
+
+def test_pillow_does_not_know_better(tmp_path: Path) -> None:
+    """8-bit pictures are refused by content, also under the name of an EXR."""
+    Image.fromarray(TEXELS).save(tmp_path / "b.png")
+    (tmp_path / "b.png").rename(tmp_path / "b.exr")
+    with pytest.raises(ls.FormatError, match="is a PNG image and is 8 bit"):
+        ls.load_radiance(tmp_path / "b.exr")

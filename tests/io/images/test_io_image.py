@@ -1,0 +1,160 @@
+"""Images: rounding, clamping, layer names, whole files or none."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.images.image import decode_texture, read_image, write_exr, write_npz, write_png
+from support.files.mesh_files import TEXELS, png_bytes
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_png_keeps_all_byte_values(tmp_path: Path, channels: int) -> None:
+    """The value n / 255 is written as the byte n, for every n."""
+    expected = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
+    if channels == 4:
+        expected[0, 0, 3] = 7
+    write_png(tmp_path / "a.png", expected / np.float32(255))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"], expected)
+
+
+def test_png_rounds_half_up_and_clamps(tmp_path: Path) -> None:
+    """Halves go up, and values outside 0..1 to the nearer end, infinities included."""
+    values = np.array([[0.5, 1.5, 2.5], [-3.0, np.inf, -np.inf]]) / 255.0
+    values[1, 0] = -3.0
+    write_png(tmp_path / "a.png", values[:, None])
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][:, 0], [(1, 2, 3), (0, 255, 0)])
+
+
+def test_png_counts_nan(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """NaN is written as 0, and said, with the count."""
+    pixels = np.ones((2, 2, 3))
+    pixels[0, 1, :2] = np.nan
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        write_png(tmp_path / "a.png", pixels)
+    assert "2 NaN" in caplog.text
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][0, 1], (0, 0, 255))
+
+
+def test_exr_layers_keep_names_and_bits(tmp_path: Path) -> None:
+    """Channels keep the names that Nuke groups into layers, all 32 bits, infinite depth, and -1 as the largest id."""
+    rng = np.random.default_rng(1)
+    names = ["R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"]
+    channels = {name: rng.normal(size=(5, 7)).astype(np.float32) for name in names}
+    channels["depth.Z"][0, 0] = np.inf
+    channels["index.gaussian"] = np.arange(-1, 34, dtype=np.int32).reshape(5, 7)
+    write_exr(tmp_path / "a.exr", channels, {"lumisplat/camera": "front"})
+    loaded = read_image(tmp_path / "a.exr")
+    assert sorted(loaded) == sorted(channels)
+    for name in names:
+        np.testing.assert_array_equal(loaded[name], channels[name])
+    assert loaded["index.gaussian"].dtype == np.uint32
+    np.testing.assert_array_equal(loaded["index.gaussian"].astype(np.int32), channels["index.gaussian"])
+
+
+def test_exr_metadata(tmp_path: Path) -> None:
+    """Metadata land in the header, and the file is one ZIP-compressed part."""
+    import OpenEXR
+
+    write_exr(tmp_path / "a.exr", {"R": np.zeros((2, 2), np.float32)}, {"camera": "front"})
+    with OpenEXR.File(str(tmp_path / "a.exr")) as file:
+        assert len(file.parts) == 1
+        assert file.header()["camera"] == "front"
+        assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
+
+
+def test_npz_round_trip(tmp_path: Path) -> None:
+    """Arrays come back with their names, types and values."""
+    arrays = {"color": np.ones((2, 3, 3), np.float32), "gaussian_index": np.full((2, 3), -1, np.int32)}
+    write_npz(tmp_path / "a.npz", arrays)
+    loaded = read_image(tmp_path / "a.npz")
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(loaded[name], array)
+        assert loaded[name].dtype == array.dtype
+
+
+@pytest.mark.parametrize("pixels", [np.zeros((4, 4)), np.zeros((0, 4, 3)), np.zeros((2, 2, 2))])
+def test_no_file_for_what_is_no_image(tmp_path: Path, pixels: np.ndarray) -> None:
+    """A shape that is no image is refused before a file appears."""
+    with pytest.raises(SceneError, match="takes"):
+        write_png(tmp_path / "a.png", pixels)
+    with pytest.raises(SceneError, match="one shape"):
+        write_exr(tmp_path / "a.exr", {"R": np.zeros((2, 2)), "G": np.zeros((2, 3))})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("extension", ["png", "exr", "npz"])
+def test_a_folder_that_cannot_be_written(tmp_path: Path, extension: str) -> None:
+    """Where a file stands in the folder's place, one error names the output, and nothing is left behind."""
+    (tmp_path / "out").write_text("in the way")
+    path = tmp_path / "out" / f"a.{extension}"
+    image = np.zeros((2, 2, 3), np.float32)
+    write = {
+        "png": lambda: write_png(path, image),
+        "exr": lambda: write_exr(path, {"R": image[..., 0]}),
+        "npz": lambda: write_npz(path, {"color": image}),
+    }
+    with pytest.raises(FormatError, match="cannot be written"):
+        write[extension]()
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """When writing fails half way, the picture that was there before is untouched, and no temporary file stays."""
+    from PIL import Image
+
+    write_png(tmp_path / "a.png", np.ones((2, 2, 3)))
+    before = (tmp_path / "a.png").read_bytes()
+
+    def fail(self: Image.Image, where: Path, **_: object) -> None:
+        Path(where).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Image.Image, "save", fail)
+    with pytest.raises(FormatError, match="No space left"):
+        write_png(tmp_path / "a.png", np.zeros((2, 2, 3)))
+    assert (tmp_path / "a.png").read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.png"]
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr", "a.npz", "a.tiff"])
+def test_reading_garbage(tmp_path: Path, name: str) -> None:
+    """Bytes that are no image are one FormatError about the file."""
+    (tmp_path / name).write_bytes(b"\x93not an image at all" * 9)
+    with pytest.raises(FormatError, match=name):
+        read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"),
+    [("RGB", (255, 0, 0)), ("L", (76, 76, 76)), ("P", (255, 0, 0)), ("I;16", (76, 76, 76)), ("RGBA", (255, 0, 0, 255))],
+)
+def test_textures_of_every_kind(mode: str, expected: tuple) -> None:
+    """Grey, palette, 16-bit and transparent images become 8-bit RGB or RGBA; 16 bits are scaled, not clamped."""
+    import io
+
+    from PIL import Image
+
+    image = Image.fromarray(TEXELS[:1, :1])
+    if mode == "I;16":
+        image = Image.fromarray(np.array([[76 * 257]], np.uint16))
+    stream = io.BytesIO()
+    (image if mode == "I;16" else image.convert(mode)).save(stream, "PNG")
+    np.testing.assert_array_equal(decode_texture(stream.getvalue(), "a.glb", "images[0]")[0, 0], expected)
+
+
+def test_decompression_bomb_is_refused() -> None:
+    """A few bytes that claim a gigantic image are refused before any memory is taken."""
+    claimed = bytearray(png_bytes())
+    claimed[16:24] = (60_000).to_bytes(4, "big") * 2
+    import zlib
+
+    claimed[29:33] = zlib.crc32(bytes(claimed[12:29])).to_bytes(4, "big")
+    with pytest.raises(FormatError, match="too large"):
+        decode_texture(bytes(claimed), "a.glb", "images[0]")

@@ -1,0 +1,189 @@
+"""OBJ, PLY and STL: geometry, texture orientation, materials, colours; trimesh and the real meshes agree."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.errors import FormatError
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
+from support.files.mesh_files import (
+    OBJ,
+    QUAD,
+    QUAD_TRIANGLES,
+    QUAD_UVS,
+    TEXELS,
+    ply_text,
+    png_bytes,
+    stl_bytes,
+    stl_text,
+    write_obj,
+)
+
+
+def read_one(path: Path) -> Mesh:
+    """The only mesh of a file."""
+    mesh = ls.load(path)
+    assert isinstance(mesh, Mesh)
+    return mesh
+
+
+def test_obj_has_the_texture_right_way_up(tmp_path: Path) -> None:
+    """OBJ counts v from the bottom, we from the top: the lower left corner must show the image's lower left texel."""
+    mesh = read_one(write_obj(tmp_path))
+    np.testing.assert_array_equal(mesh.positions, QUAD)
+    np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
+    np.testing.assert_array_equal(mesh.uvs, QUAD_UVS)
+    np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
+
+
+def test_obj_material_and_unit_normals(tmp_path: Path) -> None:
+    """Kd is the linear base colour, and normals of any length come out at length 1."""
+    mesh = read_one(write_obj(tmp_path))
+    assert mesh.material.base_color == (0.5, 0.25, 1.0)
+    assert mesh.material.name == "painted"
+    np.testing.assert_allclose(mesh.normals, [(0, 0, 1)] * 4)
+
+
+def test_obj_index_of_refraction(tmp_path: Path) -> None:
+    """Ni is the ior; below 1, as some exporters write it, it means nothing and becomes 1."""
+    path = write_obj(tmp_path)
+    for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
+        (tmp_path / "quad.mtl").write_text(f"newmtl painted\nNi {stored}\n")
+        assert read_one(path).material.ior == ior
+
+
+def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
+    """Each material becomes a mesh instance with only the vertices that it uses."""
+    write_obj(tmp_path)
+    (tmp_path / "two.obj").write_text(OBJ + "usemtl plain\nf 1 2 3\nusemtl painted\nf 1/1/1 2/2/1 3/3/1\n")
+    scene = ls.load(tmp_path / "two.obj")
+    assert isinstance(scene, Scene)
+    assert [(i.name, i.mesh.vertex_count, i.mesh.face_count) for i in scene.meshes] == [
+        ("painted", 4, 3),
+        ("plain", 3, 1),
+    ]
+
+
+def test_obj_seam_splits_a_vertex(tmp_path: Path) -> None:
+    """One position with two texture coordinates becomes two vertices; shared corners stay one."""
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/1 3/1\nf 1/2 3/1 4/1\n"
+    )
+    mesh = read_one(tmp_path / "a.obj")
+    assert mesh.vertex_count == 5
+    assert mesh.uvs is not None
+    np.testing.assert_array_equal(mesh.uvs[mesh.indices[:, 0]], [(0, 1), (1, 0)])
+
+
+def test_obj_relative_indices_comments_and_continuations(tmp_path: Path) -> None:
+    """Negative indices count from the latest vertex; comments and continued lines are understood."""
+    (tmp_path / "a.obj").write_text("# by hand\nv 9 9 9\nv 0 0 0 # one\nv 1 0 0\nv 0 1 0\nf -3 \\\n -2 -1\n")
+    np.testing.assert_array_equal(read_one(tmp_path / "a.obj").positions, [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+
+
+def test_obj_vertex_colors(tmp_path: Path) -> None:
+    """Six numbers in a vertex line are a position and an sRGB colour, which nothing else darkens."""
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    mesh = read_one(tmp_path / "a.obj")
+    np.testing.assert_allclose(mesh.colors, np.diag([1.0, decode_srgb(0.5), 1.0]), rtol=1e-6)
+    assert mesh.material.base_color == (1.0, 1.0, 1.0)
+
+
+def test_obj_without_its_library_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Geometry without its MTL still loads, and one log line says what is missing."""
+    (tmp_path / "a.obj").write_text(OBJ)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert read_one(tmp_path / "a.obj").material.base_color_texture is None
+    assert "quad.mtl is missing" in caplog.text
+
+
+@pytest.mark.parametrize("damage", ["missing", "corrupt"])
+def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> None:
+    """A missing or corrupt texture is an error about the texture's own file."""
+    path = write_obj(tmp_path)
+    texture = tmp_path / "quad texture.png"
+    texture.unlink() if damage == "missing" else texture.write_bytes(png_bytes()[:40])
+    with pytest.raises(FormatError, match=r"quad texture\.png: (no such file|is corrupt)"):
+        ls.load(path)
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply"])
+def test_texture_without_coordinates_is_left_out(
+    tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A texture that nothing can place is dropped with one log line, and the mesh keeps its colour."""
+    path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
+    if extension == "obj":
+        path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")
+    else:
+        (tmp_path / "t.png").write_bytes(png_bytes())
+        path.write_bytes(ply_text().replace(b"comment by hand", b"comment TextureFile t.png"))
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = read_one(path).material
+    assert material.base_color_texture is None
+    assert material.base_color == ((0.5, 0.25, 1.0) if extension == "obj" else (1.0, 1.0, 1.0))
+    assert [str(path) in r.message and "no texture coordinates" in r.message for r in caplog.records] == [True]
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("quad_first", [True, False])
+def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: bool) -> None:
+    """Mixed polygons are fanned, and 8-bit sRGB colours decoded, in every encoding."""
+    (tmp_path / "a.ply").write_bytes(ply_text(order, quad_first))
+    mesh = read_one(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.positions, QUAD)
+    triangles = [(0, 1, 2), (0, 2, 3), (0, 1, 2)] if quad_first else [(0, 1, 2), (0, 1, 2), (0, 2, 3)]
+    np.testing.assert_array_equal(mesh.indices, triangles)
+    np.testing.assert_allclose(mesh.colors, [(1.0, decode_srgb(188 / 255), 0.0)] * 4, atol=1e-6)
+    assert mesh.material.base_color == (1.0, 1.0, 1.0)
+
+
+def test_ply_texture_and_corner_uvs(tmp_path: Path) -> None:
+    """Texture coordinates of corners split the vertices, and the named texture is decoded."""
+    (tmp_path / "t.png").write_bytes(png_bytes())
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile t.png\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 2\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+        "3 0 1 2 6 0 0 1 0 0 1\n3 0 2 1 6 1 1 1 1 1 1\n"
+    )
+    mesh = read_one(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
+    np.testing.assert_array_equal(mesh.positions[3:], [(0, 0, 0), (0, 1, 0), (1, 0, 0)])
+    np.testing.assert_array_equal(mesh.uvs, [(0, 1), (1, 1), (0, 0), (1, 0), (1, 0), (1, 0)])
+
+
+@pytest.mark.parametrize("encode", [stl_bytes, stl_text])
+def test_stl_triangles(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) -> None:
+    """Both encodings give the triangles as stored; a binary header that says "solid" fools nobody."""
+    corners = QUAD[QUAD_TRIANGLES]
+    (tmp_path / "a.stl").write_bytes(encode(corners))
+    mesh = read_one(tmp_path / "a.stl")
+    np.testing.assert_array_equal(mesh.positions[mesh.indices], corners)
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply", "stl"])
+def test_trimesh_writes_what_we_read(tmp_path: Path, extension: str) -> None:
+    """Files of another program: a sphere that trimesh exported has the same triangles here."""
+    trimesh = pytest.importorskip("trimesh")
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
+    sphere.export(tmp_path / f"s.{extension}")
+    mesh = read_one(tmp_path / f"s.{extension}")
+    np.testing.assert_allclose(mesh.positions[mesh.indices], sphere.triangles, atol=1e-6)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "faces"), [("spot", 5856), ("teapot", 6320), ("stanford-bunny", 69451)])
+def test_real_meshes(data_dir: Path, name: str, faces: int) -> None:
+    """The classic meshes load with all their triangles and lie in a finite box."""
+    mesh = read_one(data_dir / "meshes" / f"{name}.obj")
+    assert mesh.face_count == faces
+    assert (mesh.bounds()[1] > mesh.bounds()[0]).all()

@@ -1,0 +1,153 @@
+"""Settings in files: whatever is saved comes back, and what is wrong is said with its line."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields
+from enum import Enum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lumisplat as ls
+from lumisplat.config import AOVS
+from support.files.scene_files import refuses, write_scene
+
+
+def between(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers of a range, whole ones and its ends among them."""
+    return st.floats(low, high) | st.sampled_from([low, high]) | st.integers(int(np.ceil(low)), int(high))
+
+
+HITS = st.sampled_from([4, 8, 16, 32])
+SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
+    ls.RasterConfig: {
+        "dilation": between(0.0, 10.0),
+        "sh_degree": st.integers(0, 3),
+        "transmittance_min": between(0.0, 1.0),
+        "depth_iso_transmittance": between(0.0, 1.0),
+    },
+    ls.TraceConfig: {
+        "hits_per_pass": HITS,
+        "kernel_degree": st.none() | st.integers(0, 5),
+        "min_response": st.floats(0.0, 0.97),
+        "sh_degree": st.integers(0, 3),
+        "transmittance_min": between(0.0, 1.0),
+        "depth_iso_transmittance": between(0.0, 1.0),
+        "acceptance_scale": between(1e-3, 1.0),
+    },
+    ls.ShadowConfig: {
+        "hits": HITS,
+        "offset": between(0.0, 100.0),
+        "offset_absolute": between(0.0, 1e6),
+        "transmittance_threshold": st.floats(0.0, 0.99),
+        "color_strength": between(0.0, 5.0),
+    },
+    ls.RenderConfig: {
+        "background": st.none() | st.tuples(*[between(0.0, 1.0)] * 3),
+        "lighting": st.none() | st.booleans(),
+        "aovs": st.lists(st.sampled_from(AOVS), unique=True),
+        "samples": st.integers(1, 16_777_216),
+        "seed": st.integers(0, 2**32 - 1),
+        "max_bounces": st.integers(0, 64),
+    },
+}
+
+
+def configs(kind: type) -> st.SearchStrategy[Any]:
+    """Settings of a stage, every field of them random."""
+    chosen = dict(SETTINGS[kind])
+    for name, hint in get_type_hints(kind).items():
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            chosen[name] = st.sampled_from(hint)
+        elif hint is bool:
+            chosen[name] = st.booleans()
+        elif hint in SETTINGS:
+            chosen[name] = configs(hint)
+    assert set(chosen) == {field.name for field in fields(kind)}  # a setting that is added is tested, too
+    return st.builds(kind, **chosen)
+
+
+@given(configs(ls.RenderConfig))
+def test_settings_come_back(config: ls.RenderConfig) -> None:
+    """All of them, to the last bit."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "settings.toml"
+        ls.save_config(path, config)
+        assert ls.load_config(path) == config
+
+
+def test_what_a_file_looks_like(tmp_path: Path) -> None:
+    """A table for each stage, every setting in it, None by a word: what people can read and edit."""
+    ls.save_config(tmp_path / "new" / "a.toml", ls.RenderConfig(background=None, aovs=("hits", "albedo")))
+    document = tomllib.loads((tmp_path / "new" / "a.toml").read_text())
+    render = document["render"]
+    assert set(document) == {"render"} and set(render) == {field.name for field in fields(ls.RenderConfig)}
+    assert (render["background"], render["lighting"], render["pipeline"]) == ("none", "auto", "raster")
+    assert render["trace"]["kernel_degree"] == "auto" and render["shadow"]["method"] == "exact"
+    assert render["aovs"] == ["albedo", "hits"]
+
+
+def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
+    """They come back as Python's."""
+    trace = ls.TraceConfig(min_response=np.float64(0.1), jitter=np.bool_(False), kernel_degree=np.int64(4))  # type: ignore[arg-type]
+    config = ls.RenderConfig(trace=trace, samples=np.int32(3), background=np.array([0.5, 0.25, 0.0]))  # type: ignore[arg-type]
+    ls.save_config(tmp_path / "a.toml", config)
+    assert ls.load_config(tmp_path / "a.toml") == config
+
+
+def test_settings_of_a_scene_file(tmp_path: Path) -> None:
+    """What the file says nothing about stays at its default; the rest of the file does not matter here."""
+    text = '[[splats]]\npath = "lost.ply"\n[render]\npipeline = "hybrid"\nbackground = [1, 0.5, 0]\n'
+    text += "[render.shadow]\nhits = 8\n"
+    expected = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, background=(1.0, 0.5, 0.0), shadow=ls.ShadowConfig(hits=8))
+    assert ls.load_config(write_scene(tmp_path, text)) == expected
+    assert ls.load_config(write_scene(tmp_path, "# nothing")) == ls.RenderConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("sampels = 4", "line 2, render: unknown 'sampels', did you mean 'samples'?"),
+        ("colour = 4", "line 2, render: unknown 'colour', expected pipeline, background, raster"),
+        ("samples = 0", "line 2, render: samples is 0, expected a whole number from 1 to"),
+        ("samples = 1.5", "line 2, render: samples is 1.5, expected a whole number"),
+        ("samples = true", "line 2, render: samples is True, expected a whole number"),
+        ("\nseed = 'x'", "line 3, render: seed is 'x', expected a whole number"),
+        ("pipeline = 'rastr'", "line 2, render: pipeline is 'rastr', did you mean 'raster'?"),
+        ("pipeline = 'gpu'", "line 2, render: pipeline is 'gpu', expected raster, trace, hybrid"),
+        ("shadows = false", "line 2, render: shadows is false, expected off, hard, soft"),
+        ("lighting = 'none'", "line 2, render: lighting is 'none', expected true or false or \"auto\""),
+        ("background = 'auto'", "line 2, render: background is 'auto', expected three numbers"),
+        ("background = [1, 2, 3]", "line 2, render: background is 2, expected 0.0 to 1.0"),
+        ("aovs = 'albedo'", "line 2, render: aovs is 'albedo', expected some of albedo"),
+        ("aovs = ['depth']", "line 2, render: aovs is ('depth',), expected some of albedo"),
+        ("aovs = [['hits']]", "line 2, render: aovs is"),
+        ("trace = 3", "line 2, render: trace is 3, expected a table"),
+        ("[render.trace]\njitter = 1", "line 3, render.trace: jitter is 1, expected true or false"),
+        ("[render.trace]\nhits_per_pass = 17", "line 3, render.trace: hits_per_pass is 17, expected 4, 8, 16 or 32"),
+        ("[render.trace]\nkernel_degree = 'none'", "line 3, render.trace: kernel_degree is 'none', expected a whole"),
+        ("[render.raster]\ndilation = -1", "line 3, render.raster: dilation is -1, expected 0.0 to 10.0"),
+        ("[render.shadow]\nmethod = 'exakt'", "line 3, render.shadow: method is 'exakt', did you mean 'exact'?"),
+        ("[render.shaddow]\n", "line 2, render: unknown 'shaddow', did you mean 'shadow'?"),
+    ],
+)
+def test_wrong_settings_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """In one line that names the file, the line and the setting."""
+    with pytest.raises(ls.FormatError) as caught:
+        ls.load_config(write_scene(tmp_path, f"[render]\n{text}\n"))
+    refuses(caught, tmp_path, problem)
+
+
+def test_what_cannot_be_saved(tmp_path: Path) -> None:
+    """Nothing but settings, nowhere but in a file; what was there stays."""
+    with pytest.raises(ls.ConfigError, match="config is a RasterConfig, expected a RenderConfig"):
+        ls.save_config(tmp_path / "a.toml", ls.RasterConfig())  # type: ignore[arg-type]
+    with pytest.raises(ls.FormatError, match="is a folder"):
+        ls.save_config(tmp_path, ls.RenderConfig())
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,159 @@
+"""Cameras of scene files: views written out, and camera files placed with their scene."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.mesh_files import Gltf
+from support.files.scene_files import refuses, write_scene
+from support.scenes.raster_scenes import front_camera
+
+
+def load(folder: Path, text: str, **size: int) -> list[ls.Camera]:
+    """The cameras that ``text`` lists."""
+    return ls.load_cameras(write_scene(folder, text), **size)
+
+
+VIEW = """
+[[cameras]]
+name = "close"
+eye = [0, 1, 4]
+target = [0, 0.5, 0]
+up = [0, -1, 0]
+fov_y_degrees = 30
+width = 320
+height = 200
+model = "orthographic"
+near = 0.5
+exposure = 1.5
+aperture = 0.05
+focus_distance = 3
+"""
+
+
+def test_a_view(tmp_path: Path) -> None:
+    """What `Camera.look_at` makes of the same values, and the exposure."""
+    (camera,) = load(tmp_path, VIEW)
+    expected = ls.Camera.look_at(
+        (0, 1, 4),
+        (0, 0.5, 0),
+        (0, -1, 0),
+        width=320,
+        height=200,
+        fov_y=math.radians(30),
+        near=0.5,
+        model=ls.CameraModel.ORTHOGRAPHIC,
+        aperture=0.05,
+        focus_distance=3,
+    )
+    np.testing.assert_array_equal(camera.camera_from_world, expected.camera_from_world)
+    for name in ("width", "height", "fx", "fy", "near", "model", "aperture", "focus_distance"):
+        assert getattr(camera, name) == getattr(expected, name)
+    assert (camera.name, camera.exposure) == ("close", 1.5)
+
+
+def test_what_a_view_leaves_out(tmp_path: Path) -> None:
+    """Up is y, the lens is normal and sharp, and a name is given."""
+    first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
+    expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
+    assert (first.width, first.height, first.fx, first.exposure) == (1280, 720, expected.fx, 0.0)
+    np.testing.assert_array_equal(first.camera_from_world, expected.camera_from_world)
+    assert (first.name, second.name) == ("frame_00000", "frame_00001")
+
+
+def test_a_fisheye_may_see_behind_itself(tmp_path: Path) -> None:
+    """Its field of view ends at 360 degrees, that of others before 180."""
+    text = '[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\nmodel = "fisheye"\nfov_y_degrees = 220\n'
+    (camera,) = load(tmp_path, text)
+    assert camera.fov_y == pytest.approx(math.radians(220))
+
+
+def test_camera_files(tmp_path: Path) -> None:
+    """Cameras of files and views in the order of the scene file, with names of their own; sizes and exposure."""
+    ls.save_cameras(tmp_path / "transforms.json", [front_camera(name="left"), front_camera(name="right")])
+    text = (
+        '[[cameras]]\npath = "transforms.json"\nwidth = 32\nexposure = -1\n'
+        + VIEW
+        + '[[cameras]]\npath = "transforms.json"\n'
+    )
+    cameras = load(tmp_path, text)
+    assert [camera.name for camera in cameras] == ["left", "right", "close", "left_2", "right_2"]
+    original = front_camera()
+    assert (cameras[0].width, cameras[0].exposure) == (32, -1.0)
+    assert cameras[0].fx == pytest.approx(original.fx * 32 / original.width)
+    assert (cameras[3].width, cameras[3].exposure) == (original.width, 0.0)
+    np.testing.assert_allclose(cameras[3].camera_from_world, original.camera_from_world, atol=1e-14)
+
+
+def camera_glb(folder: Path) -> None:
+    """A glTF with a pinhole and an orthographic camera, 2 to the right of its origin."""
+    gltf = Gltf()
+    gltf.add("cameras", type="perspective", perspective={"yfov": 0.8, "znear": 0.1})
+    gltf.add("cameras", type="orthographic", orthographic={"xmag": 3.0, "ymag": 2.0, "znear": 0.1, "zfar": 9.0})
+    for index in (0, 1):
+        gltf.add("nodes", camera=index, translation=[2, 0, 0], name=f"view{index}")
+    (folder / "a.glb").write_bytes(gltf.glb())
+
+
+def test_placed_cameras_see_what_they_saw(tmp_path: Path) -> None:
+    """A point of the file and its placed twin fall on the same pixel, also of parallel rays, and depth scales."""
+    camera_glb(tmp_path)
+    entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'
+    turn = "position = [1, 2, 3]\nrotation_wxyz = [0.5, 0.1, -0.7, 0.2]\nscale = 2.5\n"
+    (tmp_path / "a.obj").write_text("v 2.3 0.4 -3\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    scene = ls.load(write_scene(tmp_path, '[[meshes]]\npath = "a.obj"\n' + turn))
+    assert isinstance(scene, ls.Scene)
+    point = np.array([2.3, 0.4, -3.0, 1.0])
+    for camera, placed in zip(load(tmp_path, entry), load(tmp_path, entry + turn), strict=True):
+        assert (placed.width, placed.height) == (camera.width, camera.height)
+        before, after = camera.camera_from_world @ point, placed.camera_from_world @ scene.meshes[0].transform @ point
+        np.testing.assert_allclose(after[:3], 2.5 * before[:3], atol=1e-9)
+        lens = camera.fx * before[0], placed.fx * after[0]
+        if camera.model is ls.CameraModel.PINHOLE:
+            lens = lens[0] / before[2], lens[1] / after[2]
+        assert lens[0] == pytest.approx(lens[1])
+        assert placed.near == pytest.approx(2.5 * camera.near)
+
+
+def test_sizes_of_the_caller(tmp_path: Path) -> None:
+    """Where neither the scene file nor its camera file tells a size, that of the caller is taken."""
+    camera_glb(tmp_path)
+    assert load(tmp_path, '[[cameras]]\npath = "a.glb"\n', width=64, height=48)[0].width == 64
+    assert load(tmp_path, '[[cameras]]\npath = "a.glb"\nwidth = 30\n', width=64, height=48)[0].width == 30
+
+
+def test_a_scene_file_without_cameras(tmp_path: Path) -> None:
+    """None is no mistake: somebody else may choose one; and the scene need not be loaded."""
+    assert load(tmp_path, '[[splats]]\npath = "lost.ply"\n') == []
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[[cameras]]\ntarget = [0, 0, 0]", "line 1, cameras[0]: lacks eye, three numbers"),
+        ("[[cameras]]\neye = [0, 0]\ntarget = [0, 0, 0]", "line 2, cameras[0]: eye is [0, 0], expected three numbers"),
+        ("[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 0]", "line 2, cameras[0]: look_at needs eye and target apart"),
+        (VIEW + "fov = 3", "line 15, cameras[0]: unknown 'fov'"),
+        (VIEW.replace("30", "180"), "line 7, cameras[0]: fov_y_degrees is 180, expected more than 0 and less than 180"),
+        (VIEW.replace("30", "0"), "line 7, cameras[0]: fov_y_degrees is 0, expected more than 0"),
+        (VIEW.replace("320", "0"), "line 8, cameras[0]: camera width is 0, expected a whole number from 1"),
+        (VIEW.replace("320", "3.5"), "line 8, cameras[0]: width is 3.5, expected a whole number"),
+        (VIEW.replace("orthographic", "wide"), "line 10, cameras[0]: model is 'wide', expected pinhole or fisheye or"),
+        (VIEW.replace("0.05", "-1"), "line 13, cameras[0]: camera aperture is -1"),
+        (VIEW.replace("1.5", "nan"), "line 12, cameras[0]: camera exposure is nan, expected a finite number"),
+        ("[[cameras]]\npath = 'lost.json'", "line 2, cameras[0]: path is 'lost.json', no such file"),
+        ("[[cameras]]\npath = 'scene.toml'", "line 2, cameras[0]: path is 'scene.toml', a scene file itself"),
+        ("[[cameras]]\npath = 'x'\neye = [0, 0, 0]", "line 3, cameras[0]: unknown 'eye'"),
+        ("[cameras]\npath = 'x'", "line 1: cameras must be written with double brackets"),
+    ],
+)
+def test_wrong_cameras_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """In one line that names the file, the line and the key."""
+    with pytest.raises(ls.FormatError) as caught:
+        load(tmp_path, text)
+    refuses(caught, tmp_path, problem)

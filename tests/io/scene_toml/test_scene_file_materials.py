@@ -1,0 +1,122 @@
+"""Materials of scene files: named or written in place, of both kinds, over what a mesh's own file says."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.mesh_files import TEXELS, png_bytes, quad_gltf, write_obj
+from support.files.scene_files import load_scene, refuses
+from support.scenes.raster_scenes import random_gaussians
+
+NAMED = """
+[materials.chrome]
+roughness = 0.0
+metallic = 1.0
+base_color = 0.9
+
+[materials."matt paint"]
+type = "simple"
+emissive = 0
+diffuse = [0.8, 0.4, 0.2]
+specular = 0.1
+shininess = 12
+ambient = 0.05
+"""
+
+
+def test_named_materials(tmp_path: Path) -> None:
+    """Any number of entries use a material by its name, which becomes the material's."""
+    write_obj(tmp_path)
+    ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
+    entries = [('[[meshes]]\npath = "quad.obj"\n', "chrome"), ('[[splats]]\npath = "capture.ply"\n', "matt paint")]
+    text = "".join(f'{entry}material = "{name}"\n' for entry, name in entries)
+    scene = load_scene(tmp_path, text + '[[meshes]]\npath = "quad.obj"\nmaterial = "chrome"\n' + NAMED)
+    chrome, again = (instance.mesh.material for instance in scene.meshes)
+    assert isinstance(chrome, ls.MaterialPbr)
+    assert (chrome.roughness, chrome.metallic, chrome.base_color, chrome.name) == (0.0, 1.0, (0.9,) * 3, "chrome")
+    assert scene.meshes[0].mesh is scene.meshes[1].mesh and again is chrome
+    paint = scene.splats[0].material
+    assert isinstance(paint, ls.MaterialSimple)
+    assert (paint.emissive, paint.diffuse, paint.specular) == ((0.0,) * 3, (0.8, 0.4, 0.2), (0.1,) * 3)
+    assert (paint.shininess, paint.ambient, paint.name) == (12, (0.05,) * 3, "matt paint")
+
+
+def test_what_is_not_said_stays(tmp_path: Path) -> None:
+    """Of a material of the same kind everything, of one of the other kind its colour, its texture and its name."""
+    write_obj(tmp_path)
+    scene = load_scene(
+        tmp_path,
+        '[[meshes]]\npath = "quad.obj"\nmaterial = { roughness = 0.125 }\n'
+        '[[meshes]]\npath = "quad.obj"\nmaterial = { type = "simple", diffuse = 0.5 }\n',
+    )
+    rough, simple = (instance.mesh.material for instance in scene.meshes)
+    for material in (rough, simple):
+        assert (material.name, material.base_color) == ("painted", (0.5, 0.25, 1.0))
+        np.testing.assert_array_equal(material.base_color_texture, TEXELS)
+    assert isinstance(rough, ls.MaterialPbr) and isinstance(simple, ls.MaterialSimple)
+    assert (rough.roughness, simple.diffuse, simple.emissive) == (0.125, (0.5,) * 3, (1.0,) * 3)
+
+
+def test_textures(tmp_path: Path) -> None:
+    """Any texture is the name of an image beside the scene file."""
+    (tmp_path / "quad.glb").write_bytes(quad_gltf(textured=False).glb())
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "bumps.png").write_bytes(png_bytes())
+    text = '[[meshes]]\npath = "quad.glb"\n'
+    text += 'material = { normal_texture = "maps/bumps.png", normal_scale = 0.5, emissive = 2 }\n'
+    material = load_scene(tmp_path, text).meshes[0].mesh.material
+    assert isinstance(material, ls.MaterialPbr)
+    np.testing.assert_array_equal(material.normal_texture, TEXELS)
+    assert (material.normal_scale, material.emissive, material.base_color_texture) == (0.5, (2.0,) * 3, None)
+    assert material.metallic == 0.25  # of the file
+
+
+def test_textures_need_coordinates(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A mesh without any goes without the texture, and one line says so."""
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "a.png").write_bytes(png_bytes())
+    text = '[[meshes]]\npath = "a.obj"\nmaterial = "wood"\n[materials.wood]\nbase_color_texture = "a.png"\n'
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert load_scene(tmp_path, text).meshes[0].mesh.material.base_color_texture is None
+    assert ["the texture of 'wood' is left out" in record.getMessage() for record in caplog.records] == [True]
+
+
+MESH = "[[meshes]]\npath = 'a.obj'\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (MESH + "material = 'glass'", "line 3, meshes[0]: material is 'glass', there is no [materials.glass]"),
+        (MESH + "material = 'crome'" + NAMED, "line 3, meshes[0]: material is 'crome', did you mean 'chrome'?"),
+        (MESH + "material = 'x'" + NAMED, "line 3, meshes[0]: material is 'x', expected chrome, matt paint"),
+        (MESH + "material = 3", "line 3, meshes[0]: material is 3, expected a name or a table"),
+        (MESH + "material = { ior = 0.5 }", "line 3, meshes[0].material: ior is 0.5, expected at least 1"),
+        (
+            MESH + "material = { roughnes = 0 }",
+            "line 3, meshes[0].material: unknown 'roughnes', did you mean 'roughness'?",
+        ),
+        (MESH + "material = { roughness = true }", "line 3, meshes[0].material: roughness is true, expected a number"),
+        (MESH + "[meshes.material]\nmetallic = 0\nbase_color = [1, 2, 3]", "line 5, meshes[0].material: base_color is"),
+        (MESH + "material = { base_color = 'red' }", "base_color is 'red', expected a number or three"),
+        (MESH + "material = { type = 'phong' }", "line 3, meshes[0].material: type is 'phong', expected pbr or simple"),
+        (MESH + "material = { type = 'simple', roughness = 0 }", "line 3, meshes[0].material: unknown 'roughness'"),
+        (MESH + "material = { shininess = 4 }", "line 3, meshes[0].material: unknown 'shininess'"),
+        (MESH + "material = { type = 'simple', shininess = -4 }", "shininess is -4, expected 0 to 10,000"),
+        (MESH + "material = { base_color_texture = 'a.png' }", "base_color_texture is 'a.png', no such file"),
+        (MESH + "[materials.unused]\nroughness = 2", "line 4, materials.unused: roughness is 2, expected 0..1"),
+        (MESH + "[materials]\nglass = 3", "line 4, materials: glass is 3, expected a table"),
+        (MESH + "[[materials]]\nroughness = 2", "line 3: materials is there once only"),
+    ],
+)
+def test_wrong_materials_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """In one line that names the file, the line and the key; unused materials as well."""
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(ls.FormatError) as caught:
+        load_scene(tmp_path, text)
+    refuses(caught, tmp_path, problem)

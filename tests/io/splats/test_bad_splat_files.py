@@ -1,0 +1,265 @@
+"""Whatever is wrong with a file, one clear `FormatError` that names it: no traceback, no nonsense, no memory bomb."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.scene.gaussians import Gaussians
+from support.files.splat_files import FORMATS, capture, ply_header, sog_files, unpacked, write_format
+
+INRIA = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+INRIA += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+
+
+def refused(path: Path) -> str:
+    """The message with which loading is refused; it names the path and fits one line."""
+    with pytest.raises(FormatError) as error:
+        ls.load(path)
+    message = str(error.value)
+    assert str(path) in message
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_zero_bytes(tmp_path: Path, name: str) -> None:
+    """An empty file is called empty."""
+    (tmp_path / name).write_bytes(b"")
+    assert "is empty" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 0.6, 0.98])
+def test_truncated(tmp_path: Path, name: str, fraction: float) -> None:
+    """A file that ends early is refused wherever it ends."""
+    path = write_format(tmp_path, name)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * fraction)])
+    refused(path)
+
+
+@pytest.mark.parametrize("name", ["capture.ply", "big_endian.ply", "capture.compressed.ply", "capture.spz", "v3.spz"])
+def test_one_byte_short(tmp_path: Path, name: str) -> None:
+    """A single missing byte of content is noticed; of a gzip stream, the checksum and length may be missing."""
+    path = write_format(tmp_path, name)
+    data = path.read_bytes()
+    path.write_bytes(gzip.compress(gzip.decompress(data)[:-1]) if data[:2] == b"\x1f\x8b" else data[:-1])
+    assert "truncated" in refused(path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_garbage(tmp_path: Path, name: str) -> None:
+    """Bytes of nothing in particular are refused."""
+    (tmp_path / name).write_bytes(np.random.default_rng(0).bytes(5000))
+    refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_fuzz_truncation(tmp_path: Path, name: str) -> None:
+    """Cut at random places, a file loads or is refused; nothing else ever happens."""
+    path = write_format(tmp_path, name)
+    data = path.read_bytes()
+    for length in np.random.default_rng(1).integers(1, len(data), 40):
+        path.write_bytes(data[:length])
+        load_or_refuse(path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_fuzz_bytes(tmp_path: Path, name: str) -> None:
+    """With random bytes changed, the head of the file more often, a file loads or is refused."""
+    path = write_format(tmp_path, name)
+    original = path.read_bytes()
+    rng = np.random.default_rng(2)
+    for _ in range(80):
+        data = bytearray(original)
+        reach = len(data) if rng.random() < 0.5 else min(len(data), 400)
+        for position in rng.integers(0, reach, rng.integers(1, 5)):
+            data[position] = rng.integers(256)
+        path.write_bytes(data)
+        load_or_refuse(path)
+
+
+def test_fuzz_sog_metadata(tmp_path: Path) -> None:
+    """With random bytes of meta.json changed, a SOG folder loads or is refused."""
+    folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))
+    original = (folder / "meta.json").read_bytes()
+    rng = np.random.default_rng(3)
+    for _ in range(80):
+        data = bytearray(original)
+        for position in rng.integers(0, len(data), 3):
+            data[position] = rng.integers(32, 127)
+        (folder / "meta.json").write_bytes(data)
+        load_or_refuse(folder)
+
+
+def load_or_refuse(path: Path) -> None:
+    """Loads a file, twice over; the only exception is a SceneError of one line."""
+    for drop_invalid in (False, True):
+        try:
+            assert isinstance(ls.load(path, drop_invalid=drop_invalid), Gaussians)
+        except SceneError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("name", ["capture.ply", "ascii.ply", "big_endian.ply"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_not_finite(tmp_path: Path, name: str, value: float) -> None:
+    """NaN and infinity in a file are counted, attributed, and dropped on request."""
+    path = tmp_path / name
+    rows = np.tile([1.0, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0], (5, 1))
+    rows[1, 3] = rows[4, 3] = rows[4, 0] = value
+    if name.startswith("ascii"):
+        text = "\n".join(" ".join(map(str, row)) for row in rows)
+        path.write_bytes(ply_header(5, INRIA, "ascii") + text.encode())
+    else:
+        order, kind, encoding = ("<f4", "float", "little") if name == "capture.ply" else (">f8", "double", "big")
+        path.write_bytes(ply_header(5, INRIA, f"binary_{encoding}_endian", kind) + rows.astype(order).tobytes())
+    message = refused(path)
+    assert "2 NaN or infinite values in f_dc_0" in message
+    assert "1 NaN or infinite values in x" in message
+    assert "--drop-invalid" in message
+    assert ls.load(path, drop_invalid=True).count == 3
+
+
+def test_doubles_beyond_float(tmp_path: Path) -> None:
+    """A double that float32 cannot hold counts as infinite."""
+    row = np.array([1e300, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0])
+    (tmp_path / "a.ply").write_bytes(ply_header(1, INRIA, kind="double") + row.astype("<f8").tobytes())
+    assert "1 NaN or infinite values in x" in refused(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_zero_gaussians(tmp_path: Path, encoding: str) -> None:
+    """A capture of nothing is refused."""
+    (tmp_path / "a.ply").write_bytes(ply_header(0, INRIA, encoding))
+    assert "zero Gaussians" in refused(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("count", [6, 10**9, 10**18, 10**40])
+def test_header_count_beyond_the_file(tmp_path: Path, encoding: str, count: int) -> None:
+    """A count larger than the file is refused before memory is taken, however absurd it is."""
+    body = b"0 " * 14 * 5 if encoding == "ascii" else bytes(14 * 4 * 5)
+    (tmp_path / "a.ply").write_bytes(ply_header(count, INRIA, encoding) + body)
+    tracemalloc.start()
+    message = refused(tmp_path / "a.ply")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "truncated: the header promises" in message
+    assert peak < 2**22
+
+
+def test_compressed_count_beyond_the_file(tmp_path: Path) -> None:
+    """The same for a compressed PLY, whose chunks come first."""
+    path = write_format(tmp_path, "capture.compressed.ply")
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"element vertex 40", b"element vertex 4000000000"))
+    assert "truncated" in refused(path)
+    path.write_bytes(data.replace(b"element chunk 1", b"element chunk 1000000000000"))
+    assert "truncated" in refused(path)
+
+
+def test_gzip_bomb(tmp_path: Path) -> None:
+    """Only what the header justifies is inflated: the zeros behind it cost nothing."""
+    header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
+    good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
+    stream = io.BytesIO()
+    with gzip.GzipFile(fileobj=stream, mode="wb", compresslevel=1) as bomb:
+        bomb.write(good)
+        for _ in range(16):
+            bomb.write(bytes(2**23))
+    (tmp_path / "bomb.spz").write_bytes(stream.getvalue())
+    tracemalloc.start()
+    assert ls.load(tmp_path / "bomb.spz").count == 1
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**24
+
+
+def test_gzip_bomb_that_its_header_justifies(tmp_path: Path) -> None:
+    """A header that claims a billion Gaussians in a small file is refused without inflating them."""
+    header = struct.pack("<IIIBBBB", 0x5053474E, 3, 10**9, 0, 12, 0, 0)
+    (tmp_path / "bomb.spz").write_bytes(gzip.compress(header + bytes(2**20)))
+    assert "made to exhaust memory" in refused(tmp_path / "bomb.spz")
+
+
+def test_zip_bomb(tmp_path: Path) -> None:
+    """A member of a bundle that inflates to hundreds of megabytes is refused unread."""
+    files = sog_files(capture(10), linear=False)
+    with zipfile.ZipFile(tmp_path / "bomb.sog", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as bundle:
+        bundle.writestr("meta.json", files["meta.json"])
+        with bundle.open("means_l.webp", "w") as member:
+            for _ in range(33):
+                member.write(bytes(2**23))
+    tracemalloc.start()
+    message = refused(tmp_path / "bomb.sog")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "means_l.webp would take 276,824,064 bytes" in message
+    assert peak < 2**24
+
+
+def test_image_bomb(tmp_path: Path) -> None:
+    """A small image of 90 million pixels is refused before it is decoded."""
+    files = sog_files(capture(10), linear=False)
+    buffer = io.BytesIO()
+    Image.new("L", (9500, 9500)).save(buffer, "PNG")
+    folder = unpacked(tmp_path / "bomb", files | {"quats.webp": buffer.getvalue()})
+    assert "quats.webp" in refused(folder)
+
+
+def test_unknown_extension(tmp_path: Path) -> None:
+    """The extensions that are known are listed."""
+    (tmp_path / "a.xyz").write_bytes(b"data")
+    assert "unknown extension '.xyz', expected .ply, .compressed.ply, .spz" in refused(tmp_path / "a.xyz")
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "meta.json", "a.obj", "nothing"])
+def test_missing_file(tmp_path: Path, name: str) -> None:
+    """A file that is not there is said to be missing, whatever its extension."""
+    assert "no such file" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["folder", "folder.ply", "folder.spz"])
+def test_a_folder(tmp_path: Path, name: str) -> None:
+    """A folder that is no SOG capture is refused, even if it is called like a file."""
+    (tmp_path / name).mkdir()
+    assert "is a folder without a meta.json" in refused(tmp_path / name)
+
+
+def test_point_cloud(tmp_path: Path) -> None:
+    """A point cloud is recognised as one."""
+    (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
+    assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"ply\n",
+        b"ply\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex -3\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nproperty float x\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty quad x\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float x\nend_header\n",
+        b"ply\nformat middle_endian 1.0\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex " + b"9" * 5000 + b"\nend_header\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty list uchar int opacity\nend_header\n\x00",
+    ],
+)
+def test_bad_ply_headers(tmp_path: Path, header: bytes) -> None:
+    """Damaged headers are refused."""
+    (tmp_path / "a.ply").write_bytes(header)
+    refused(tmp_path / "a.ply")

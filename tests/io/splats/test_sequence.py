@@ -1,0 +1,102 @@
+"""Sequences of frames: their order, when each is shown, what is loaded when, and folders that hold none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SEQUENCE_FRAMES_KEPT
+from lumisplat.scene.animation.sequence import GaussianSequence
+from support.scenes.raster_scenes import random_gaussians
+
+
+def write_frames(folder, names, counts=None) -> None:
+    """A frame a name, of the given counts or of 4, 5, 6, ..."""
+    for k, name in enumerate(names):
+        ls.save(folder / name, random_gaussians(k, count=counts[k] if counts else 4 + k))
+
+
+def test_frames_come_in_natural_order(tmp_path):
+    """Numbers in names count as such, whatever their width; other files and hidden ones are ignored."""
+    write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
+    (tmp_path / "notes.txt").write_text("no frame")
+    (tmp_path / "._f_3.ply").write_text("left by a file manager")
+    sequence = ls.load_sequence(tmp_path, 2.0)
+    assert sequence.frame_count == 4 and sequence.duration == 2.0
+    assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
+
+
+def test_a_frame_is_shown_until_the_next(tmp_path):
+    """Frames of different counts are shown as they are, and held; nothing lies between two of them."""
+    write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
+    sequence = ls.load_sequence(tmp_path, 10.0)
+    for time, count in ((-1.0, 4), (0.0, 4), (0.099, 4), (0.1, 5), (0.15, 5), (0.2, 6), (50.0, 6)):
+        assert sequence.at(time).count == count, time
+
+
+@pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
+def test_no_frame_is_skipped_by_rounding(fps, tmp_path):
+    """Frame k is what is shown at k / fps, for all k."""
+    shown = []
+    sequence = GaussianSequence([tmp_path / str(k) for k in range(500)], fps, lambda path: shown.append(int(path.name)))
+    for time in ls.Animation(ls.Scene(), fps=fps, frame_count=500).times:
+        sequence.at(float(time))
+    assert shown == list(range(500))
+
+
+def test_few_frames_are_kept(tmp_path):
+    """A frame is loaded when it is first shown, and not again while it is among the last few."""
+    loaded = []
+    sequence = GaussianSequence([tmp_path / str(k) for k in range(5)], 1.0, lambda path: loaded.append(path.name))
+    assert loaded == []
+    for time in (0.0, 0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0):
+        sequence.at(time)
+    assert SEQUENCE_FRAMES_KEPT == 2
+    assert loaded == ["0", "1", "2", "0"]
+
+
+def test_invalid_gaussians_can_be_dropped(tmp_path):
+    """A frame with NaN is refused by its name when it is shown, or shown without them."""
+    write_frames(tmp_path, ["a1.ply", "a2.ply"], [10, 10])
+    data = bytearray((tmp_path / "a2.ply").read_bytes())
+    at = data.index(b"end_header\n") + len(b"end_header\n")
+    data[at : at + 4] = np.float32(np.nan).tobytes()
+    (tmp_path / "a2.ply").write_bytes(bytes(data))
+    sequence = ls.load_sequence(tmp_path, 1.0)
+    assert sequence.at(0.0).count == 10
+    with pytest.raises(ls.FormatError, match=r"a2\.ply: "):
+        sequence.at(1.0)
+    assert ls.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
+
+
+def test_folders_without_frames_are_refused(tmp_path):
+    """One line that says what was expected."""
+    with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
+        ls.load_sequence(tmp_path, 25.0)
+    with pytest.raises(ls.FormatError, match="no such folder"):
+        ls.load_sequence(tmp_path / "none", 25.0)
+    write_frames(tmp_path, ["a1.ply", "a1.spz"])
+    with pytest.raises(ls.FormatError, match=r"is a file, expected a folder"):
+        ls.load_sequence(tmp_path / "a1.ply", 25.0)
+    with pytest.raises(ls.FormatError, match=r"holds frames in \.ply and \.spz, expected one kind"):
+        ls.load_sequence(tmp_path, 25.0)
+
+
+def test_meshes_are_no_frames(tmp_path):
+    """A PLY with faces is told apart from a capture."""
+    import trimesh
+
+    trimesh.creation.box().export(tmp_path / "a1.ply")
+    with pytest.raises(ls.FormatError, match=r"a1\.ply: is a mesh, expected a frame of Gaussians"):
+        ls.load_sequence(tmp_path, 25.0)
+
+
+def test_bad_numbers_are_refused(tmp_path):
+    """Rates are positive, times finite."""
+    write_frames(tmp_path, ["a1.ply"])
+    for fps in (0.0, -1.0, float("nan"), "25"):
+        with pytest.raises(ls.SceneError, match="fps is"):
+            ls.load_sequence(tmp_path, fps)
+    with pytest.raises(ls.SceneError, match="time is nan"):
+        ls.load_sequence(tmp_path, 1.0).at(float("nan"))

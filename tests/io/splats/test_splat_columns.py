@@ -1,0 +1,105 @@
+"""From stored numbers to valid Gaussians: what is refused, what is dropped, what is mended."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from lumisplat.constants import SCALE_MIN
+from lumisplat.errors import FormatError
+from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, gaussians_from_columns
+from support.files.splat_files import capture
+
+
+def stored(count: int = 10, degree: int = 1) -> SplatColumns:
+    """Writable columns of a valid capture."""
+    columns = columns_from_gaussians(capture(count, degree))
+    for name in ("means", "rotations_wxyz", "log_scales", "opacities", "sh"):
+        setattr(columns, name, getattr(columns, name).copy())
+    return columns
+
+
+def poisoned() -> SplatColumns:
+    """Four bad rows of ten: 1 has two bad values, 3, 5 and 8 one each."""
+    columns = stored()
+    columns.means[1, 0] = np.nan
+    columns.opacities[1] = np.inf
+    columns.log_scales[3, 2] = -np.inf
+    columns.sh[5, 2, 1] = np.nan
+    columns.rotations_wxyz[8] = 0.0
+    return columns
+
+
+def test_invalid_values_are_counted_by_property() -> None:
+    """The error says how many, in which property, and how to go on."""
+    with pytest.raises(FormatError) as error:
+        gaussians_from_columns("a.ply", poisoned())
+    message = str(error.value)
+    for part in (
+        "a.ply: ",
+        "1 NaN or infinite values in x",
+        "in opacity",
+        "in scale_2",
+        "in f_rest_4",  # green is the second channel of three coefficients each: 3 + 1
+        "1 rotations of zero length",
+        "in 4 of 10 Gaussians",
+        "--drop-invalid (drop_invalid=True)",
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+def test_columns_are_taken_without_a_copy() -> None:
+    """A capture of gigabytes is in memory once: what was read is what the Gaussians hold."""
+    columns = stored()
+    gaussians = gaussians_from_columns("a.ply", columns)
+    assert np.shares_memory(gaussians.sh, columns.sh) and np.shares_memory(gaussians.means, columns.means)
+    assert not gaussians.sh.flags.writeable
+
+
+def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
+    """drop_invalid leaves out exactly the bad rows, and logs how many."""
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
+    np.testing.assert_array_equal(kept.means, stored().means[[0, 2, 4, 6, 7, 9]])
+    assert "dropped 4 Gaussians" in caplog.text
+
+
+def test_nothing_left_is_an_error() -> None:
+    """A capture without a single valid Gaussian is refused even with drop_invalid."""
+    columns = stored(2)
+    columns.means[:] = np.nan
+    with pytest.raises(FormatError, match="no valid Gaussian is left"):
+        gaussians_from_columns("a.ply", columns, drop_invalid=True)
+
+
+def test_underflowing_scales_are_mended() -> None:
+    """A log scale whose exponential is zero in float32 gives the smallest scale, not an error."""
+    columns = stored(1)
+    columns.log_scales[0] = (-200.0, -50.0, 0.0)
+    np.testing.assert_allclose(gaussians_from_columns("a.ply", columns).scales, [[SCALE_MIN, SCALE_MIN, 1.0]])
+
+
+def test_overflowing_scales_are_refused() -> None:
+    """A log scale whose exponential is infinite is an infinite value in that property."""
+    columns = stored(3)
+    columns.log_scales[2, 1] = 100.0
+    with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
+        gaussians_from_columns("a.ply", columns)
+
+
+def test_large_logits_saturate_quietly() -> None:
+    """Logits far beyond the range of exp give opacity 0 and 1."""
+    columns = stored(2)
+    columns.opacities[:] = (-500.0, 500.0)
+    np.testing.assert_array_equal(gaussians_from_columns("a.ply", columns).opacities, [0.0, 1.0])
+
+
+def test_values_out_of_range_name_the_file() -> None:
+    """What the scene refuses is reported as an error of the file."""
+    columns = stored(2)
+    columns.roughness = np.array([0.5, 1.5], dtype=np.float32)
+    with pytest.raises(FormatError, match=r"a\.ply: roughness"):
+        gaussians_from_columns("a.ply", columns)

@@ -1,0 +1,36 @@
+"""Harmonics of any degree: orthonormal, and those of captures where these have them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lumisplat.math.sh import sh_basis
+from lumisplat.scene.ops import sh_colors as harmonics
+from support.scenes.sphere import sphere_quadrature, unit
+
+
+def test_harmonics_are_orthonormal() -> None:
+    """The integral of a product over the sphere is 1 with itself, 0 with any other, up to degree 8."""
+    directions, weights = sphere_quadrature(10)
+    basis = sh_basis(directions, 8)
+    np.testing.assert_allclose(basis.T @ (weights[:, None] * basis), np.eye(81), atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_harmonics_are_those_of_captures(degree: int) -> None:
+    """Order and signs are a capture's: its coefficients and a probe's mean the same."""
+    directions = unit(0, 50)
+    np.testing.assert_allclose(sh_basis(directions, degree), harmonics.sh_basis(directions, degree).T, atol=1e-12)
+
+
+def test_harmonics_of_many_shapes() -> None:
+    """Leading axes are kept, and the poles are fine."""
+    poles = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+    basis = sh_basis(poles, 4)
+    assert basis.shape == (1, 2, 25)
+    zonal = [level * level + level for level in range(5)]
+    expected = np.sqrt((2 * np.arange(5) + 1) / (4 * np.pi))
+    np.testing.assert_allclose(basis[0, 0, zonal], expected, atol=1e-12)
+    np.testing.assert_allclose(basis[0, 1, zonal], expected * (-1.0) ** np.arange(5), atol=1e-12)
+    np.testing.assert_array_equal(np.delete(basis, zonal, axis=2), 0.0)

@@ -1,0 +1,132 @@
+"""What README and guide say is true: their Python runs, their links lead somewhere, their options exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli import main
+from support.files.rig_files import BEND, TubeRig
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "docs" / "conventions.md", *sorted((ROOT / "docs" / "guide").glob("*.md"))]
+PROGRAMS = [
+    pytest.param(block, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"<!-- runnable -->\n```python\n(.*?)```", page.read_text(), re.DOTALL))
+]
+SCENE_FILES = [
+    pytest.param(block, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
+]
+NAMES = "render|info|convert|bench|demo|metrics|shadowmap|relight|animate"
+COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})
+
+
+@pytest.fixture
+def beside(tmp_path, monkeypatch):
+    """A folder to be in, with a capture, meshes, a rig, frames, an environment and a camera file."""
+    import trimesh
+
+    from lumisplat.io.images.image import write_exr
+
+    monkeypatch.chdir(tmp_path)
+    ls.save("garden.ply", random_gaussians(1, count=100))
+    ls.save("avatar.ply", random_gaussians(2, count=80, extent=(0.3, 0.8, 0.3)))
+    ls.save_cameras(Path("transforms.json"), [front_camera(name="0001")])
+    Path("statue.obj").write_text("v 0 0 4\nv 1 0 4\nv 0 1 4\nf 1 2 3\n")
+    trimesh.creation.box().export("statue.glb")
+    TubeRig(clips={"walk": BEND}).write(Path("walker.glb"))
+    Path("frames").mkdir()
+    for k in range(3):
+        ls.save(Path("frames") / f"{k}.ply", random_gaussians(k, count=10 + k))
+    write_exr("sky.exr", dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
+    return tmp_path
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.usefixtures("beside")
+def test_python_of_the_docs_runs(program):
+    """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
+    exec(compile(program, "docs", "exec"), {})
+
+
+@pytest.mark.parametrize("text", SCENE_FILES)
+def test_scene_files_of_the_docs_load(text, beside):
+    """Every TOML block marked runnable is a scene file, of which all loads."""
+    (beside / "scene.toml").write_text(text)
+    ls.load_config("scene.toml")
+    ls.load_cameras("scene.toml")
+    if "[[" in text:
+        assert isinstance(ls.load("scene.toml"), ls.Scene)
+
+
+def test_the_guide_shows_every_setting(tmp_path):
+    """The settings in the guide are those that are saved of the defaults: none is missing, or has changed since."""
+    ls.save_config(tmp_path / "settings.toml", ls.RenderConfig())
+    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
+    assert f"```toml\n{(tmp_path / 'settings.toml').read_text()}```" in shown
+
+
+def test_the_guide_shows_every_key_of_a_scene_file():
+    """Each key of entries, lights, materials, the environment and cameras is on the page about scene files."""
+    from lumisplat.io.scene_toml import cameras as scene_cameras
+    from lumisplat.io.scene_toml import lights as scene_lights
+    from lumisplat.io.scene_toml import materials as scene_materials
+    from lumisplat.io.scene_toml import scene_file
+    from lumisplat.io.scene_toml.fields import schema
+
+    shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
+    keys = {key for keys in scene_file._KEYS.values() for key in keys}
+    keys |= {*scene_cameras._FILE_KEYS, *scene_cameras._VIEW_KEYS, *scene_lights._KINDS, *scene_materials._KINDS}
+    for kind in (*scene_lights._KINDS.values(), *scene_materials._KINDS.values(), ls.LightEnvironment):
+        keys |= set(schema(kind)) - {"image"}
+    missing = [key for key in sorted(keys) if f"`{key}`" not in shown and f'`"{key}"`' not in shown]
+    assert not missing
+
+
+def test_the_guide_shows_every_key_of_an_animation():
+    """Each key of actors, their keyframes and the animation is on the page about them."""
+    from lumisplat.io.scene_toml.actors import ACTOR_KEYS, KEYFRAME_KEYS
+    from lumisplat.io.scene_toml.animation import ANIMATION_KEYS
+
+    shown = (ROOT / "docs" / "guide" / "animate.md").read_text()
+    keys = {*ACTOR_KEYS, *KEYFRAME_KEYS, *ANIMATION_KEYS}
+    assert not [key for key in sorted(keys) if f"`{key}`" not in shown]
+
+
+def test_all_python_of_the_docs_is_marked():
+    """A Python block that is not run is a claim that nothing checks."""
+    blocks = sum(page.read_text().count("```python") for page in PAGES)
+    assert len(PROGRAMS) == blocks > 0
+    assert len(SCENE_FILES) > 0
+
+
+def test_every_public_name_is_in_the_reference():
+    """The page on the Python API documents each public name where it is defined."""
+    listed = (ROOT / "docs" / "api.md").read_text()
+    missing = [name for name, home in ls._HOME.items() if f"lumisplat.{home}.{name}\n" not in listed]
+    described = re.search(r"automodule:: lumisplat.errors\n +:members: (.*)", listed)
+    assert described and set(missing) == set(described[1].split(", "))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    """Relative links of a page exist."""
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_options_of_the_docs_exist(command, capsys):
+    """Every option that the docs use is one that the command's help lists."""
+    assert main([command.split()[1], "--help"]) == 0
+    listed = capsys.readouterr().out
+    for option in re.findall(r"(?<=\s)--?[a-z][a-z-]*", command):
+        assert option in listed

@@ -1,0 +1,420 @@
+"""Actors in a captured scene, frame by frame: what they darken, what they leave, how they are lit."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.demo.shapes import icosphere
+from lumisplat.math.color import decode_srgb
+from lumisplat.relighting import actor_shadows
+from lumisplat.relighting import avatar_lighter as lighting
+from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
+from support.scenes.light_room import captured, lamp
+
+SHADOW = ls.DeepShadowConfig(resolution=128, bins=32)
+LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
+
+
+def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:
+    """A grey floor at y = 0, 4 x 4 about (x, 0, 0): Gaussians 0.2 apart."""
+    steps = np.linspace(-2.0, 2.0, cells)
+    points = np.stack(np.meshgrid(steps + x, [0.0], steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    return captured(points, np.full(3, 0.4), scale=0.1)
+
+
+def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
+    """A ball of radius 0.4 at height 1, opaque."""
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(count, 3))
+    points *= 0.4 / np.linalg.norm(points, axis=1, keepdims=True)
+    pose = np.eye(4)
+    pose[:3, 3] = (x, 1.0, 0.0)
+    return ls.SplatInstance(captured(points, np.full(3, 0.6), opacity=0.95, scale=0.04), pose, name="puppet")
+
+
+def config(**changes: object) -> ls.AvatarLightingConfig:
+    """Small maps, all light direct, nothing relit."""
+    return ls.AvatarLightingConfig(**{"shadow": SHADOW, "direct": 1.0, "relight": False} | changes)  # type: ignore[arg-type]
+
+
+def lighter(scene: ls.Scene, lights: object = (LIGHT,), **changes: object) -> ls.AvatarLighter:
+    """One for the CPU."""
+    return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")  # type: ignore[arg-type]
+
+
+def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
+    """Linear factor of each Gaussian's mean colour, shape (N,)."""
+    old, new = (decode_srgb(g.sh[:, 0].mean(axis=1).astype(np.float64) * SH_C0 + 0.5) for g in (before, after))
+    return new / old
+
+
+def test_the_floor_is_dark_behind_the_actor_only() -> None:
+    """Seen from the light, the ball covers a disc of radius 0.61 on the floor: black within, untouched without."""
+    ground = floor()
+    scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
+    left = light_left(ground, scene.splats[0].gaussians)
+    away = np.hypot(ground.means[:, 0], ground.means[:, 2])
+    assert left[away < 0.3].max() < 0.05
+    np.testing.assert_array_equal(scene.splats[0].gaussians.sh[away > 1.6], ground.sh[away > 1.6])
+    assert scene.splats[1].name == "puppet"
+
+
+def test_shadows_follow_the_actor() -> None:
+    """The next frame's shadow is where the actor is then, and nothing is left of the last one."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]))
+    stage.light([puppet(-1.0)])
+    left = light_left(ground, stage.light([puppet(1.0)]).splats[0].gaussians)
+    assert left[np.abs(ground.means - (1.5, 0.0, 0.0)).max(axis=1) < 0.15].max() < 0.05
+    assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
+
+
+def test_a_still_actor_gives_the_same_bits() -> None:
+    """Frame after frame, also after it has been elsewhere: no flicker, relit or not."""
+    stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
+    first = stage.light([puppet()])
+    stage.light([puppet(0.7)])
+    again = stage.light([puppet()])
+    for one, other in zip(first.splats, again.splats, strict=True):
+        np.testing.assert_array_equal(one.gaussians.sh, other.gaussians.sh)
+
+
+def test_direct_is_what_shadows_take() -> None:
+    """The rest of the light is never in shadow."""
+    ground = floor()
+    left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
+    assert left.min() == pytest.approx(0.4, abs=0.02)
+
+
+def test_several_lights_and_several_actors_combine() -> None:
+    """Two lights, two actors: factors are the mean of what each light's own map lets through all actors."""
+    ground = floor()
+    lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
+    actors = [puppet(-0.8), puppet(0.8)]
+    left = light_left(ground, lighter(ls.Scene(splats=[ground]), lights).light(actors).splats[0].gaussians)
+    maps = [DeepShadowMap.build(actors, light, ground, SHADOW, device="cpu") for light in lights]
+    expected = np.mean([shadow.transmittance_of(ground) for shadow in maps], axis=0)
+    np.testing.assert_allclose(left, expected, atol=2e-3)
+    assert (left < 0.55).sum() > 20
+
+
+def test_each_set_takes_its_own_shadow() -> None:
+    """Of several captured sets, only the one that a shadow falls on becomes another object."""
+    sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
+    # The same bins for both, and no samples that would depend on a receiver's number.
+    same = replace(SHADOW, max_distance=4.0, sampling=ls.ReceiverSampling.CENTER)
+    scene = lighter(ls.Scene(splats=sets), shadow=same).light([puppet()])
+    assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
+    alone = lighter(ls.Scene(splats=[sets[1]]), shadow=same).light([puppet()])
+    left = [light_left(sets[1].gaussians, s.gaussians) for s in (scene.splats[1], alone.splats[0])]
+    assert left[0].min() < 0.05
+    np.testing.assert_allclose(left[0], left[1], atol=0.01)
+
+
+def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory of a frame is that of the first."""
+    built = []
+    build = DeepShadowMap.build.__func__  # type: ignore[attr-defined]
+
+    def counting(*arguments: object, **options: object) -> DeepShadowMap:
+        built.append(build(DeepShadowMap, *arguments, **options))
+        return built[-1]
+
+    monkeypatch.setattr(actor_shadows.DeepShadowMap, "build", counting)
+    stage = lighter(ls.Scene(splats=[floor()]), [LIGHT, replace(LIGHT, position=(1, 3, 0))])
+    stage.light([puppet()])
+    held = [shadow.bytes for shadow in built]
+    for _ in range(3):
+        stage.light([puppet()])
+    assert len(built) == 2 and [shadow.bytes for shadow in built] == held
+
+
+def test_no_actors_leave_the_scene_as_it_is() -> None:
+    """Of an empty frame, all assets are the scene's own."""
+    scene = ls.Scene(splats=[floor()])
+    assert lighter(scene).light([]).splats[0] is scene.splats[0]
+
+
+def test_flags_leave_actors_out() -> None:
+    """One casts no shadow, one keeps its colours; both are in the frame."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]), relight=True)
+    scene = stage.light([puppet(-1.0), puppet(1.0)], casts_shadow=[False, True], relit=[True, False])
+    left = light_left(ground, scene.splats[0].gaussians)
+    assert (left[ground.means[:, 0] < 0.0] == 1.0).all() and left.min() < 0.05
+    kept = [(i.gaussians.sh == puppet().gaussians.sh).all() for i in scene.splats[1:]]
+    assert kept == [False, True]
+
+
+def test_actors_take_the_light_of_their_place() -> None:
+    """Over the floor and under nothing, the lower side gets its light, the upper none; off, all stays."""
+    scene = ls.Scene(splats=[floor(cells=41)])
+    normals = puppet().gaussians.means / 0.4
+    actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
+    lit = lighter(scene, relight=True).light([actor]).splats[1]
+    left = light_left(actor.gaussians, lit.gaussians)
+    assert left[normals[:, 1] < -0.9].mean() > 2.0 * left[normals[:, 1] > 0.9].mean()
+    assert lighter(scene).light([actor]).splats[1] is actor
+
+
+def test_what_only_moves_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Normals belong to a set, probes to a place: a still actor asks for neither again, a moving one for a probe."""
+    asked: list[str] = []
+    for name in ("estimate_normals", "EnvironmentProbe"):
+        kept = getattr(lighting, name)
+
+        def counted(*arguments: object, name: str = name, kept: Any = kept, **options: object) -> object:
+            asked.append(name)
+            return kept(*arguments, **options) if name == "estimate_normals" else kept.capture(*arguments, **options)
+
+        if name == "EnvironmentProbe":
+            counted.capture = counted  # type: ignore[attr-defined]
+        monkeypatch.setattr(lighting, name, counted)
+    stage = lighter(ls.Scene(splats=[floor()]), relight=True)
+    actor = puppet()
+    for x in (0.0, 0.0, 0.5):
+        pose = np.array(actor.transform)
+        pose[0, 3] = x
+        stage.light([replace(actor, world_from_object=pose)])
+    assert asked.count("estimate_normals") == 1 and asked.count("EnvironmentProbe") == 2
+
+
+def test_meshes_cast_and_stay_meshes() -> None:
+    """A mesh actor darkens the floor, and the frame is lit for it; what was captured looks as in an unlit frame."""
+    ground = floor()
+    pose = np.eye(4)
+    pose[:3, 3] = (0.0, 1.0, 0.0)
+    actor = ls.MeshInstance(icosphere(0.4), pose)
+    scene = lighter(ls.Scene(splats=[ground]), relight=True).light([actor])
+    assert scene.meshes == (actor,)
+    assert [light.name for light in scene.lights] == ["bulb", "around"]
+    left = light_left(ground, scene.splats[0].gaussians)
+    away = np.hypot(ground.means[:, 0], ground.means[:, 2])
+    assert left[away < 0.3].max() < 0.05 and (left[away > 1.6] == 1.0).all()
+    camera = ls.Camera.look_at((0.0, 2.5, 3.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=1.0)
+    lit = ls.render(scene, camera, device="cpu").pixels_srgb()
+    unlit = ls.render(ls.Scene(splats=scene.splats), camera, device="cpu").pixels_srgb()
+    there = ls.render(ls.Scene(meshes=scene.meshes), camera, device="cpu").alpha > 0.0
+    assert 0 < there.sum() < there.size
+    np.testing.assert_array_equal(lit[~there], unlit[~there])
+
+
+def test_captures_do_not_shadow_mesh_actors() -> None:
+    """Within a lamp's own Gaussians a light would reach nothing by rays, and a probe's through no wall that it saw."""
+    shade = lamp(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
+    ceiling = captured(np.array([0.0, 4.0, 0.0]) + floor().means, np.full(3, 0.5), opacity=1.0, scale=0.2)
+    pose = np.eye(4)
+    pose[1, 3] = 1.0
+    actor = ls.MeshInstance(icosphere(0.4), pose)
+    camera = ls.Camera.look_at((0.0, 1.6, 3.0), (0.0, 1.0, 0.0), width=48, height=32, fov_y=0.4)
+    there = ls.render(ls.Scene(meshes=[actor]), camera, device="cpu").alpha == 1.0
+    alone = ls.Scene(splats=[captured(np.array([[0.0, -9.0, 0.0]]), np.ones(3))])
+    open_air, enclosed = (
+        ls.render(lighter(scene).light([actor]), camera, device="cpu").color[there].mean()
+        for scene in (alone, ls.Scene(splats=[floor(), shade, ceiling]))
+    )
+    assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
+
+
+def test_given_lights_all_light_meshes() -> None:
+    """One that casts no shadow and an environment are among the lights of the frame; no probe comes on top of that."""
+    lamps = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
+    stage = lighter(ls.Scene(splats=[floor()]), lamps, relight=True)
+    assert stage.lights == (LIGHT,)
+    frame = stage.light([ls.MeshInstance(icosphere(0.4))])
+    assert [light.name for light in frame.lights] == ["bulb", "bulb", "sky"]
+    assert [light.intensity for light in frame.lights] == [9.0, 9.0, 1.0]
+
+
+def test_beside_mesh_actors_captures_stay_as_captured() -> None:
+    """Lights that come with them are for meshes: sets that would reflect them lose their materials, actors too."""
+    sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_only=True)]
+    actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
+    stage = lighter(ls.Scene(splats=sets))
+    assert all(i.material is None and not i.shadow_only for i in stage.light(actors).splats)
+    alone = stage.light(actors[1:])
+    assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_only
+
+
+def test_meshes_of_the_scene_cast_from_the_start() -> None:
+    """They were put there after the capture: their shadow is there without any actor, and multiplies with others."""
+    ground = floor()
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 1.0, 0.0)
+    stage = lighter(ls.Scene(splats=[ground], meshes=[ls.MeshInstance(icosphere(0.4), pose)]))
+    alone = light_left(ground, stage.light([]).splats[0].gaussians)
+    both = light_left(ground, stage.light([puppet(-1.0)]).splats[0].gaussians)
+    assert alone[ground.means[:, 0] > 0.0].min() < 0.05 and (alone[ground.means[:, 0] < 0.0] == 1.0).all()
+    np.testing.assert_array_equal(both[ground.means[:, 0] > 0.0], alone[ground.means[:, 0] > 0.0])
+    assert both[ground.means[:, 0] < 0.0].min() < 0.05
+
+
+def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFixture) -> None:
+    """Its own lights cast; what reflects them or only takes shadows gets those from rays, and a line says so."""
+    sets = [
+        ls.SplatInstance(floor(), material=ls.MaterialPbr()),
+        ls.SplatInstance(floor(), shadow_only=True),
+        ls.SplatInstance(floor()),
+    ]
+    scene = ls.Scene(splats=sets, lights=[LIGHT, ls.LightEnvironment()])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        stage = lighter(scene, None)
+    assert stage.lights == (LIGHT,)
+    assert "2 splat sets take their shadows from the renderer's rays" in caplog.text
+    frame = stage.light([puppet()])
+    assert frame.lights == scene.lights
+    shiny = replace(puppet(), material=ls.MaterialPbr())
+    assert lighter(ls.Scene(splats=sets[2:], lights=scene.lights), None, relight=True).light([shiny]).splats[1] is shiny
+    assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
+
+
+def test_lights_are_found_about_the_first_actors() -> None:
+    """Without any given: the planted lamp, once, and as bright as the direct part of the place's light."""
+    scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
+    stage = lighter(scene, None, light_count=1, direct=0.8)
+    assert stage.lights is None
+    first = stage.light([puppet()])
+    assert stage.lights is not None and stage.estimate is not None
+    assert np.linalg.norm(np.subtract(stage.lights[0].position, (1.0, 2.5, 0.5))) < 0.081
+    assert light_left(scene.splats[0].gaussians, first.splats[0].gaussians).min() < 0.25
+    found = stage.lights
+    stage.light([puppet(0.5)])
+    assert stage.lights is found
+    # Around the actor there is radiance of some mean; over all directions a surface gets pi times that.
+    middle = np.array([0.0, 1.0, 0.0]) + np.average(puppet().gaussians.means, axis=0)
+    around = ls.EnvironmentProbe.capture(scene, middle, device="cpu")
+    directions = np.random.default_rng(0).normal(size=(20_000, 3))
+    mean = (around.radiance(directions) @ (0.2126, 0.7152, 0.0722)).mean()
+    arriving = found[0].intensity / np.sum(np.subtract(found[0].position, middle) ** 2)
+    assert arriving == pytest.approx(0.8 * np.pi * mean, rel=0.03)
+
+
+def test_a_light_inside_an_actor_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """It then shadows all around it; a light above a flat Gaussian, which is wide enough to reach it, is not inside."""
+    within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
+    above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
+    # A disc that faces x, and stands turned by a quarter about z: it faces y.
+    disc = replace(captured(np.zeros((1, 3)), np.ones(3)), scales=np.array([[0.01, 0.3, 0.3]]))
+    turned = np.array([[0, -1, 0, 0], [1, 0, 0, 1.0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    stage = lighter(ls.Scene(splats=[floor()]), [within, above])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        for _ in range(2):
+            stage.light([ls.SplatInstance(disc, turned)])
+    assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
+
+
+def test_the_region_walks_with_the_actor() -> None:
+    """``region_radius`` is about the actors of each frame, not of the first."""
+    ground = floor()
+    slanted = ls.LightDirectional((1.0, -1.0, 0.0))
+    near = replace(SHADOW, region_radius=1.2)
+    stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow=near)
+    stage.light([puppet(-1.5)])
+    left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
+    assert left[ground.means[:, 0] > 1.2].min() < 0.05
+    assert (left[ground.means[:, 0] > 0.5 + 1.2] == 1.0).all()
+
+
+def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing is darkened, and a line says why."""
+    ground = floor()
+    stage = lighter(ls.Scene(splats=[ground]), shadow=replace(SHADOW, region_radius=0.5))
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        frames = [stage.light([puppet()]) for _ in range(2)]
+    assert all(frame.splats[0].gaussians is ground for frame in frames)
+    assert caplog.text.count("no receivers within 0.5 of the actors") == 1
+
+
+def test_shadows_can_be_switched_off() -> None:
+    """Then no lights are needed."""
+    scene = ls.Scene(splats=[floor()])
+    frame = ls.AvatarLighter(scene, None, config(shadows=False), device="cpu").light([puppet()])
+    assert frame.splats[0] is scene.splats[0] and len(frame.splats) == 2
+
+
+@pytest.mark.parametrize(
+    ("scene", "lights", "actors", "said"),
+    [
+        (3, None, [], "takes a Scene that has captured Gaussians"),
+        (ls.Scene(), None, [], "takes a Scene that has captured Gaussians"),
+        (ls.Scene(splats=[floor()]), [], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), [ls.LightEnvironment()], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), [replace(LIGHT, casts_shadow=False)], [], "none of the lights"),
+        (ls.Scene(splats=[floor()]), LIGHT, [], "lights is one LightPoint, expected a list"),
+        (ls.Scene(splats=[floor()]), [LIGHT, 3], [], "lights holds a int"),
+        (ls.Scene(splats=[floor()]), [LIGHT], [3], "actors holds a int"),
+        (ls.Scene(splats=[floor()]), [LIGHT], puppet(), "actors is one SplatInstance"),
+        (ls.Scene(splats=[floor()]), None, [puppet()], "no light found"),
+    ],
+)
+def test_bad_scenes_are_told(scene: ls.Scene, lights: object, actors: object, said: str) -> None:
+    """No captured sets, no lights, no actors of a kind that there is."""
+    with pytest.raises(ls.SceneError, match=said):
+        lighter(scene, lights).light(actors)  # type: ignore[arg-type]
+
+
+def test_bad_flags_are_told() -> None:
+    """One an actor."""
+    with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
+        lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
+
+
+def test_lights_of_a_bare_capture_are_those_it_was_captured_in() -> None:
+    """Where nothing reflects a scene's lights, they are as if given: none is left to be blocked by captured walls."""
+    sky = ls.LightEnvironment(intensity=0.5, name="sky")
+    bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
+    for lights in ((LIGHT,), (LIGHT, sky), (sky,)):
+        own, given = lighter(ls.Scene(splats=bare, lights=lights), None, relight=True), None
+        if LIGHT in lights:
+            given = lighter(ls.Scene(splats=bare), lights, relight=True).light([ball]).lights
+            frame = own.light([ball])
+            assert [(o.name, o.intensity, o.casts_shadow) for o in frame.lights] == [
+                (g.name, g.intensity, g.casts_shadow) for g in given
+            ]
+        # Without meshes only what is seen behind everything is left.
+        assert own.light([]).lights == tuple(light for light in lights if light is sky)
+    shiny = replace(puppet(), material=ls.MaterialPbr())
+    assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
+
+
+def test_probes_see_the_background() -> None:
+    """A capture without surroundings is as bright around as what stands behind it."""
+    scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
+    actor = puppet()
+    colors = []
+    for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)):
+        stage = ls.AvatarLighter(scene, [LIGHT], config(relight=True), background=background, device="cpu")
+        colors.append(stage.light([actor]).splats[1].gaussians.sh[:, 0].mean() * SH_C0 + 0.5)
+    assert colors[0] < 0.02
+    assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
+
+
+def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """With what would brighten them; not where that is set already."""
+    scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
+    gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
+    for gamma, lines in ((1.0, 1), (2.0, 0)):
+        settings = config(relight=True, transfer=ls.RelightConfig(gamma=gamma))
+        stage = ls.AvatarLighter(scene, [LIGHT], settings, background=gray, device="cpu")
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, logger="lumisplat"):
+            for x in (0.0, 0.3):
+                stage.light([puppet(x)])
+        assert caplog.text.count("actors stand in 0.21 of display white") == lines
+        assert ("gamma of up to 4.7" in caplog.text) == bool(lines)
+
+
+def test_a_light_that_reaches_next_to_nothing_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Inside of a hollow actor, say: nothing is inside of any Gaussian, and all of the room is dark."""
+    stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        for x in (0.0, 0.1):
+            stage.light([puppet(x)])
+    assert caplog.text.count("light 'torch' hardly reaches the capture") == 1

@@ -1,0 +1,123 @@
+"""What is left of captured colours in the shadow of several lights, by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.ops.irradiance import facing_irradiance
+from support.scenes.light_room import captured
+
+
+def receivers(points: npt.ArrayLike, linear: tuple[float, float, float] = (0.4, 0.4, 0.4)) -> ls.Gaussians:
+    """One colour at some points."""
+    return captured(np.atleast_2d(points), np.array(linear))
+
+
+def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.float64]:
+    """Mean colours, decoded."""
+    return decode_srgb(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5)
+
+
+def test_one_light_leaves_its_transmittance() -> None:
+    """As in the paper: with nothing but that light, colours become T times as bright."""
+    transmittance = np.array([0.0, 0.25, 0.5, 1.0])
+    lit = receivers(np.eye(4)[:, :3])
+    dark = ls.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
+    np.testing.assert_allclose(linear(dark), 0.4 * transmittance[:, None] * np.ones(3), atol=1e-5)
+    np.testing.assert_array_equal(dark.sh[3], lit.sh[3])
+
+
+def test_lights_count_by_their_irradiance_in_each_channel() -> None:
+    """A red light at 2 and a white one at 1, both of 4 candela: red has shares 1/5 and 4/5, green only the white."""
+    red, white = ls.LightPoint((2, 0, 0), (1, 0, 0), 4.0), ls.LightPoint((0, 1, 0), (1, 1, 1), 4.0)
+    lit = receivers((0.0, 0.0, 0.0))
+    dark = linear(ls.shadowed(lit, [red, white], [[0.0], [1.0]]))[0] / 0.4
+    np.testing.assert_allclose(dark, [0.8, 1.0, 1.0], atol=1e-5)
+    dark = linear(ls.shadowed(lit, [red, white], [[0.5], [0.1]], direct=0.5))[0] / 0.4
+    np.testing.assert_allclose(dark, 1.0 - 0.5 * np.array([0.2 * 0.5 + 0.8 * 0.9, 0.9, 0.9]), atol=1e-5)
+
+
+def test_where_no_light_arrives_nothing_is_taken() -> None:
+    """Behind a spot's cone there is no light of it to block; a channel that no light has keeps its bits."""
+    spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
+    lit = receivers([(0, 0, -1), (0, 0, 1)])
+    dark = ls.shadowed(lit, [spot], [[0.0, 0.0]])
+    np.testing.assert_array_equal(dark.sh[0], lit.sh[0])
+    np.testing.assert_array_equal(dark.sh[1, :, 2], lit.sh[1, :, 2])
+    assert linear(dark)[1, :2].max() < 1e-5
+
+
+def test_instances_are_where_they_stand() -> None:
+    """The shares of two lights follow an instance's transform; it keeps all but its colours."""
+    pose = np.diag([2.0, 2.0, 2.0, 1.0])
+    pose[0, 3] = 1.0
+    instance = ls.SplatInstance(receivers((1.0, 0.0, 0.0)), pose, name="floor", sh_degree=1)
+    lights = [ls.LightPoint((2.0, 0, 0)), ls.LightPoint((5.0, 0, 0))]
+    dark = ls.shadowed(instance, lights, [[0.0], [1.0]])
+    np.testing.assert_allclose(linear(dark.gaussians)[0], 0.4 * 0.2, atol=1e-5)
+    assert dark.name == "floor" and dark.sh_degree == 1
+    np.testing.assert_array_equal(dark.transform, pose)
+
+
+def test_nothing_in_the_way_is_the_same_object() -> None:
+    """However many lights: shares that sum to a rounding off 1 take nothing."""
+    rng = np.random.default_rng(0)
+    lit = receivers(rng.random((1000, 3)))
+    lights = [ls.LightPoint(tuple(rng.normal(size=3) * 3), tuple(rng.random(3)), 1.0 + rng.random()) for _ in range(7)]
+    assert ls.shadowed(lit, lights, np.ones((7, 1000))) is lit
+    instance = ls.SplatInstance(lit)
+    assert ls.shadowed(instance, lights, np.ones((7, 1000))) is instance
+    # And with all of them blocked, nothing is left, nor less.
+    dark = ls.shadowed(lit, lights, np.zeros((7, 1000)))
+    assert np.abs(dark.sh[:, 0] * SH_C0 + 0.5).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("light", "expected"),
+    [
+        (ls.LightPoint((0, 3, 0), (1, 0.5, 0), 18.0), 2.0),
+        (ls.LightPoint((0, 3, 0), (1, 0.5, 0), 18.0, range=6.0), 2.0 * (1.0 - 0.5**4)),
+        (ls.LightPoint((0, 3, 0), (1, 0.5, 0), 18.0, range=2.0), 0.0),
+        (ls.LightSphere((0, 3, 0), 0.5, (1, 0.5, 0), 8.0), 8.0 * math.pi * 0.25 / 9.0),
+        (ls.LightDirectional((0, 1, 0), (1, 0.5, 0), 7.0), 7.0),
+        (ls.LightRect((0, 3, 0), (2, 0, 0), (0, 0, 3), (1, 0.5, 0), 1.5), 1.5 * 6.0 / 9.0),
+        (ls.LightRect((0, 3, 0), (0, 0, 3), (2, 0, 0), (1, 0.5, 0), 1.5), 0.0),
+        (ls.LightSpot((3, 3, 0), (0, -1, 0), (1, 0.5, 0), 18.0, inner_angle=0.5, outer_angle=1.0),
+         ((math.cos(math.pi / 4) - math.cos(1.0)) / (math.cos(0.5) - math.cos(1.0))) ** 2),
+    ],
+)  # fmt: skip
+def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None:
+    """At the origin, by each light's definition."""
+    np.testing.assert_allclose(facing_irradiance(light, np.zeros((1, 3)))[0], np.array([1, 0.5, 0]) * expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"transmittances": np.ones((1, 3))}, ls.SceneError, r"shape \(1, 3\), expected \(1, 2\)"),
+        ({"transmittances": [[0.5, 1.5]]}, ls.SceneError, "1 of 2 are outside 0..1"),
+        ({"transmittances": [[0.5, np.nan]]}, ls.SceneError, "1 non-finite"),
+        ({"lights": [], "transmittances": np.ones((0, 2))}, ls.SceneError, "at least one light"),
+        ({"lights": [ls.LightEnvironment()]}, ls.SceneError, "shines from everywhere"),
+        ({"receivers": 3}, ls.SceneError, "got a int"),
+        ({"lights": [3]}, ls.SceneError, "lights holds a int"),
+        ({"lights": ls.LightPoint((0, 0, 3))}, ls.SceneError, "lights is one LightPoint, expected a list"),
+        ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
+    ],
+)
+def test_bad_shadows_are_told(change: dict[str, object], error: type[Exception], said: str) -> None:
+    """What does not fit."""
+    arguments = {
+        "receivers": receivers([(0, 0, 0), (1, 0, 0)]),
+        "lights": [ls.LightPoint((0, 0, 3))],
+        "transmittances": [[0.5, 0.5]],
+    } | change
+    with pytest.raises(error, match=said):
+        ls.shadowed(**arguments)  # type: ignore[arg-type]

@@ -1,0 +1,205 @@
+"""Lights planted in a room of Gaussians are found: where they are, of their colour, in order; nothing else is."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb
+from lumisplat.relighting.local_contrast import surroundings
+from lumisplat.scene.ops.irradiance import facing_irradiance
+from lumisplat.scene.ops.sh_colors import colors_along
+from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
+
+CENTER = 0.5 * SIZE
+PLACES = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
+COLORS = ((1.0, 0.9, 0.7), (0.5, 0.7, 0.8), (0.6, 0.2, 0.1))
+"""By falling luminance."""
+
+
+def three_lamps() -> ls.Gaussians:
+    """The room with the three lamps, which are not in order in the file."""
+    return room_with(*(lamp(PLACES[i], COLORS[i]) for i in (2, 0, 1)))
+
+
+def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: float = 0.08) -> None:
+    """The light is at a lamp of that radius."""
+    assert np.linalg.norm(np.subtract(light.position, place)) < radius + 1e-5, light
+
+
+def test_planted_emitters_are_found_in_order() -> None:
+    """Three lamps, the brightest first, at their places and of their linear colours."""
+    found = ls.estimate_lights(three_lamps(), CENTER, 3)
+    for light, place, color in zip(found.lights, PLACES, COLORS, strict=True):
+        assert_at(light, place)
+        np.testing.assert_allclose(light.color, np.array(color) / max(color), atol=2e-3)
+    assert (np.diff(found.scores) < 0.0).all() and (found.peakness > 2.0).all()
+    assert [light.name for light in found.lights] == ["estimated-1", "estimated-2", "estimated-3"]
+
+
+def test_what_was_found_is_said() -> None:
+    """Instance and index lead to the Gaussian at the light's position."""
+    room = three_lamps()
+    found = ls.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2)
+    assert found.instances.tolist() == [1, 1]
+    np.testing.assert_allclose([light.position for light in found.lights], room.means[found.indices], atol=1e-6)
+
+
+def test_irradiance_at_the_character_is_the_one_asked_for() -> None:
+    """Together the lights give pi, each in proportion to its score's candela over its squared distance."""
+    found = ls.estimate_lights(three_lamps(), CENTER, 3)
+    arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
+    assert arriving == pytest.approx(np.pi)
+    dim = ls.estimate_lights(three_lamps(), CENTER, 3, config=ls.LightEstimationConfig(irradiance=0.5))
+    ratios = [a.intensity / b.intensity for a, b in zip(found.lights, dim.lights, strict=True)]
+    np.testing.assert_allclose(ratios, 2.0 * np.pi)
+    assert facing_irradiance(dim.lights[0], CENTER[None]).max() < 0.5
+
+
+def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
+    """As bright as the lamp, it is left out: fewer lights come, and a line says so."""
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        found = ls.estimate_lights(room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3)
+    assert len(found.lights) == 1
+    assert_at(found.lights[0], PLACES[1])
+    assert "1 light found of the 3 asked for" in caplog.text
+
+
+def test_broad_emitters_count_where_they_are_wanted() -> None:
+    """Alone, the wall is refused, with what helps; at compactness 0 it is a light, after any lamp."""
+    room = room_with(bright_wall())
+    with pytest.raises(ls.SceneError, match=r"nothing bright stands out.*lower compactness"):
+        ls.estimate_lights(room, CENTER, 2)
+    broad = ls.LightEstimationConfig(compactness=0.0, weakest=0.0)
+    (light,) = ls.estimate_lights(room, CENTER, 1, config=broad).lights
+    assert light.position[2] == pytest.approx(0.01)
+    both = ls.estimate_lights(room_with(bright_wall(), lamp(PLACES[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad)
+    assert_at(both.lights[0], PLACES[1])
+
+
+def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
+    """What is bright from here only comes after a lamp of half its luminance."""
+    place = np.array(PLACES[0])
+    glint = sparkle(PLACES[0], place - CENTER)
+    room = room_with(glint, lamp(PLACES[1], (0.6, 0.6, 0.6)))
+    found = ls.estimate_lights(room, CENTER, 2, config=ls.LightEstimationConfig(weakest=0.0))
+    assert_at(found.lights[0], PLACES[1])
+    assert_at(found.lights[1], PLACES[0])
+    # Seen from the character, the sparkle is the brighter of the two.
+    away = (glint.means - CENTER) / np.linalg.norm(glint.means - CENTER, axis=1, keepdims=True)
+    assert decode_srgb(colors_along(glint, away)).min() > 1.1
+
+
+def test_steadiness_counts() -> None:
+    """Of two colours that vary alike over all directions, the one wins that varies less across the viewpoints."""
+    places = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
+    # Gradients of one size: along the line of sight, where viewpoints hardly tell, and across. By mean and maximum
+    # luminance the second is brighter, by 3 %.
+    steady, unsteady = lamp(tuple(places[0]), (0.67, 0.67, 0.67)), lamp(tuple(places[1]), (0.8, 0.8, 0.8))
+    steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()
+    steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
+    room = room_with(replace(unsteady, sh=unsteady_sh), replace(steady, sh=steady_sh))
+    wide = ls.LightEstimationConfig(viewpoint_distance=0.6, emitter_size=0.25)
+    found = ls.estimate_lights(room, CENTER, 2, config=wide)
+    assert_at(found.lights[0], tuple(places[0]))
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
+def test_corners_of_a_wall_are_surrounded_by_it(x: float, y: float) -> None:
+    """Inside, at an edge, in a corner: in some direction there is as much of it as it is bright; a lamp has none."""
+    steps = np.linspace(-1.0, 1.0, 81)
+    wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    around = np.random.default_rng(0).uniform(-2.0, 2.0, (9000, 3))
+    points = np.concatenate([wall, around, [[0.0, 0.0, 1.5], [x, y, 0.0]]])
+    scores = np.concatenate([np.ones(len(wall)), np.full(len(around), 0.1), [1.0, 1.0]])
+    lamp_level, wall_level = surroundings(points, scores, np.array([len(points) - 2, len(points) - 1]), 0.15)
+    assert wall_level > 0.8 and lamp_level < 0.11
+
+
+def test_size_does_not_count() -> None:
+    """Gaussians ten times larger score no more."""
+    room = three_lamps()
+    large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
+    one, other = (ls.estimate_lights(each, CENTER, 3) for each in (room, large))
+    np.testing.assert_array_equal(one.indices, other.indices)
+    np.testing.assert_array_equal(one.scores, other.scores)
+
+
+def test_instances_are_searched_where_they_stand() -> None:
+    """A capture that is turned, scaled and moved has its lamps there, seen as in its own space."""
+    angle = 0.7
+    pose = np.eye(4)
+    pose[:3, :3] = 1.5 * np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    pose[:3, 3] = (3.0, -1.0, 7.0)
+    placed = ls.SplatInstance(three_lamps(), pose)
+    center = pose[:3, :3] @ CENTER + pose[:3, 3]
+    here, there = ls.estimate_lights(three_lamps(), CENTER, 3), ls.estimate_lights(placed, center, 3)
+    for a, b in zip(here.lights, there.lights, strict=True):
+        expected = pose[:3, :3] @ np.array(a.position) + pose[:3, 3]
+        assert np.linalg.norm(expected - b.position) < 2 * 1.5 * 0.08
+        np.testing.assert_allclose(a.color, b.color, atol=1e-5)
+
+
+def test_the_search_is_deterministic() -> None:
+    """Twice the same, to the bit."""
+    one, other = (ls.estimate_lights(three_lamps(), CENTER, 3) for _ in range(2))
+    np.testing.assert_array_equal(one.scores, other.scores)
+    assert [light.position for light in one.lights] == [light.position for light in other.lights]
+
+
+def test_radius_and_separation_bound_the_search() -> None:
+    """Nothing beyond the radius is found, and nothing nearer to a light than the separation."""
+    near = ls.LightEstimationConfig(radius=2.1, emitter_size=0.25)
+    distances = [np.linalg.norm(np.subtract(place, CENTER)) for place in PLACES]
+    found = ls.estimate_lights(three_lamps(), CENTER, 3, config=near)
+    assert len(found.lights) == sum(distance < 2.1 for distance in distances) < 3
+    apart = ls.LightEstimationConfig(separation=100.0)
+    assert len(ls.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
+
+
+def test_an_outlier_does_not_drown_the_lamps() -> None:
+    """One Gaussian, a hundred times brighter than white, counts as a light, and the lamps still do."""
+    stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
+    found = ls.estimate_lights(room_with(stray, *(lamp(p, c) for p, c in zip(PLACES, COLORS, strict=True))), CENTER, 4)
+    assert len(found.lights) == 4
+    for light, place in zip(found.lights[1:], PLACES, strict=True):
+        assert_at(light, place)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"center": (100.0, 0.0, 0.0), "config": ls.LightEstimationConfig(radius=1.0)}, "no Gaussians within 1 of"),
+        (
+            {"center": (100 / 3, 1e-7 / 3, 0.0), "config": ls.LightEstimationConfig(radius=1 / 3)},
+            r"no Gaussians within 0\.333 of \(33\.3, 3\.33e-08, 0\): the nearest is \d\d\.\d away",
+        ),
+        ({"center": (0.0, 0.0)}, "center has shape"),
+        ({"center": (np.nan, 0.0, 0.0)}, "1 non-finite"),
+        ({"scene": ls.Scene()}, "the scene has none"),
+        ({"scene": 3}, "got a int"),
+        ({"scene": captured(np.random.default_rng(0).random((100, 3)), np.zeros(3))}, "nothing bright stands out"),
+    ],
+)
+def test_bad_searches_are_told(change: dict[str, object], said: str) -> None:
+    """No region, no Gaussians, no light."""
+    arguments = {"scene": walls(100), "center": CENTER} | change
+    with pytest.raises(ls.SceneError, match=said):
+        ls.estimate_lights(**arguments)  # type: ignore[arg-type]
+
+
+def test_bad_settings_are_told() -> None:
+    """None stands for the defaults, nothing else does."""
+    with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
+        ls.estimate_lights(walls(100), CENTER, config=0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("count", [0, True, 2.0])
+def test_bad_counts_are_told(count: object) -> None:
+    """How many lights has to be a number of lights."""
+    with pytest.raises(ls.ConfigError, match="expected a whole number"):
+        ls.estimate_lights(walls(100), CENTER, count)  # type: ignore[arg-type]

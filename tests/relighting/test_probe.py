@@ -1,0 +1,371 @@
+"""Probes: what light arrives at a place, from which side, and how much of it falls on a surface."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.sh import sh_basis
+from lumisplat.relighting.cubemap import cube_solid_angles, look_around
+from support.scenes.raster_scenes import flat_sh, one_gaussian, random_gaussians, rotation
+from support.scenes.sphere import sphere_quadrature, unit
+
+AXES = np.concatenate([np.eye(3), -np.eye(3)])
+COLORS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]], float)
+"""Of +x, +y, +z, -x, -y, -z: opposite sides have opposite colours."""
+
+
+def compass(center: np.ndarray, distance: float = 3.0) -> ls.Gaussians:
+    """A coloured ball in each direction of the axes."""
+    means = center + distance * AXES
+    return ls.Gaussians(means, [[1, 0, 0, 0]] * 6, np.full((6, 3), 0.5), np.ones(6), flat_sh(COLORS))
+
+
+def smooth_probe(seed: int = 0, degree: int = 2) -> ls.EnvironmentProbe:
+    """Uneven light that is nowhere below 0."""
+    coefficients = 0.15 * np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
+    coefficients[0] = [3.0, 2.5, 2.0]
+    return ls.EnvironmentProbe(coefficients)
+
+
+@pytest.mark.parametrize("face_px", [1, 2, 7, 64])
+def test_solid_angles_cover_the_sphere(face_px: int) -> None:
+    """Six faces are the whole sphere, and the pixels in the middle cover more than those in the corners."""
+    angles = cube_solid_angles(face_px)
+    assert angles.shape == (face_px, face_px)
+    np.testing.assert_allclose(6.0 * angles.sum(), 4.0 * np.pi, rtol=1e-13)
+    assert angles.max() == angles[face_px // 2, face_px // 2] and angles.min() == angles[0, 0] > 0.0
+
+
+def test_solid_angle_of_small_pixels_is_their_area_over_the_cube_of_distance() -> None:
+    """``dx dy / (1 + x^2 + y^2)^(3/2)``, the limit of small pixels."""
+    x, y = np.meshgrid((np.arange(256) + 0.5) / 128.0 - 1.0, (np.arange(256) + 0.5) / 128.0 - 1.0)
+    np.testing.assert_allclose(cube_solid_angles(256), (1.0 + x * x + y * y) ** -1.5 / 128.0**2, rtol=2e-5)
+
+
+@pytest.mark.parametrize("index", [*range(16), 24, 35, 80])
+def test_a_single_harmonic_is_found(index: int) -> None:
+    """Radiance that is one of the functions has its coefficient, and no other, also by rough quadrature."""
+    directions, degree = unit(1, 3000), 3 if index < 16 else 8
+    radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
+    probe = ls.EnvironmentProbe.fit(directions, radiance, degree=degree)
+    expected = np.zeros(((degree + 1) ** 2, 3))
+    expected[index] = [1.0, 2.0, -3.0]
+    np.testing.assert_allclose(probe.coefficients, expected, atol=2e-6)
+    np.testing.assert_allclose(probe.radiance(3.0 * directions[:100]), radiance[:100], atol=1e-5)
+
+
+def test_constant_light_is_found() -> None:
+    """Radiance 1 everywhere is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
+    probe = ls.EnvironmentProbe.fit(unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500))
+    expected = np.zeros((16, 3))
+    expected[0] = np.sqrt(4.0 * np.pi)
+    np.testing.assert_allclose(probe.coefficients, expected, atol=1e-8)
+    np.testing.assert_allclose(probe.irradiance(unit(3, 20)), np.pi, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
+def test_a_ridge_means_the_same_whatever_the_samples(count: int, unit_of_weights: float) -> None:
+    """It shrinks evenly sampled light by ``1 / (1 + ridge)``, for few and many directions, in any unit of weights."""
+    index = np.arange(count) + 0.5
+    z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
+    sine = np.sqrt(1.0 - z * z)
+    even = np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=1)
+    radiance = sh_basis(even, 2) @ smooth_probe().coefficients
+    weights = np.full(count, unit_of_weights)
+    free, shrunk = (ls.EnvironmentProbe.fit(even, radiance, weights, 2, ridge) for ridge in (0.0, 0.25))
+    np.testing.assert_allclose(shrunk.coefficients, free.coefficients / 1.25, atol=5e-3)
+    assert np.abs(free.coefficients).max() > 2.0
+
+
+def test_weights_count_as_so_many_samples() -> None:
+    """A sample of weight 3 is three samples of weight 1."""
+    directions, radiance = unit(4, 60), np.random.default_rng(4).uniform(size=(60, 3))
+    weights = np.random.default_rng(5).integers(1, 4, 60)
+    weighted = ls.EnvironmentProbe.fit(directions, radiance, weights, 2)
+    repeated = ls.EnvironmentProbe.fit(np.repeat(directions, weights, 0), np.repeat(radiance, weights, 0), degree=2)
+    np.testing.assert_allclose(weighted.coefficients, repeated.coefficients, atol=1e-6)
+
+
+def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
+    """By quadrature over the sphere, for light of degree 8 that holds every band."""
+    probe = ls.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
+    directions, weights = sphere_quadrature(400)
+    normals = unit(7, 12)
+    cosine = np.maximum(normals @ directions.T, 0.0)
+    expected = (cosine * weights) @ (sh_basis(directions, 8) @ probe.coefficients)
+    np.testing.assert_allclose(probe.irradiance(normals), expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
+def test_colours_come_from_where_they_are(pipeline: ls.Pipeline) -> None:
+    """Each side's ball gives that side's light: no axis is swapped or mirrored, wherever the place is."""
+    place = np.array([0.3, -1.2, 5.0])
+    config = ls.RenderConfig(pipeline=pipeline)
+    scene = ls.Scene([compass(place)])
+    probe = ls.EnvironmentProbe.capture(scene, place, 8, face_px=32, config=config, device="cpu")
+    seen = probe.radiance(AXES)
+    np.testing.assert_array_equal(seen > 0.5 * seen.max(), COLORS > 0.0)
+    falls = probe.irradiance(AXES)
+    for axis in range(3):
+        assert ((falls[axis] > falls[axis + 3]) == (COLORS[axis] > COLORS[axis + 3])).all()
+
+
+def test_faces_are_not_mirrored() -> None:
+    """A ball off the axes is seen in its own direction, to a pixel, in every face and each of its quarters."""
+    renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
+    for direction in unit(8, 24):
+        ball = one_gaussian(tuple(4.0 * direction), 0.15, 1.0, (1.0, 1.0, 1.0))
+        seen = look_around(ls.Scene([ball]), np.zeros(3), renderer, 48, 0.01)
+        found = seen.weights * seen.radiance[:, 0] @ seen.directions
+        assert found @ direction > np.cos(np.radians(0.5)) * np.linalg.norm(found)
+
+
+def test_meshes_are_seen_in_their_colours() -> None:
+    """An unlit mesh around the place gives its base colour from all sides, whatever it is in display colours."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+    material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.125))
+    probe = ls.EnvironmentProbe.capture(
+        ls.Scene([], [ls.Mesh(ball.vertices, ball.faces[:, ::-1], material=material)]), (0, 0, 0), device="cpu"
+    )
+    np.testing.assert_allclose(probe.radiance(AXES), np.broadcast_to([0.5, 0.25, 0.125], (6, 3)), atol=2e-3)
+
+
+def test_what_nothing_covers_is_the_background() -> None:
+    """Decoded as captures are; transparent is black, and said so. White gives radiance 1."""
+    scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
+    probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu")
+    np.testing.assert_allclose(probe.radiance(AXES), [decode_srgb(np.array(background))] * 6, atol=1e-6)
+    clear = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=ls.RenderConfig(background=None), device="cpu")
+    np.testing.assert_array_equal(clear.coefficients, 0.0)
+
+
+def test_partly_covered_pixels_are_decoded_as_frames_are() -> None:
+    """Without a background, a pixel is un-premultiplied before it is decoded, as in a frame's EXR."""
+    renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
+    half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
+    seen = look_around(ls.Scene([half]), np.zeros(3), renderer, 8, 0.01)
+    brightest = seen.radiance[np.argmax(seen.directions[:, 2])]
+    np.testing.assert_allclose(brightest, 0.5 * decode_srgb(np.array(0.5)), rtol=1e-2)
+
+
+def test_lit_scenes_are_linear_already() -> None:
+    """A visible environment of radiance 5 is found as such: nothing is decoded or clipped."""
+    light = ls.LightEnvironment(color=(1.0, 0.5, 0.25), intensity=5.0)
+    scene = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)], lights=[light])
+    config = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
+    probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu", face_px=8)
+    np.testing.assert_allclose(probe.radiance(AXES), [[5.0, 2.5, 1.25]] * 6, rtol=1e-5)
+
+
+def test_what_is_near_can_be_left_out() -> None:
+    """Nothing within ``near`` is seen: a body at the place hides the surroundings, or does not."""
+    body = one_gaussian((0.1, 0.0, 0.1), 0.3, 1.0, (1.0, 0.0, 0.0))
+    room = compass(np.zeros(3), 4.0)
+    both, alone = ls.Scene([body, room]), ls.Scene([room])
+    hidden, seen, expected = (
+        ls.EnvironmentProbe.capture(scene, (0, 0, 0), near=near, device="cpu").coefficients
+        for scene, near in ((both, 0.01), (both, 0.5), (alone, 0.5))
+    )
+    np.testing.assert_array_equal(seen, expected)
+    assert np.abs(hidden - expected).max() > 0.1
+
+
+def test_a_renderer_can_be_shared() -> None:
+    """The probe is that of a renderer of its own, and the size of faces hardly matters."""
+    scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
+    renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
+    own = ls.EnvironmentProbe.capture(scene, (0, 0, 0), config=renderer.config, device="cpu")
+    for _ in range(2):
+        shared = ls.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer)
+        np.testing.assert_array_equal(shared.coefficients, own.coefficients)
+    finer = ls.EnvironmentProbe.capture(scene, (0, 0, 0), renderer=renderer, face_px=128)
+    np.testing.assert_allclose(finer.coefficients, own.coefficients, atol=0.02)
+
+
+def test_an_image_shows_what_the_probe_has() -> None:
+    """Pixels are radiance by the axes of environments: +y on top, -z in the middle, +x right; as turned."""
+    probe = smooth_probe()
+    image = probe.image(32)
+    assert image.shape == (32, 64, 3) and image.dtype == np.float32
+    places = {(15.5, 31.5): (0, 0, -1), (15.5, 47.5): (1, 0, 0), (15.5, 15.5): (-1, 0, 0), (-0.5, 20.0): (0, 1, 0)}
+    for (row, column), direction in places.items():
+        rows, columns = {int(np.floor(max(row, 0))), int(np.ceil(max(row, 0)))}, {int(column), int(np.ceil(column))}
+        shown = np.mean([image[r, c] for r in rows for c in columns], axis=0)
+        np.testing.assert_allclose(shown, probe.radiance(direction), atol=0.03)
+    # Half a turn about x: y down is upright, and what was in front is behind.
+    turned = probe.image(32, (0, 1, 0, 0))
+    np.testing.assert_allclose(turned, np.roll(image[::-1], 32, axis=1)[:, ::-1], atol=1e-5)
+
+
+def test_ringing_is_cut_in_images() -> None:
+    """Harmonics of strong contrast go below 0; an image does not, and is as much light: 20 % more without care."""
+    directions = unit(10, 5000)
+    probe = ls.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
+    assert probe.radiance(directions).min() < -0.01
+    assert probe.image(64).min() == 0.0
+    again = ls.EnvironmentProbe.from_light(probe.light())
+    np.testing.assert_allclose(again.coefficients[0], probe.coefficients[0], rtol=1e-3)
+    black = ls.EnvironmentProbe(-np.ones((1, 3)))
+    np.testing.assert_array_equal(black.image(4), 0.0)
+
+
+def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
+    """Under a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest: ringing cancels."""
+    directions, weights = sphere_quadrature(120)
+    sky = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
+    normals = unit(14, 300)
+    exact = (np.maximum(normals @ directions.T, 0.0) * weights) @ sky
+    found = ls.EnvironmentProbe.fit(directions, sky, weights).irradiance(normals)
+    assert np.abs(found - exact).max() < 0.06 * exact.max()
+
+
+@pytest.mark.parametrize("wxyz", [(1, 0, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.9, 0.1, -0.3, 0.2)])
+def test_a_probe_and_its_environment_are_the_same_light(wxyz: tuple[float, ...]) -> None:
+    """The harmonics of the environment that it makes are its own, whichever way the image stands."""
+    probe = smooth_probe(degree=3)
+    again = ls.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
+    np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=2e-3)
+
+
+def test_an_environment_of_few_pixels() -> None:
+    """It is smooth between them, as renderers see it; its colour and intensity count."""
+    image = np.zeros((2, 4, 3), np.float32)
+    image[0] = 1.0
+    probe = ls.EnvironmentProbe.from_light(ls.LightEnvironment(image, (1.0, 0.5, 0.0), 2.0), 8)
+    np.testing.assert_allclose(probe.radiance([[0, 1, 0], [0, -1, 0]]), [[2.0, 1.0, 0.0], [0.0, 0.0, 0.0]], atol=0.1)
+    np.testing.assert_allclose(probe.radiance([1.0, 0.0, 0.0]), [1.0, 0.5, 0.0], atol=0.02)
+    plain = ls.EnvironmentProbe.from_light(ls.LightEnvironment(color=(0.5, 1.0, 0.0)))
+    np.testing.assert_allclose(plain.radiance(AXES), [[0.5, 1.0, 0.0]] * 6, atol=1e-6)
+
+
+@pytest.mark.parametrize("normal", [(0, 1, 0), (0, 0, -1), (1, 0, 0), (-0.6, -0.64, 0.48)])
+def test_renderers_light_by_it_as_it_says(normal: tuple[float, float, float]) -> None:
+    """White paper under the probe's environment has its irradiance over pi, from every side."""
+    probe = smooth_probe(3)
+    along = np.array(normal, float)
+    u = np.cross(along, (0.3, 0.5, 0.8))
+    v = np.cross(along, u)
+    corners = 5.0 * np.array([u + v, v - u, -u - v, u - v])
+    paper = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=ls.MaterialSimple(diffuse=1.0, emissive=0.0))
+    camera = ls.Camera.look_at(2.0 * along, (0, 0, 0), u, width=24, height=24, fov_y=0.5)
+    config = ls.RenderConfig(samples=64, shadows=ls.Shadows.SOFT)
+    scene = ls.Scene([], [paper], [probe.light(rotation_wxyz=(0.5, 0.5, -0.5, 0.5))])
+    frame = ls.render(scene, camera, config, device="cpu")
+    np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), probe.irradiance(along) / np.pi, rtol=5e-3)
+
+
+def test_saved_probes_are_the_same_light(tmp_path) -> None:
+    """The EXR is linear radiance, read back to the bit, and light again."""
+    probe = smooth_probe()
+    probe.save(tmp_path / "deep" / "probe.exr", 48, (0, 1, 0, 0))
+    image = ls.load_radiance(tmp_path / "deep" / "probe.exr")
+    np.testing.assert_array_equal(image, probe.image(48, (0, 1, 0, 0)))
+    again = ls.EnvironmentProbe.from_light(ls.LightEnvironment(image, rotation_wxyz=(0, 1, 0, 0)), 2)
+    np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=1e-2)
+    with pytest.raises(ls.FormatError, match=r"expected \.exr"):
+        probe.save(tmp_path / "probe.png")
+
+
+def test_pixels_that_are_not_finite_are_left_out(caplog) -> None:
+    """They are counted; where none is finite, there is no probe."""
+    inner = ls.create_renderer(ls.RenderConfig(background=(1.0, 1.0, 1.0)), "cpu")
+
+    class Broken:
+        def __init__(self, rows: slice) -> None:
+            self.rows = rows
+
+        def render(self, scene: ls.Scene, camera: ls.Camera) -> ls.Frame:
+            frame = inner.render(scene, camera)
+            color = frame.color.copy()
+            color[self.rows] = np.nan
+            return replace(frame, color=color)
+
+    scene = ls.Scene([one_gaussian((0.0, 0.0, 3.0), 0.1, 0.5, (1.0, 1.0, 1.0))])
+    with caplog.at_level(logging.WARNING):
+        probe = ls.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=Broken(slice(2)))  # type: ignore[arg-type]
+    assert "96 pixels of a probe's faces are not finite" in caplog.text
+    np.testing.assert_allclose(probe.radiance(AXES), 1.0, atol=1e-5)
+    with pytest.raises(ls.SceneError, match="no pixel that is finite"):
+        ls.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=Broken(slice(None)))  # type: ignore[arg-type]
+
+
+def test_a_place_that_sees_nothing_is_told(caplog) -> None:
+    """The probe is then of the background alone."""
+    behind = ls.Scene([one_gaussian((0.0, 0.0, 1.0), 0.01, 1e-3)])
+    with caplog.at_level(logging.WARNING):
+        ls.EnvironmentProbe.capture(behind, (0, 0, 1e4), face_px=8, device="cpu")
+    assert "sees nothing of the scene" in caplog.text
+
+
+SCENE = ls.Scene([one_gaussian()])
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0)), ls.SceneError, "expected three numbers"),
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, np.nan, 0)), ls.SceneError, "non-finite"),
+        (lambda: ls.EnvironmentProbe.capture("room", (0, 0, 0)), ls.SceneError, "expected a Scene"),  # type: ignore[arg-type]
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), 9), ls.ConfigError, "degree is 9"),
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), face_px=0), ls.ConfigError, "face_px is 0"),
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), near=-1.0), ls.ConfigError, "near is -1.0"),
+        (lambda: ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), ridge=np.nan), ls.ConfigError, "ridge is nan"),
+        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.ones((2, 3))), ls.SceneError, "radiance has shape"),
+        (lambda: ls.EnvironmentProbe.fit(np.zeros((3, 3)), np.ones((3, 3))), ls.SceneError, "zero length"),
+        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.full((3, 3), np.inf)), ls.SceneError, "9 non-finite"),
+        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), [1, -1, 1]), ls.SceneError, "1 of 3 are negative"),
+        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), [0, 0, 0]), ls.SceneError, "weights are all 0"),
+        (lambda: ls.EnvironmentProbe.fit(np.eye(3), np.eye(3), ridge=0.0), ls.SceneError, "only 3 of the 16"),
+        (lambda: ls.EnvironmentProbe.from_light(ls.LightPoint((0, 0, 0))), ls.SceneError, "got a LightPoint"),  # type: ignore[arg-type]
+        (lambda: ls.EnvironmentProbe(np.zeros((5, 3))), ls.SceneError, "expected (K, 3) with K one of 1, 4, 9"),
+        (lambda: ls.EnvironmentProbe(np.full((4, 3), np.nan)), ls.SceneError, "12 non-finite"),
+        (lambda: smooth_probe().radiance([0.0, 0.0, 0.0]), ls.SceneError, "zero length"),
+        (lambda: smooth_probe().irradiance([0.0, 1.0]), ls.SceneError, "expected (..., 3)"),
+        (lambda: smooth_probe().image(0), ls.ConfigError, "height is 0"),
+        (lambda: smooth_probe().image(8, (0, 0, 0, 0)), ls.SceneError, "rotation_wxyz"),
+    ],
+)
+def test_mistakes_are_told(call, error: type[Exception], message: str) -> None:
+    """In one line that names what is wrong."""
+    with pytest.raises(error) as caught:
+        call()
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_renderer_and_settings_are_too_much() -> None:
+    """One of the two decides how the scene is rendered."""
+    renderer = ls.create_renderer(None, "cpu")
+    with pytest.raises(ls.ConfigError, match="give one of the two"):
+        ls.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
+
+
+def test_few_directions_have_a_solution() -> None:
+    """With a ridge, the harmonics pass through the samples, however few they are."""
+    probe = ls.EnvironmentProbe.fit(np.eye(3), np.eye(3))
+    np.testing.assert_allclose(probe.radiance(np.eye(3)), np.eye(3), atol=1e-5)
+    assert np.abs(probe.coefficients).max() < 10.0
+
+
+def test_turning_the_scene_turns_the_light() -> None:
+    """A scene turned about the place gives radiance and irradiance turned with it."""
+    scene = random_gaussians(12, 120, 0, (0.0, 0.0, 0.0))
+    turn = rotation((1.0, 2.0, -0.5), 1.1)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+    before, after = (
+        ls.EnvironmentProbe.capture(
+            ls.Scene([ls.SplatInstance(scene, pose)]), (0, 0, 0), 2, config=config, device="cpu"
+        )
+        for pose in (np.eye(4), turn)
+    )
+    directions = unit(13, 30)
+    for one, other in ((before.radiance, after.radiance), (before.irradiance, after.irradiance)):
+        expected = one(directions)
+        np.testing.assert_allclose(other(directions @ turn[:3, :3].T), expected, atol=0.02 * np.abs(expected).max())

@@ -1,0 +1,363 @@
+"""Mirrors and glass among meshes, without Gaussians: geometry and energy by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.demo import shapes
+from lumisplat.math.color import encode_srgb
+from support.oracles.raster_oracle import normalized
+from support.scenes.raster_scenes import quad, similarity
+from support.scenes.ray_rig import RayRig
+from support.scenes.trace_scenes import GLASS, MIRROR, slab
+
+DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
+WHITE = (1.0, 1.0, 1.0)
+LAMP = ls.MaterialPbr(base_color=WHITE)
+FORWARD = np.array([[0.0, 0.0, 1.0]])
+ORIGIN = np.zeros((1, 3))
+SCALES = [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)]
+"""Sizes, and how many sizes away from the world's origin."""
+
+
+@pytest.fixture(params=DEVICES)
+def rig(request: pytest.FixtureRequest) -> RayRig:
+    """Rays on a device."""
+    return RayRig(request.param)
+
+
+def cube(material: ls.MaterialPbr) -> ls.Mesh:
+    """Twelve triangles around the origin, from -1 to 1."""
+    corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return ls.Mesh(corners, np.array(faces), material=material)
+
+
+def ball(material: ls.MaterialPbr, subdivisions: int = 4) -> ls.Mesh:
+    """A sphere with smooth normals."""
+    return replace(shapes.icosphere(subdivisions=subdivisions), material=material)
+
+
+def shape(name: str, material: ls.MaterialPbr) -> ls.Mesh:
+    """A closed convex mesh of size 1; one with needles at its poles."""
+    if name == "cube":
+        return cube(material)
+    if name == "needles":
+        return replace(shapes.superellipsoid(rows=6, columns=800), normals=None, material=material)
+    return replace(ball(material), normals=None)
+
+
+def placed(scale: float, offset: float) -> np.ndarray:
+    """Turned, scaled and moved by ``offset`` times the scale."""
+    return similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset * scale, -0.6 * offset * scale, 0.0))
+
+
+def moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Transformed points."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def aims(rng: np.random.Generator, mesh: ls.Mesh, count: int) -> np.ndarray:
+    """Points all over a mesh, half of them on edges."""
+    weights = rng.dirichlet((1.0, 1.0, 1.0), count)
+    weights[::2, 0] = 0.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    faces = mesh.indices[rng.integers(0, mesh.face_count, count)]
+    return np.einsum("nk,nkc->nc", weights, mesh.positions[faces].astype(float))
+
+
+# --- What is seen ---
+
+
+def test_rough_meshes_show_their_colour(rig: RayRig) -> None:
+    """One wave, and the background where there is no mesh."""
+    grey = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), metallic=1.0, transmission=1.0)
+    along = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    seen = rig.colors(ls.Scene([], [quad(2.0, material=grey)]), np.zeros((2, 3)), along, background=(0.1, 0.2, 0.3))
+    np.testing.assert_allclose(seen, [encode_srgb(np.array([0.5, 0.25, 0.1])), [0.1, 0.2, 0.3]], atol=1e-5)
+    assert len(rig.waves) == 1
+
+
+def test_scenes_without_meshes(rig: RayRig) -> None:
+    """The background, and black where there is no ray."""
+    seen = rig.colors(ls.Scene(), np.zeros((2, 3)), np.eye(3)[:2], background=WHITE, t_max=np.array([np.inf, 0.0]))
+    np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+
+
+def test_a_mirror_at_45_degrees(rig: RayRig) -> None:
+    """Looks up to where it should, from where it should, in the mirror's colour."""
+    gold = replace(MIRROR, base_color=(1.0, 0.7, 0.3))
+    scene = ls.Scene([], [quad(2.0, tilt=1.0, material=gold)])
+    seen = rig.colors(scene, [[0.25, 0.1, 0.0]], FORWARD, background=(0.5, 0.5, 0.5))
+    reflected = rig.waves[1]
+    np.testing.assert_allclose(reflected.direction, [[1.0, 0.0, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(reflected.origin, [[0.25, 0.1, 2.25]], atol=1e-5)
+    np.testing.assert_allclose(reflected.travelled, [2.25], rtol=1e-6)
+    base = np.array([1.0, 0.7, 0.3])
+    head_on = base + (1.0 - base) * (1.0 - np.sqrt(0.5)) ** 5
+    np.testing.assert_allclose(seen[0], 0.5 * encode_srgb(head_on), atol=1e-5)
+
+
+def test_the_way_back_is_unfolded(rig: RayRig) -> None:
+    """However often a ray is reflected, its eye lies as far behind it as the path is long."""
+    scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
+    along = normalized(np.array([[0.3, 0.1, 1.0]]))
+    rig.colors(scene, ORIGIN, along, bounces=5)
+    lengths = np.array([2.0, 5.0, 8.0, 11.0, 14.0]) / along[0, 2]
+    for wave, length in zip(rig.waves[1:], lengths, strict=True):
+        assert wave.travelled[0] == pytest.approx(length, rel=1e-5)
+        np.testing.assert_allclose(wave.origin[0, :2], along[0, :2] * length, atol=3e-5)
+
+
+@pytest.mark.parametrize("bounces", [0, 1, 2, 7])
+def test_bounces_are_counted(rig: RayRig, bounces: int) -> None:
+    """Between two mirrors as many waves go out as may, and the last sees the background; fewer where rays leave."""
+    scene = ls.Scene([], [quad(2.0, 20.0, material=MIRROR), quad(-1.0, 20.0, material=MIRROR)])
+    seen = rig.colors(scene, ORIGIN, FORWARD, bounces=bounces, background=WHITE)
+    np.testing.assert_allclose(seen, 1.0, atol=1e-5)
+    assert len(rig.waves) == 1 + bounces
+    alone = ls.Scene([], [quad(2.0, material=MIRROR)])
+    seen = rig.colors(alone, ORIGIN, FORWARD, bounces=bounces, background=WHITE)
+    np.testing.assert_allclose(seen, 1.0, atol=1e-5)
+    assert len(rig.waves) == 1 + min(bounces, 1)
+
+
+def test_a_slab_shifts_rays_sideways(rig: RayRig) -> None:
+    """By d sin(a) (1 - cos(a) / (n cos(b))) from its line, and parallel to it (Snell by hand)."""
+    angle, ior, thickness = np.radians(50.0), 1.5, 0.3
+    along = np.array([[np.sin(angle), 0.0, np.cos(angle)]])
+    rig.colors(ls.Scene([], [slab(1.0, thickness, GLASS)]), ORIGIN, along, bounces=2)
+    leaving = np.flatnonzero(rig.waves[2].direction[:, 2] > 0.0)[0]
+    beyond = np.arcsin(np.sin(angle) / ior)
+    inside = rig.waves[1].direction[rig.waves[1].direction[:, 2] > 0.0][0]
+    np.testing.assert_allclose(inside, [np.sin(beyond), 0.0, np.cos(beyond)], atol=1e-6)
+    np.testing.assert_allclose(rig.waves[2].direction[leaving], along[0], atol=1e-6)
+    origin = rig.waves[2].origin[leaving]
+    shift = np.linalg.norm(np.cross(origin, along[0]))
+    expected = thickness * np.sin(angle) * (1.0 - np.cos(angle) / (ior * np.cos(beyond)))
+    # Off by what rays start off a surface that is a hundred units wide.
+    assert shift == pytest.approx(expected, rel=3e-4)
+    assert origin[2] == pytest.approx(1.0 + thickness, rel=3e-5)
+
+
+def test_a_slab_splits_light(rig: RayRig) -> None:
+    """Head on: 4 % come back from each face, tinted by each crossing; a second one inside sees the background."""
+    tint = np.array([0.8, 0.5, 0.2])
+    glass = replace(GLASS, base_color=tuple(tint))
+    seen = rig.colors(ls.Scene([], [slab(1.0, 0.3, glass)]), ORIGIN, FORWARD, bounces=9, background=WHITE)
+    through = 0.96 * encode_srgb(tint)
+    expected = 0.04 + through**2 + through * 0.04 * through + through * 0.04 * 0.04
+    np.testing.assert_allclose(seen[0], expected, atol=1e-5)
+
+
+def test_partly_transparent_glass_shows_its_colour(rig: RayRig) -> None:
+    """What is neither reflected nor let through is the base colour."""
+    paint = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), roughness=0.0, transmission=0.25)
+    scene = ls.Scene([], [quad(1.0, material=paint)])
+    seen = rig.colors(scene, ORIGIN, FORWARD, bounces=0)
+    np.testing.assert_allclose(seen[0], 0.96 * 0.75 * encode_srgb(np.full(3, 0.5)), atol=1e-5)
+
+
+def test_a_prism_turns_light_round_the_corner(rig: RayRig) -> None:
+    """Total internal reflection at 45 degrees: all but two crossings' 4 % arrive, and none of it straight on."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]], dtype=float) - [0, 0.5, 0]
+    faces = [[0, 1, 2], [3, 5, 4], [0, 3, 4], [0, 4, 1], [0, 2, 5], [0, 5, 3], [1, 4, 5], [1, 5, 2]]
+    prism = ls.Mesh(corners, np.array(faces), material=GLASS)
+    lamp = ls.Mesh([[-2, -1, -1], [-2, 1, -1], [-2, 1, 1], [-2, -1, 1]], [[0, 1, 2], [0, 2, 3]], material=LAMP)
+    seen = rig.colors(ls.Scene([], [prism, lamp]), [[0.4, 0.1, -2.0]], FORWARD, bounces=3)
+    np.testing.assert_allclose(seen[0], np.full(3, 0.96**2), atol=1e-5)
+
+
+def test_gaussians_before_each_surface_count(rig: RayRig) -> None:
+    """What they show and what they leave is applied on every stretch of the way."""
+    rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
+    fog, sky = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
+    for material in (MIRROR, replace(GLASS, ior=1.0)):
+        seen = rig.colors(ls.Scene([], [quad(2.0, material=material)]), ORIGIN, FORWARD, background=tuple(sky))
+        np.testing.assert_allclose(seen[0], fog + 0.5 * (fog + 0.5 * sky), atol=1e-6)
+
+
+def test_faint_branches_are_not_followed() -> None:
+    """Below 1/512 of the pixel, whether by reflectance, by tint or by what Gaussians leave."""
+    head_on = ls.Scene([], [quad(2.0, material=ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0))])
+    for specular, transmittance, waves in ((1.0, 1.0, 2), (0.05, 1.0, 2), (0.048, 1.0, 1), (1.0, 0.048, 1)):
+        material = replace(head_on.meshes[0].mesh.material, specular=specular)
+        rig = RayRig("cpu", transmittance=transmittance)
+        rig.colors(ls.Scene([], [quad(2.0, material=material)]), ORIGIN, FORWARD)
+        assert len(rig.waves) == waves, f"specular {specular}, transmittance {transmittance}"
+
+
+def test_weights_multiply_along_the_path(rig: RayRig) -> None:
+    """Between two surfaces that reflect 19.75 % the third reflection still counts, the fourth does not."""
+    dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.0, ior=2.6)
+    corridor = ls.Scene([], [quad(2.0, material=dark), quad(-1.0, material=dark)])
+    rig.colors(corridor, ORIGIN, FORWARD, bounces=9)
+    assert len(rig.waves) == 1 + 3
+
+
+def test_branches_draw_numbers_of_their_own(rig: RayRig) -> None:
+    """No two rays of a tree share their random numbers."""
+    rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
+    streams = np.concatenate([wave.stream for wave in rig.waves])
+    assert len(np.unique(streams)) == len(streams) > 4
+
+
+# --- Energy ---
+
+
+@pytest.mark.parametrize(
+    ("name", "ior", "specular", "lost"),
+    [
+        ("glass", 1.2, 1.0, 1e-3),
+        ("glass", 1.5, 1.0, 3.0 / 512.0),
+        ("glass", 1.5, 0.5, 1.0 / 512.0),
+        ("diamond", 2.4, 1.0, 12.0 / 512.0),
+        ("air", 1.0, 1.0, 1e-5),
+    ],
+)
+def test_white_furnace(rig: RayRig, name: str, ior: float, specular: float, lost: float) -> None:
+    """A clear ball in a white world disappears, but for the branches too faint to follow."""
+    rng = np.random.default_rng(1)
+    across = rng.uniform(-0.6, 0.6, (4000, 2))
+    material = replace(GLASS, ior=ior, specular=specular)
+    origins = np.append(across, np.full((4000, 1), -5.0), axis=1)
+    along = np.broadcast_to(FORWARD, (4000, 3))
+    seen = rig.colors(ls.Scene([], [ball(material)]), origins, along, bounces=30, background=WHITE)
+    assert seen.max() < 1.0 + 1e-5
+    assert seen.min() > 1.0 - lost
+
+
+def test_a_furnace_of_mirrors(rig: RayRig) -> None:
+    """White mirrors reflect all of a white world, however they lie."""
+    meshes = [
+        ls.MeshInstance(ball(MIRROR, 2), similarity(offset=(x, y, 6.0), scale=0.6)) for x in (-1, 1) for y in (-1, 1)
+    ]
+    rng = np.random.default_rng(2)
+    along = normalized(np.append(rng.uniform(-0.4, 0.4, (3000, 2)), np.ones((3000, 1)), axis=1))
+    seen = rig.colors(ls.Scene([], meshes), np.zeros((3000, 3)), along, bounces=40, background=WHITE)
+    np.testing.assert_allclose(seen, 1.0, atol=1e-4)
+
+
+# --- Rays start where they should ---
+
+
+@pytest.mark.parametrize(("scale", "offset"), SCALES)
+@pytest.mark.parametrize("name", ["cube", "ball", "needles"])
+def test_mirrors_do_not_see_themselves(rig: RayRig, name: str, scale: float, offset: float) -> None:
+    """Convex mirrors from outside, near and far: every reflection leaves at the first try."""
+    mesh, matrix = shape(name, MIRROR), placed(scale, offset)
+    rng = np.random.default_rng(3)
+    inner = 0.9 * aims(rng, mesh, 8000)
+    origins = moved(normalized(rng.normal(size=(8000, 3))) * rng.choice([3.0, 100.0], (8000, 1)), matrix)
+    along = normalized(moved(inner, matrix) - origins.astype(np.float32))
+    scene = ls.Scene([], [ls.MeshInstance(mesh, matrix)])
+    rig.colors(scene, origins, along, bounces=1)
+    reflected = rig.waves[1].t_max
+    assert len(reflected) > 7900
+    assert np.isinf(reflected).all(), f"{np.isfinite(reflected).sum()} reflections hit the mirror again"
+
+
+@pytest.mark.parametrize("pose", ["turned", "sheared"])
+@pytest.mark.parametrize(("scale", "offset"), SCALES)
+@pytest.mark.parametrize("name", ["cube", "ball", "needles"])
+def test_closed_mirrors_keep_light_in(rig: RayRig, name: str, scale: float, offset: float, pose: str) -> None:
+    """From inside, at faces, edges and corners, after six reflections: nothing gets out."""
+    mesh, matrix = shape(name, MIRROR), placed(scale, offset)
+    if pose == "sheared":
+        matrix = (
+            matrix @ similarity(scale=0.8) @ np.array([[1, 0.5, 0, 0], [0, 0.6, 0, 0], [0, 0, -1.2, 0], [0, 0, 0, 1]])
+        )
+    rng = np.random.default_rng(4)
+    origins = moved(0.5 * normalized(rng.normal(size=(8000, 3))), matrix)
+    along = normalized(moved(aims(rng, mesh, 8000), matrix) - origins.astype(np.float32))
+    rig.colors(ls.Scene([], [ls.MeshInstance(mesh, matrix)]), origins, along, bounces=6)
+    for number, wave in enumerate(rig.waves):
+        assert np.isfinite(wave.t_max).all(), f"{np.isinf(wave.t_max).sum()} rays got out after {number} reflections"
+    assert [len(wave.t_max) for wave in rig.waves] == [8000] * 7
+
+
+@pytest.mark.parametrize(("scale", "offset"), SCALES)
+@pytest.mark.parametrize("name", ["cube", "ball", "needles"])
+def test_what_enters_glass_meets_it_from_inside(rig: RayRig, name: str, scale: float, offset: float) -> None:
+    """Refracted rays cross the body: they neither meet the surface they entered through nor miss the other one."""
+    mesh, matrix = shape(name, GLASS), placed(scale, offset)
+    rng = np.random.default_rng(5)
+    origins = moved(normalized(rng.normal(size=(8000, 3))) * 3.0, matrix)
+    along = normalized(moved(0.7 * aims(rng, mesh, 8000), matrix) - origins.astype(np.float32))
+    rig.colors(ls.Scene([], [ls.MeshInstance(mesh, matrix)]), origins, along, bounces=1)
+    wave = rig.waves[1]
+    refracted = np.arange(len(wave.t_max)) >= len(wave.t_max) - 8000
+    assert np.isfinite(wave.t_max[refracted]).all(), f"{np.isinf(wave.t_max[refracted]).sum()} rays leaked"
+    assert np.isinf(wave.t_max[~refracted]).all()
+    assert np.median(wave.t_max[refracted]) > 0.5 * scale
+    assert (wave.t_max[refracted] > 1e-3 * scale).mean() > 0.999
+
+
+def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
+    """An instance that mirrors a body of glass looks as the mirrored body: rays still enter it from outside."""
+    mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
+    lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+    by_hand = replace(
+        lens,
+        positions=lens.positions * np.float32([-1, 1, 1]),
+        normals=lens.normals * np.float32([-1, 1, 1]),
+        indices=lens.indices[:, ::-1],
+    )
+    rng = np.random.default_rng(6)
+    pose = similarity((0.2, 1.0, 0.3), 0.7, 1.0, (0.1, 0.0, 4.0))
+    along = normalized(np.append(rng.uniform(-0.25, 0.25, (3000, 2)), np.ones((3000, 1)), axis=1))
+    wall = quad(8.0, 9.0, uvs=[[0, 0], [9, 0], [9, 9], [0, 9]], material=replace(LAMP, base_color_texture=checks()))
+    views = [
+        rig.colors(ls.Scene([], [ls.MeshInstance(body, matrix), wall]), np.zeros((3000, 3)), along, bounces=4)
+        for body, matrix in ((lens, pose @ flip), (by_hand, pose))
+    ]
+    off = np.abs(views[0] - views[1]).max(axis=1) > 1e-3
+    assert off.mean() < 0.01
+    assert views[0].std() > 0.1
+
+
+def checks() -> np.ndarray:
+    """A soft random texture."""
+    return np.random.default_rng(7).integers(0, 256, (8, 8, 3), dtype=np.uint8)
+
+
+# --- The machinery ---
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    """The same colours with one thread and with three."""
+    rng = np.random.default_rng(8)
+    along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
+    scene = ls.Scene([], [ls.MeshInstance(ball(GLASS, 2), similarity(offset=(0, 0, 4))), quad(7.0, 3.0)])
+    one, three = (RayRig("cpu", threads).colors(scene, np.zeros((5000, 3)), along, bounces=5) for threads in (1, 3))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_warm_buffers_are_used_again(rig: RayRig) -> None:
+    """A view with a few rays more or less in glass allocates nothing new, and old rays leave no trace in it."""
+    rng = np.random.default_rng(9)
+    along = normalized(np.append(rng.uniform(-0.3, 0.3, (5000, 2)), np.ones((5000, 1)), axis=1))
+    lens = ball(GLASS, 2)
+    scenes = [ls.Scene([], [ls.MeshInstance(lens, similarity(offset=(x, 0.0, 4.0)))]) for x in (0.0, 0.01, 0.02)]
+    first = rig.colors(scenes[0], np.zeros((5000, 3)), along, bounces=5, background=WHITE)
+    allocations = rig.buffers.allocations
+    for scene in scenes:
+        again = rig.colors(scene, np.zeros((5000, 3)), along, bounces=5, background=WHITE)
+    assert rig.buffers.allocations == allocations
+    fresh = RayRig("cpu").colors(scenes[2], np.zeros((5000, 3)), along, bounces=5, background=WHITE)
+    np.testing.assert_allclose(again, fresh, atol=1e-6)
+    back = rig.colors(scenes[0], np.zeros((5000, 3)), along, bounces=5, background=WHITE)
+    np.testing.assert_array_equal(back, first)
+
+
+def test_no_rays_at_all(rig: RayRig) -> None:
+    """Nothing is asked, nothing is answered."""
+    seen = rig.colors(ls.Scene([], [quad(2.0, material=MIRROR)]), np.zeros((0, 3)), np.zeros((0, 3)))
+    assert seen.shape == (0, 3)

@@ -1,0 +1,336 @@
+"""Light against closed forms, and against integrals in float64 where there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.images import assert_close
+from support.scenes.light_rig import (
+    PIPELINES,
+    above,
+    assert_relatively_close,
+    blocks,
+    floor,
+    floor_points,
+    lit,
+    towards,
+)
+from support.scenes.light_scenes import ball_at, clear_glass, matte, metal
+
+EVEN = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
+"""As bright everywhere."""
+
+# --- How bright ---
+
+
+@PIPELINES
+@pytest.mark.parametrize("reach", [math.inf, 2.6], ids=["no range", "range"])
+def test_point_light_over_a_plane(pipeline: ls.Pipeline, reach: float) -> None:
+    """Albedo over pi, times candela over distance squared, times the cosine, and the window of glTF: every pixel."""
+    light = ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.5, 0.2), intensity=7.0, range=reach)
+    camera, albedo = above(), (0.9, 0.6, 0.3)
+    frame = lit(ls.Scene((), [floor(matte(*albedo))], [light]), camera, pipeline)
+    directions, distances = towards(light.position, floor_points(camera))
+    irradiance = 7.0 / distances**2 * directions[..., 1] * np.clip(1.0 - (distances / reach) ** 4, 0.0, 1.0)
+    expected = irradiance[..., None] / np.pi * np.array(albedo) * light.color
+    if math.isfinite(reach):
+        assert (expected == 0.0).any()
+        assert (expected > 0.0).any()
+    assert_relatively_close(frame.color, expected, 1e-4)
+
+
+@PIPELINES
+def test_spot_over_a_plane(pipeline: ls.Pipeline) -> None:
+    """Full inside the inner cone, none outside the outer one, and in between glTF's squared ramp of the cosine."""
+    light = ls.LightSpot((-0.5, 2.0, 0.4), (0.3, -1.0, -0.2), intensity=9.0, inner_angle=0.25, outer_angle=0.5)
+    camera = above()
+    frame = lit(ls.Scene((), [floor(matte(0.8))], [light]), camera, pipeline)
+    directions, distances = towards(light.position, floor_points(camera))
+    axis = np.array([0.3, -1.0, -0.2]) / np.linalg.norm([0.3, -1.0, -0.2])
+    inner, outer = math.cos(0.25), math.cos(0.5)
+    cone = np.clip((-directions @ axis - outer) / (inner - outer), 0.0, 1.0) ** 2
+    assert (cone == 1.0).any()
+    assert (cone == 0.0).any()
+    expected = 0.8 / np.pi * 9.0 / distances**2 * directions[..., 1] * cone
+    assert_relatively_close(frame.color, np.repeat(expected[..., None], 3, axis=2), 1e-4)
+
+
+@PIPELINES
+@pytest.mark.parametrize("shadows", ls.Shadows, ids=lambda shadows: shadows.value)
+def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+    """Spheres over the horizon light as their centres do, discs in the sky too; sampling them only adds noise."""
+    lights = [
+        ls.LightPoint((0.4, 1.5, -0.3), intensity=7.0, radius=0.3),
+        ls.LightSphere((-1.0, 2.0, 0.5), 0.4, intensity=6.0),
+        ls.LightDirectional((0.3, -1.0, 0.2), intensity=2.0, angle=0.15),
+    ]
+    camera = above()
+    samples = 64 if shadows is ls.Shadows.SOFT else 1
+    settings = {"shadows": shadows, "samples": samples, "trace": ls.TraceConfig(jitter=False)}
+    frame = lit(ls.Scene((), [floor(matte(0.8))], lights), camera, pipeline, aovs=("lights",), **settings)
+    points = floor_points(camera)
+    expected = []
+    for light, candela in zip(lights[:2], (7.0, 6.0 * math.pi * 0.4**2), strict=True):
+        directions, distances = towards(light.position, points)  # type: ignore[union-attr]
+        expected.append(candela / distances**2 * directions[..., 1])
+    expected.append(np.full(points.shape[:2], -2.0 * lights[2].direction[1]))  # type: ignore[union-attr]
+    assert frame.light_direct is not None
+    for k, irradiance in enumerate(expected):
+        radiance = 0.8 / np.pi * irradiance
+        ours = frame.light_direct[k].mean(axis=2)
+        if shadows is ls.Shadows.SOFT:
+            assert np.abs(ours / radiance - 1.0).max() < 0.12
+            assert np.mean(ours) == pytest.approx(np.mean(radiance), rel=2e-3)
+        else:
+            assert_relatively_close(ours, radiance, 1e-4)
+
+
+@PIPELINES
+def test_lights_add_up_and_are_told_apart(pipeline: ls.Pipeline) -> None:
+    """The image is the sum over lights of what each would reflect times its shadow; a disabled one gives nothing."""
+    lights = [
+        ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.2, 0.1), intensity=7.0, name="lamp"),
+        ls.LightDirectional((0.4, -1.0, 0.3), intensity=1.5, casts_shadow=False),
+        ls.LightSpot((-1.0, 2.0, 0.0), (0.3, -1.0, 0.0), color=(0.1, 0.9, 0.4), intensity=5.0),
+    ]
+    off = ls.LightPoint((0.0, 1.0, 0.0), intensity=100.0, enabled=False)
+    meshes = [floor(matte(0.7, 0.8, 0.9)), ball_at((0.1, 0.6, 0.0), 0.3, matte(0.5))]
+    camera = above()
+    frame = lit(ls.Scene((), meshes, [*lights, off]), camera, pipeline, aovs=("lights",))
+    alone = [lit(ls.Scene((), meshes, [light]), camera, pipeline, aovs=("lights",)) for light in lights]
+    assert frame.light_direct is not None
+    assert frame.light_shadow is not None
+    assert_close(frame.color, sum(one.color for one in alone), atol=1e-5)  # type: ignore[arg-type]
+    assert_close(frame.color, (frame.light_direct * frame.light_shadow).sum(axis=0), atol=1e-5)
+    assert (frame.light_shadow[0] == 0.0).any()
+    assert (frame.light_shadow[1] == 1.0).all()
+    kept = [k for k in range(len(frame.light_direct)) if frame.light_direct[k].any()]
+    assert len(kept) == 3
+    for k, one in zip(kept, alone, strict=True):
+        assert one.light_direct is not None
+        assert_close(frame.light_direct[k], one.light_direct[0], atol=1e-6)
+
+
+@PIPELINES
+def test_without_lights_there_is_a_headlight(pipeline: ls.Pipeline) -> None:
+    """A white wall that faces the camera is 1, whatever its distance; others are darker by their cosine."""
+    camera = above(height=3.0, eye=(1.5, 0.4))
+    frame = lit(ls.Scene((), [floor(matte(0.9))]), camera, pipeline)
+    directions, _ = towards(tuple(camera.eye), floor_points(camera))
+    assert_relatively_close(frame.color, np.repeat(0.9 * directions[..., 1:2], 3, axis=2), 1e-4)
+
+
+RECT = ls.LightRect((0.3, 1.2, -0.2), (1.1, 0.2, 0.0), (0.1, 0.0, 0.9), intensity=3.0)
+"""Over the plane, facing down and a little to one side."""
+
+
+def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
+    """Of a plane that faces up, of which the whole rectangle is over the horizon (Lambert 1760), shape (H, W)."""
+    u, v = 0.5 * np.array(light.edge_u), 0.5 * np.array(light.edge_v)
+    corners = [np.array(light.position) + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    rays = [towards(corner, points)[0] for corner in corners]  # type: ignore[arg-type]
+    total = np.zeros(points.shape[:2])
+    for first, second in zip(rays, rays[1:] + rays[:1], strict=True):
+        across = np.cross(first, second)
+        sine = np.linalg.norm(across, axis=-1)
+        total += np.arctan2(sine, (first * second).sum(axis=-1)) / sine * across[..., 1]
+    return 0.5 * light.intensity * np.maximum(-total, 0.0)
+
+
+def test_rectangle_over_a_plane() -> None:
+    """Sampled, the closed form of its irradiance; as a point, that of its centre, area and both cosines."""
+    camera = above()
+    scene = ls.Scene((), [floor(matte(0.8))], [RECT])
+    points = floor_points(camera)
+    directions, distances = towards(RECT.position, points)
+    normal = np.cross(RECT.edge_u, RECT.edge_v)
+    as_point = 3.0 * -(directions @ normal) * directions[..., 1] / distances**2
+    expected = 0.8 / np.pi * as_point
+    assert_relatively_close(lit(scene, camera, shadows=ls.Shadows.HARD).color[..., 0], expected, 1e-4)
+    expected = 0.8 / np.pi * rect_irradiance(RECT, points)
+    assert np.abs(as_point * 0.8 / np.pi / expected - 1.0).max() > 0.1
+    ours = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=128).color[..., 0]
+    assert np.mean(ours) == pytest.approx(np.mean(expected), rel=2e-3)
+    assert np.abs(blocks(ours) / blocks(expected) - 1.0).max() < 0.02
+
+
+# --- Materials under a point light and in even light ---
+
+
+def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
+    """Reflectance of a facet, shape (..., 3)."""
+    metallic, cosine = material.metallic, cosine[..., None]
+    straight = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic)
+    straight = straight + metallic * np.array(material.base_color)
+    grazing = material.specular * (1.0 - metallic) + metallic
+    return straight + (grazing - straight) * (1.0 - cosine) ** 5
+
+
+def masking(alpha: float, cosine: np.ndarray) -> np.ndarray:
+    """Smith's, of GGX: how many of the facets that face a direction are seen from there."""
+    return 2.0 * cosine / (cosine + np.sqrt(alpha**2 + (1.0 - alpha**2) * cosine**2))
+
+
+def highlight_share(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 256) -> np.ndarray:
+    """What the highlight reflects of light from everywhere to viewers at those cosines, shape (..., 3): an integral.
+
+    Over the facets that each viewer sees (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
+    """
+    alpha = material.roughness**2
+    out, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2.0 * np.pi)
+    shares = []
+    for cosine in np.ravel(cosines):
+        sine = math.sqrt(1.0 - cosine**2)
+        stretched = np.array([alpha * sine, 0.0, cosine]) / math.hypot(alpha * sine, cosine)
+        x, y = np.sqrt(out) * np.cos(turn), np.sqrt(out) * np.sin(turn)
+        s = 0.5 * (1.0 + stretched[2])
+        y = (1.0 - s) * np.sqrt(1.0 - x * x) + s * y
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        # Across the stretched view: the y axis, and what is square to both.
+        facet = x[..., None] * [0.0, 1.0, 0.0] + y[..., None] * [-stretched[2], 0.0, stretched[0]]
+        facet = (facet + z[..., None] * stretched) * [alpha, alpha, 1.0]
+        facet /= np.linalg.norm(facet, axis=-1, keepdims=True)
+        tilt = facet @ [sine, 0.0, cosine]
+        light = 2.0 * tilt * facet[..., 2] - cosine
+        seen = np.where(light > 0.0, masking(alpha, np.maximum(light, 1e-9)), 0.0)
+        shares.append((schlick(material, tilt) * seen[..., None]).mean(axis=(0, 1)))
+    return np.reshape(shares, (*np.shape(cosines), 3))
+
+
+def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """The BSDF of a rough material, without the cosine, shape (..., 3); unit vectors that point away, (..., 3).
+
+    The diffuse part gets what the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
+    """
+    alpha = material.roughness**2
+    half = view + light
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    facing, shone, tilt = ((normal * b).sum(-1) for b in (view, light, half))
+    spread = alpha**2 / (np.pi * (tilt**2 * (alpha**2 - 1.0) + 1.0) ** 2)
+    value = spread * masking(alpha, facing) * masking(alpha, shone) / (4.0 * facing * shone)
+    value = schlick(material, (view * half).sum(-1)) * value[..., None]
+    nodes = (np.arange(64) + 0.5) / 64
+    left = 1.0 - highlight_share(material, nodes, 96)
+    mean = (2.0 * nodes[:, None] * left).mean(axis=0)
+    enters, leaves = (
+        np.stack([np.interp(cosine, nodes, left[:, c]) for c in range(3)], axis=-1) for cosine in (shone, facing)
+    )
+    return value + diffuse_color(material) / np.pi * enters * leaves / mean
+
+
+def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
+    """Albedo below the highlight, shape (3,): what is rough scatters what it would transmit."""
+    return (1.0 - material.metallic) * np.array(material.base_color)
+
+
+MATERIALS = {
+    "default": (ls.MaterialPbr(), 0.01),
+    "plastic": (ls.MaterialPbr(base_color=(0.9, 0.1, 0.3), roughness=0.25), 0.03),
+    "dull": (ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.9, specular=0.4, ior=1.8), 0.01),
+    "gold": (ls.MaterialPbr(base_color=(1.0, 0.75, 0.3), roughness=0.4, metallic=1.0), 0.0),
+    "half a metal": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.6, metallic=0.5), 0.03),
+    "frosted": (ls.MaterialPbr(base_color=(0.5, 0.75, 0.9), roughness=0.5, transmission=0.6), 0.01),
+}
+"""And how much darker they may be than the integrals say: what highlights leave of the light is taken from fits that
+rather take too much."""
+
+
+@PIPELINES
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materials_under_a_point_light(name: str, pipeline: ls.Pipeline) -> None:
+    """The image of a plane is that of the formulas, highlight and all."""
+    (material, loss), camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
+    light = ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0)
+    frame = lit(ls.Scene((), [floor(material)], [light]), camera, pipeline)
+    points = floor_points(camera)
+    view, _ = towards(tuple(camera.eye), points)
+    directions, distances = towards(light.position, points)
+    irradiance = 7.0 / distances**2 * directions[..., 1]
+    expected = pbr(material, np.array([0.0, 1.0, 0.0]), view, directions) * irradiance[..., None]
+    rounding = 1e-3 * expected.max()
+    assert (frame.color < expected + rounding).all()
+    assert (frame.color > (1.0 - loss) * expected - rounding).all()
+
+
+@PIPELINES
+def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
+    """Diffuse and Phong's highlight from each light; own light and the ambient share once, however many there are."""
+    material = ls.MaterialSimple(
+        base_color=(0.9, 0.7, 0.5),
+        emissive=(0.1, 0.0, 0.2),
+        ambient=(0.05, 0.1, 0.0),
+        diffuse=(0.5, 0.6, 0.1),
+        specular=(0.3, 0.2, 0.4),
+        shininess=24.0,
+    )
+    camera = above(eye=(2.5, 1.0), height=2.5)
+    lights = [ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0), ls.LightPoint((0.5, 2.0, 0.4), intensity=3.0)]
+    frame = lit(ls.Scene((), [floor(material)], lights), camera, pipeline)
+    points = floor_points(camera)
+    view, _ = towards(tuple(camera.eye), points)
+    mirrored = view * (-1.0, 1.0, -1.0)
+    base = np.array(material.base_color)
+    expected = base * (np.array(material.emissive) + material.ambient) + np.zeros(points.shape)
+    for light in lights:
+        directions, distances = towards(light.position, points)
+        highlight = 26.0 / (2.0 * np.pi) * np.maximum((mirrored * directions).sum(-1), 0.0) ** 24
+        bsdf = base * material.diffuse / np.pi + np.array(material.specular) * highlight[..., None]
+        expected += bsdf * (light.intensity / distances**2 * directions[..., 1])[..., None]
+    assert_relatively_close(frame.color, expected, 1e-3)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materials_in_even_light(name: str) -> None:
+    """A plane shows what its highlight reflects, at each angle of view, and of the rest its diffuse colour."""
+    material, loss = MATERIALS[name]
+    camera = ls.Camera.look_at((3.0, 2.0, 0.0), (0.0, 0.0, 0.0), width=32, height=48, fov_y=0.7)
+    frame = lit(ls.Scene((), [floor(material)], [EVEN]), camera, shadows=ls.Shadows.SOFT, samples=96)
+    cosines = towards(tuple(camera.eye), floor_points(camera))[0][..., 1]
+    rows = np.arange(0, 48, 6)
+    means = np.array([cosines[row : row + 6].mean() for row in rows])
+    mirrored = highlight_share(material, means)
+    expected = (mirrored + diffuse_color(material) * (1.0 - mirrored)) * EVEN.color
+    ours = np.array([frame.color[row : row + 6].mean(axis=(0, 1)) for row in rows])
+    assert (expected < EVEN.color).all()
+    noise = 0.015
+    assert (ours < (1.0 + noise) * expected).all()
+    assert (ours > (1.0 - loss - noise) * expected).all()
+
+
+@PIPELINES
+def test_white_diffuse_plane_in_even_light_shows_its_albedo(pipeline: ls.Pipeline) -> None:
+    """Albedo times the environment."""
+    camera, albedo = above(), np.array([0.9, 0.5, 0.2])
+    frame = lit(ls.Scene((), [floor(matte(*albedo))], [EVEN]), camera, pipeline, shadows=ls.Shadows.SOFT, samples=64)
+    means = [blocks(frame.color[..., c]) for c in range(3)]
+    np.testing.assert_allclose(np.stack(means, -1), np.broadcast_to(albedo * EVEN.color, (6, 8, 3)), rtol=0.03)
+    np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), albedo * EVEN.color, rtol=3e-3)
+
+
+FURNACE = {
+    "white": (matte(1.0), 0.004),
+    "mirror": (metal(0.0), 1e-4),
+    "glass": (clear_glass(), 0.01),
+    "polished": (metal(0.15), 0.01),
+    "white, seen": (replace(matte(1.0), specular=0.0, ior=1.0), 0.004),
+}
+"""Materials that keep all light, and by how much a mean may be off."""
+
+
+@pytest.mark.parametrize("name", FURNACE)
+def test_what_keeps_all_light_disappears_in_even_light(name: str) -> None:
+    """The white furnace: a convex object of any material without loss cannot be told from the environment behind."""
+    material, off = FURNACE[name]
+    camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)
+    scene = ls.Scene((), [ball_at((0.0, 0.0, 0.0), 0.7, material)], [EVEN])
+    samples = 2 if material.is_smooth else 96
+    frame = lit(scene, camera, shadows=ls.Shadows.SOFT, samples=samples, max_bounces=16)
+    inside = frame.instance_index == 0
+    assert 0.3 < inside.mean() < 0.9
+    np.testing.assert_allclose(frame.color[~inside].mean(axis=0), EVEN.color, rtol=1e-3)
+    np.testing.assert_allclose(frame.color[inside].mean(axis=0), EVEN.color, rtol=off)

@@ -1,0 +1,328 @@
+"""Lit frames: what they are made of adds up, and the same whichever way, order and number of steps they take."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import sphere
+from lumisplat.math.color import decode_srgb
+from support.compare.ways import WAYS, renderer_of
+from support.scenes.raster_scenes import one_gaussian, similarity
+
+LAMPS = (
+    ls.LightPoint((0.8, 1.6, -0.4), color=(1.0, 0.8, 0.6), intensity=6.0, radius=0.1, name="bulb"),
+    ls.LightSpot((-1.2, 1.8, -0.5), (0.8, -1.6, 0.8), intensity=8.0, outer_angle=0.6),
+    ls.LightDirectional((0.2, -1.0, 0.4), intensity=0.5, casts_shadow=False),
+)
+SKY = ls.LightEnvironment(color=(0.2, 0.3, 0.5), name="sky", visible=False)
+
+
+def scene(*lights: ls.LightPoint | ls.LightSpot | ls.LightDirectional | ls.LightEnvironment) -> ls.Scene:
+    """Splats and meshes on a floor of splats: a plain ball, a mirror, glass, and a capture that stays as it is."""
+    paper = ls.MaterialPbr(base_color=(0.8, 0.7, 0.6), roughness=0.7)
+    ball = sphere(0.35, rows=10, columns=16)
+    floor = ls.Mesh(
+        np.array([[-2.0, 0.0, -1.0], [2.0, 0.0, -1.0], [2.0, 0.0, 3.0], [-2.0, 0.0, 3.0]]), [[0, 2, 1], [0, 3, 2]]
+    )
+    ground = ls.gaussians_from_mesh(floor, 900, seed=3)
+    toy = ls.gaussians_from_mesh(ball, 700, seed=4)
+    mirror = ls.MaterialPbr(base_color=(0.95, 0.9, 0.8), metallic=1.0, roughness=0.0)
+    glass = ls.MaterialPbr(base_color=(0.7, 1.0, 0.9), roughness=0.0, transmission=1.0)
+    return ls.Scene(
+        splats=[
+            ls.SplatInstance(ground, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(0.8, 0.8, 0.8))),
+            ls.SplatInstance(toy, similarity(offset=(-0.7, 0.4, 0.9))),
+        ],
+        meshes=[
+            ls.MeshInstance(replace(ball, material=paper), similarity(offset=(0.0, 0.35, 0.6))),
+            ls.MeshInstance(replace(ball, material=mirror), similarity(offset=(0.8, 0.35, 1.0))),
+            ls.MeshInstance(replace(ball, material=glass), similarity(offset=(-0.3, 0.3, 0.0), scale=0.8)),
+        ],
+        lights=lights or LAMPS,
+    )
+
+
+def camera(width: int = 48, height: int = 32) -> ls.Camera:
+    """From above the front."""
+    return ls.Camera.look_at((0.1, 1.0, -2.2), (0.0, 0.25, 0.7), width=width, height=height, fov_y=0.8)
+
+
+def config(pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.RenderConfig:
+    """Some settings that show a lot."""
+    given: dict = {"pipeline": pipeline, "background": (0.1, 0.2, 0.3)} | settings
+    return ls.RenderConfig(**given)
+
+
+def checked(image: np.ndarray | None) -> np.ndarray:
+    """An image that must be there, finite everywhere."""
+    assert image is not None
+    assert np.isfinite(image).all()
+    return image
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_parts_of_a_frame_add_up(pipeline: ls.Pipeline) -> None:
+    """Colour is what was captured and light; light is emission, what arrives of each lamp, and reflections."""
+    frame = ls.render(
+        scene(*LAMPS, SKY), camera(), config(pipeline, aovs=all_aovs(), background=(0.0, 0.0, 0.0)), device="cpu"
+    )
+    weight = checked(frame.captured_weight)[..., None]
+    straight = np.divide(checked(frame.captured), weight, out=np.zeros_like(frame.color), where=weight > 0.0)
+    captured = weight * decode_srgb(straight)
+    light = checked(frame.light)
+    np.testing.assert_allclose(frame.color, np.maximum(captured + light, 0.0), atol=2e-6)
+
+    assert frame.light_names == ("bulb", "light1", "light2", "sky")
+    direct, shadow = checked(frame.light_direct), checked(frame.light_shadow)
+    assert direct.shape == shadow.shape == (4, 32, 48, 3)
+    assert (shadow >= 0.0).all() and (shadow <= 1.0).all()
+    assert (shadow[2] == 1.0).all(), "it casts no shadow"
+    assert shadow[:2].min() == 0.0 and direct[:, 12:].max() > 0.1
+    arrived = (direct * shadow).sum(axis=0)
+    total = checked(frame.emission) + checked(frame.reflection) + arrived
+    np.testing.assert_allclose(frame.color, total, atol=3e-5)
+    assert checked(frame.reflection).max() > 0.1
+
+
+def all_aovs() -> tuple[str, ...]:
+    """All of them."""
+    return ("albedo", "emission", "reflection", "lights", "hits")
+
+
+@pytest.mark.parametrize("shadows", list(ls.Shadows))
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_every_way_shows_the_same(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+    """The schedule of CUDA, its graphs and any number of threads; twice the same renderer."""
+    settings = config(pipeline, shadows=shadows, samples=2, background=None)
+    frames = [renderer_of(way, settings).render(scene(*LAMPS, SKY), camera()) for way in WAYS]
+    single = ls.create_renderer(settings, "cpu", threads=1)
+    for frame in (single.render(scene(*LAMPS, SKY), camera()), single.render(scene(*LAMPS, SKY), camera())):
+        np.testing.assert_array_equal(frame.color, frames[0].color)
+    for frame in frames[1:]:
+        assert np.abs(frame.color - frames[0].color).max(axis=2).mean() < 1e-4
+        # Rounding moves edges, and what is drawn by chance there.
+        assert np.mean(np.abs(frame.color - frames[0].color).max(axis=2) > 1e-3) < 0.01
+
+
+def test_samples_go_on_where_they_stopped() -> None:
+    """2 + 3 samples are 5, in every image, for every pipeline."""
+    for pipeline in ls.Pipeline:
+        settings = config(pipeline, shadows=ls.Shadows.SOFT, samples=5)
+        at_once = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
+        first = ls.render(scene(*LAMPS, SKY), camera(), replace(settings, samples=2), device="cpu")
+        renderer = ls.create_renderer(replace(settings, samples=3), "cpu")
+        resumed = renderer.render(scene(*LAMPS, SKY), camera(), resume=first)
+        assert resumed.samples == at_once.samples == 5
+        for name in ("color", "captured", "captured_weight", "light", "alpha", "depth", "normal"):
+            np.testing.assert_array_equal(getattr(resumed, name), getattr(at_once, name), name)
+
+
+def test_resume_tells_light_from_none() -> None:
+    """A frame without light is not a start for one with it, nor the other way round."""
+    unlit = ls.render(scene(), camera(), config(lighting=False), device="cpu")
+    bright = ls.render(scene(), camera(), config(), device="cpu")
+    for settings, frame in ((config(), unlit), (config(lighting=False), bright)):
+        with pytest.raises(ls.ConfigError, match="cannot resume"):
+            ls.create_renderer(settings, "cpu").render(scene(), camera(), resume=frame)
+
+
+def test_lighting_by_default_follows_the_scene() -> None:
+    """Lights make it a lit frame; without any it is drawn as trained, and lit by the camera's own if told to."""
+    dark = replace(scene(), lights=())
+    assert ls.render(scene(), camera(), config(), device="cpu").color_space == "linear"
+    assert ls.render(dark, camera(), config(), device="cpu").light is None
+    assert ls.render(scene(), camera(), config(lighting=False), device="cpu").color_space == "srgb"
+    assert checked(ls.render(dark, camera(), config(lighting=True), device="cpu").light).max() > 0.1
+
+
+def test_soft_shadows_average_to_the_light() -> None:
+    """Samples of an extended light spread around their mean, which more of them approach as chance does."""
+    lamp = replace(LAMPS[0], radius=0.3)
+    renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
+    one, some, many = (renderer.render(scene(lamp), camera()).color for renderer in renderers)
+    errors = [np.sqrt(np.mean((image - many) ** 2)) for image in (one, some)]
+    assert errors[0] > 2.5 * errors[1] > 0.0
+
+
+def test_stochastic_splats_average_to_sorted_ones() -> None:
+    """In unlit frames, to the blend of all; jitter off, so that only chance differs."""
+    captures = replace(scene(), meshes=(), lights=())
+    still = ls.TraceConfig(jitter=False)
+    exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
+    chance = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+    errors = []
+    for samples in (16, 256):
+        settings = config(ls.Pipeline.RASTER, raster=chance, trace=still, samples=samples)
+        errors.append(
+            np.sqrt(np.mean((ls.render(captures, camera(), settings, device="cpu").color - exact.color) ** 2))
+        )
+    assert errors[1] < 0.012
+    assert 3.0 < errors[0] / errors[1] < 5.0, "16 times the samples, a quarter of the noise"
+
+
+def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
+    """No order enters: sets may change places, and pixels may be worked on one by one."""
+    chance = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+    settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
+    frames = [renderer_of(way, settings).render(scene(), camera()) for way in WAYS]
+    for frame in frames[1:]:
+        assert np.mean(np.abs(frame.color - frames[0].color).max(axis=2) > 1e-4) < 0.01
+    assert np.unique(frames[0].alpha[frames[0].depth < np.inf]).size <= 4  # each sample covers a pixel, or not
+
+
+@pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
+def test_stochastic_samples_are_lit_one_by_one(strategy: ls.TraceStrategy) -> None:
+    """Close to the sorted frame on surfaces as thin as these: the mean of lit samples, not a lit mean."""
+    settings = config(trace=ls.TraceConfig(strategy=strategy, jitter=False), shadows=ls.Shadows.OFF, samples=64)
+    exact = replace(settings, trace=ls.TraceConfig(jitter=False), samples=1)
+    floor = replace(scene(), meshes=(), splats=scene().splats[:1])
+    samples, one = (ls.render(floor, camera(), each, device="cpu") for each in (settings, exact))
+    inside = one.alpha > 0.995
+    relative = np.abs(samples.color - one.color)[inside] / one.color[inside].mean()
+    assert inside.sum() > 200 and relative.mean() < 0.05
+
+
+def test_mirrors_show_lit_things() -> None:
+    """A plane mirror shows what a mirrored camera sees, lights and shadows included."""
+    silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+    pane = ls.Mesh(
+        np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]), [[0, 1, 2], [0, 2, 3]], material=silver
+    )
+    lamp = ls.LightPoint((0.5, 1.5, 2.0), intensity=8.0)
+    paper = ls.MaterialPbr(base_color=(0.9, 0.5, 0.3), roughness=0.6)
+    ball, floor = replace(sphere(0.4, rows=12, columns=20), material=paper), pane_below()
+    things = [ls.MeshInstance(ball, similarity(offset=(0.0, 0.4, 1.6))), floor]
+    toy = ls.SplatInstance(
+        ls.gaussians_from_mesh(ball, 900, seed=1), similarity(offset=(0.9, 0.4, 1.5)), material=paper
+    )
+    eye, target = np.array([0.3, 0.9, 4.0]), np.array([0.1, 0.5, 0.0])
+    view = ls.Camera.look_at(tuple(eye), tuple(target), width=40, height=30, fov_y=0.5)
+    seen = ls.render(ls.Scene([toy], [*things, pane], [lamp]), view, config(), device="cpu")
+    flip = np.diag([1.0, 1.0, -1.0])
+    behind = ls.Camera.look_at(tuple(flip @ eye), tuple(flip @ target), width=40, height=30, fov_y=0.5)
+    direct = ls.render(ls.Scene([toy], things, [lamp]), behind, config(), device="cpu").color[:, ::-1]
+    alone = np.isclose(seen.depth, ls.render(ls.Scene([], [pane]), view, config(), device="cpu").depth, rtol=1e-4)
+    assert alone.sum() > 300
+    difference = np.abs(seen.color - direct)[alone].max(axis=1)
+    assert np.mean(difference > 0.02 * direct.max()) < 0.04  # edges
+
+
+def pane_below() -> ls.MeshInstance:
+    """A floor before the mirror."""
+    corners = np.array([[-3.0, 0.0, 0.1], [3.0, 0.0, 0.1], [3.0, 0.0, 6.0], [-3.0, 0.0, 6.0]])
+    return ls.MeshInstance(ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], material=ls.MaterialPbr(specular=0.0)))
+
+
+def test_rays_see_what_pixels_see() -> None:
+    """``trace_rays`` of a lit scene gives the linear colours of the frame, without what lies behind."""
+    view = camera()
+    frame = ls.render(scene(), view, config(background=(0.0, 0.0, 0.0)), device="cpu")
+    directions = view.ray_directions().reshape(-1, 3) @ view.world_from_camera[:3, :3].T
+    hits = ls.trace_rays(scene(), view.eye, directions, config(background=(0.0, 0.0, 0.0)), device="cpu")
+    assert hits.color_space == "linear"
+    # Frames blend the thin edges of captures with the background as display colours, rays have none to blend with.
+    solid = (frame.alpha > 0.9999).ravel()
+    assert solid.mean() > 0.25
+    np.testing.assert_allclose(hits.radiance[solid], frame.color.reshape(-1, 3)[solid], atol=5e-4)
+    white = ls.trace_rays(scene(), view.eye, directions, config(background=(1.0, 1.0, 1.0)), device="cpu")
+    empty = hits.transmittance == 1.0
+    assert empty.any() and (white.radiance[empty] == 0.0).all()
+
+
+def test_light_that_is_too_bright_is_counted() -> None:
+    """Values beyond float32 are left out, and the statistics say how many."""
+    blinding = ls.MaterialPbr(emissive=(3e38, 3e38, 3e38), emissive_texture=None)
+    lamp = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
+    ball = ls.MeshInstance(
+        replace(sphere(0.4, rows=6, columns=8), material=blinding), similarity(offset=(0.0, 0.4, 0.5))
+    )
+    frame = ls.render(ls.Scene([], [ball, ball], [lamp]), camera(), config(), device="cpu")
+    checked(frame.color)
+    assert frame.stats is not None
+    assert frame.stats.nonfinite_count > 20
+
+
+def test_moving_a_lamp_needs_no_upload() -> None:
+    """The same renderer follows lights from frame to frame, and goes back to unlit frames without them."""
+    renderer = ls.create_renderer(config(ls.Pipeline.HYBRID), "cpu")
+    assets = scene()
+    left, right = (replace(assets, lights=[ls.LightPoint((x, 1.5, 0.0), intensity=5.0)]) for x in (-1.0, 1.0))
+    frames = [renderer.render(each, camera()) for each in (left, right, left)]
+    np.testing.assert_array_equal(frames[0].color, frames[2].color)
+    assert np.abs(frames[0].color - frames[1].color).max() > 0.05
+    unlit = renderer.render(replace(assets, lights=()), camera())
+    assert unlit.light is None
+    allocations = renderer._buffers.allocations
+    renderer.render(left, camera())
+    renderer.render(replace(assets, lights=()), camera())
+    assert renderer._buffers.allocations == allocations
+
+
+def test_lights_of_all_kinds_leave_no_trace_when_off() -> None:
+    """Lights that are not enabled are as good as not there, but for the headlight that would replace them."""
+    rect = ls.LightRect((0.0, 2.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=3.0)
+    ball = ls.LightSphere((0.5, 2.0, 0.5), 0.2, intensity=5.0)
+    kinds = (*LAMPS, SKY, rect, ball)
+    off = [replace(light, enabled=False) for light in kinds]
+    without = ls.render(scene(LAMPS[0]), camera(), config(), device="cpu")
+    with_them = ls.render(scene(*off[1:4], LAMPS[0], *off[4:]), camera(), config(), device="cpu")
+    np.testing.assert_allclose(with_them.color, without.color, atol=1e-6)
+
+
+def test_an_environment_is_seen_where_nothing_is() -> None:
+    """Behind everything, turned as it says, and by mirrors too; unless it is not visible."""
+    image = np.zeros((8, 16, 3), np.float32)
+    image[:, 8:] = (1.0, 0.5, 0.25)  # right of the middle: +x
+    right, empty = ls.LightEnvironment(image), ls.Mesh([[0, 0, -9.0], [1e-3, 0, -9], [0, 1e-3, -9]], [[0, 1, 2]])
+    for pipeline in ls.Pipeline:
+        for eye, expected in (((1.0, 0.0, 0.0), (1.0, 0.5, 0.25)), ((-1.0, 0.0, 0.0), (0.0, 0.0, 0.0))):
+            view = ls.Camera.look_at((0, 0, 0), eye, width=8, height=8, fov_y=0.2)
+            seen = ls.render(ls.Scene([], [empty], [right]), view, config(pipeline), device="cpu")
+            np.testing.assert_allclose(seen.color, np.broadcast_to(expected, seen.color.shape), atol=1e-6)
+            assert (seen.alpha == 1.0).all()
+            hidden = replace(right, visible=False)
+            behind = ls.render(ls.Scene([], [empty], [hidden]), view, config(pipeline), device="cpu")
+            np.testing.assert_allclose(behind.color[0, 0], decode_srgb(np.array([0.1, 0.2, 0.3])), rtol=1e-5)
+            assert (behind.alpha == 0.0).all()
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_thin_captures_over_nothing_keep_their_colour(pipeline: ls.Pipeline) -> None:
+    """Without a background, half of a grey is half of its light, whatever its material and however it is drawn."""
+    veil = one_gaussian(mean=(0.0, 0.0, 0.0), scale=(3.0, 3.0, 0.01), opacity=0.5, color=(0.5, 0.5, 0.5))
+    view = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=16, height=16, fov_y=0.1)
+    sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    paper = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1))
+    for material in (None, paper):
+        for strategy in (ls.RasterStrategy.SORTED, ls.RasterStrategy.STOCHASTIC):
+            chance = strategy is ls.RasterStrategy.STOCHASTIC
+            settings = config(
+                pipeline,
+                background=None,
+                shadows=ls.Shadows.OFF,
+                samples=64 if chance else 1,
+                raster=ls.RasterConfig(strategy=strategy),
+            )
+            given = ls.Scene([ls.SplatInstance(veil, material=material)], lights=[sun])
+            frame = ls.render(given, view, settings, device="cpu")
+            assert frame.alpha.mean() == pytest.approx(0.5, abs=0.02)
+            linear = frame.alpha[..., None] * decode_srgb(np.full(3, 0.5))
+            np.testing.assert_allclose(frame.color, linear, rtol=2e-3, atol=1e-6)
+            np.testing.assert_allclose(frame.premultiplied(), linear, rtol=2e-3, atol=1e-6)
+            np.testing.assert_allclose(frame.pixels_srgb()[..., :3], 0.5, atol=1e-3)
+
+
+def test_pixels_that_leave_the_lens_are_no_capture() -> None:
+    """Where only some samples have a ray, what a transparent frame captured is no more than what covers it."""
+    fisheye = ls.Camera(
+        width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE
+    )
+    behind = one_gaussian(mean=(0.0, 0.0, -4.0), scale=2.0, opacity=0.9, color=(0.5, 0.5, 0.5))
+    settings = config(background=None, samples=8, lighting=True)
+    frame = ls.render(ls.Scene([ls.SplatInstance(behind)]), fisheye, settings, device="cpu")
+    assert checked(frame.captured_weight).max() > 0.5
+    assert (checked(frame.captured_weight) <= frame.alpha + 1e-5).all()

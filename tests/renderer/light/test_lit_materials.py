@@ -1,0 +1,249 @@
+"""Materials in lit frames: what each of their numbers and textures does to a surface, worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb, encode_srgb
+from support.scenes.raster_scenes import flat_sh, front_camera
+
+FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+"""Under it, a diffuse surface square to the view shows its albedo."""
+PIPELINES = list(ls.Pipeline)
+
+
+def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls.Mesh:
+    """A square that fills the view, its texture upright in it."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * depth
+    positions = np.column_stack([corners, np.full(4, depth)])
+    uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return ls.Mesh(positions, [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
+
+
+def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: np.ndarray) -> ls.Gaussians:
+    """Flat Gaussians that fill the view, some layers deep: pixels let through less than a thousandth."""
+    x, y = np.meshgrid(*[np.linspace(-1.6, 1.6, rows) * 0.5 * depth] * 2)
+    layers = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth + 0.01 * k)]) for k in range(3)]
+    means = np.concatenate(layers)
+    count = len(means)
+    scales = np.tile([0.25 * depth, 0.25 * depth, 0.002], (count, 1))
+    colors = extras.pop("colors", np.tile([0.7, 0.5, 0.3], (count, 1)))
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    filled = {name: np.broadcast_to(values, (count, *np.shape(values))) for name, values in extras.items()}
+    return ls.Gaussians(means, wxyz, scales, np.full(count, opacity), flat_sh(colors), **filled)
+
+
+def lit(scene: ls.Scene, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
+    """A small frame from the front, lights on."""
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True, **settings)  # type: ignore[arg-type]
+    return ls.render(scene, front_camera(24, 18, 30.0), config, device="cpu")
+
+
+def middle(frame: ls.Frame) -> np.ndarray:
+    """Linear colour of the pixels around the centre, mean, shape (3,)."""
+    return frame.color[7:11, 10:14].mean(axis=(0, 1))
+
+
+def texture(*rgb: int) -> np.ndarray:
+    """Of one colour."""
+    return np.full((2, 2, 3), rgb, np.uint8)
+
+
+def diffuse(**changes: object) -> ls.MaterialPbr:
+    """White paper."""
+    return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_emission_needs_no_light(pipeline: ls.Pipeline) -> None:
+    """What shines is seen with all lights off, times its texture, decoded; and light is added to it."""
+    dark = replace(FACING, enabled=False)
+    shining = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
+    seen = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[dark]), pipeline))
+    expected = np.array([2.0, 1.0, 0.5]) * decode_srgb(np.array([255, 128, 0]) / 255.0)
+    np.testing.assert_allclose(seen, expected, rtol=2e-6)
+    added = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[FACING]), pipeline))
+    np.testing.assert_allclose(added, expected + 1.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("lights", [1, 3])
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
+    """However many lights there are, of meshes and of splats."""
+    material = ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.3, 0.2, 0.1), diffuse=(0.5, 0.5, 0.5))
+    each = replace(FACING, intensity=np.pi / lights)
+    of_mesh = ls.Scene(meshes=[wall(replace(material, base_color=(0.6, 0.6, 0.6)))], lights=[each] * lights)
+    np.testing.assert_allclose(middle(lit(of_mesh, pipeline)), 0.6 * np.array([0.8, 0.7, 0.6]), rtol=1e-4)
+    of_splats = ls.Scene(splats=[ls.SplatInstance(curtain(), material=material)], lights=[each] * lights)
+    shadowless = lit(of_splats, pipeline, shadows=ls.Shadows.OFF)
+    own = decode_srgb(np.array([0.7, 0.5, 0.3]))
+    np.testing.assert_allclose(middle(shadowless), own * [0.8, 0.7, 0.6], rtol=5e-3)
+
+
+def test_metallic_roughness_texture_multiplies() -> None:
+    """Green is roughness, blue metallic: a texture looks as the factors that it comes to."""
+    light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
+    held = {"base_color": (0.9, 0.6, 0.3)}
+    mapped = ls.MaterialPbr(roughness=0.8, metallic=1.0, metallic_roughness_texture=texture(0, 102, 204), **held)
+    plain = ls.MaterialPbr(roughness=0.8 * 0.4, metallic=0.8, **held)
+    seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[light]))) for m in (mapped, plain)]
+    np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
+
+
+def test_texels_of_no_roughness_still_shine() -> None:
+    """Rays go on from smooth materials only; a smooth spot of a rough one shows the sky in its highlight instead."""
+    spotless = ls.MaterialPbr(
+        base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
+    )
+    sky = ls.LightEnvironment(color=(0.2, 0.3, 0.4), visible=False)
+    seen = middle(lit(ls.Scene(meshes=[wall(spotless)], lights=[sky]), shadows=ls.Shadows.OFF, samples=4))
+    np.testing.assert_allclose(seen, [0.2, 0.3, 0.4], rtol=0.02)
+
+
+def test_normal_texture_tilts() -> None:
+    """Red leans right, green up: the cosine of the light changes by what the map says, and scales with its strength."""
+    up = ls.LightDirectional((0.0, 1.0, 1.0), intensity=np.pi)  # from above: y of the camera points down
+    right = ls.LightDirectional((-1.0, 0.0, 1.0), intensity=np.pi)
+    leaning_up, leaning_right = texture(128, 204, 230), texture(204, 128, 230)
+    for light, helping, other in ((up, leaning_up, leaning_right), (right, leaning_right, leaning_up)):
+        for texels, scale in ((helping, 1.0), (other, 1.0), (helping, 0.5)):
+            local = 2.0 * texels[0, 0] / 255.0 - 1.0
+            normal = np.array([scale * local[0], -scale * local[1], -local[2]])
+            normal /= np.linalg.norm(normal)
+            toward = -np.array(light.direction)
+            material = diffuse(normal_texture=texels, normal_scale=scale)
+            seen = middle(lit(ls.Scene(meshes=[wall(material)], lights=[light])))
+            np.testing.assert_allclose(seen, normal @ toward, rtol=1e-4)
+
+
+def test_occlusion_dims_the_environment_alone() -> None:
+    """By its share, as strong as said; lamps are not dimmed."""
+    hidden = texture(51, 0, 0)
+    sky = ls.LightEnvironment(visible=False)
+    for strength, share in ((1.0, 0.2), (0.5, 0.6)):
+        material = diffuse(occlusion_texture=hidden, occlusion_strength=strength)
+        seen = middle(lit(ls.Scene(meshes=[wall(material)], lights=[sky]), samples=64))
+        np.testing.assert_allclose(seen, share, rtol=0.02)
+        np.testing.assert_allclose(middle(lit(ls.Scene(meshes=[wall(material)], lights=[FACING]))), 1.0, rtol=1e-4)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_gaussians_bring_their_own_surface(pipeline: ls.Pipeline) -> None:
+    """Albedo in place of the captured colour where nothing shines; roughness and metallic, too."""
+    light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
+    own = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
+    bare = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
+    matched = ls.MaterialPbr(roughness=0.35, metallic=0.7)
+    other = ls.MaterialPbr(roughness=0.9, metallic=0.1)
+    scenes = [
+        ls.Scene(splats=[ls.SplatInstance(capture, material=material)], lights=[light])
+        for capture, material in ((curtain(**own), other), (bare, matched))
+    ]
+    seen = [middle(lit(scene, pipeline, shadows=ls.Shadows.OFF)) for scene in scenes]
+    np.testing.assert_allclose(seen[0], seen[1], rtol=2e-3)
+    shining = ls.SplatInstance(curtain(**own), material=replace(other, emissive=(1.0, 1.0, 1.0)))
+    glowing = lit(ls.Scene(splats=[shining], lights=[replace(light, enabled=False)]), pipeline)
+    np.testing.assert_allclose(middle(glowing), decode_srgb(np.array([0.7, 0.5, 0.3])), rtol=5e-3)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_gaussians_bring_their_own_normals(pipeline: ls.Pipeline) -> None:
+    """Light falls by the normals that Gaussians carry; whichever way they point, they face the viewer."""
+    tilted = np.array([0.6, 0.0, -0.8])
+    toward = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    for sign in (1.0, -1.0):
+        capture = curtain(normals=sign * tilted, albedo=np.array([1.0, 1.0, 1.0]))
+        splats = ls.SplatInstance(capture, material=diffuse())
+        frame = lit(ls.Scene(splats=[splats], lights=[toward]), pipeline, shadows=ls.Shadows.OFF)
+        np.testing.assert_allclose(frame.normal[9, 12], tilted, atol=1e-5)
+        np.testing.assert_allclose(middle(frame), 0.8, rtol=5e-3)
+    unlit = ls.render(ls.Scene(splats=[capture]), front_camera(24, 18, 30.0), device="cpu")
+    assert unlit.normal[9, 12] @ tilted < 0.9  # unlit frames show the Gaussians' planes
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_sh_degree_of_a_set(pipeline: ls.Pipeline) -> None:
+    """Degree 0 drops the view-dependent part of that set alone."""
+    capture = curtain()
+    sh = np.concatenate([capture.sh, np.full((capture.count, 3, 3), 0.2, np.float32)], axis=1)
+    viewed = replace(capture, sh=sh)
+    camera = front_camera(24, 18, 30.0)
+    config = ls.RenderConfig(pipeline=pipeline)
+    plain, capped, full = (
+        ls.render(ls.Scene(splats=[ls.SplatInstance(g, sh_degree=degree)]), camera, config, device="cpu").color
+        for g, degree in ((capture, 3), (viewed, 0), (viewed, 3))
+    )
+    np.testing.assert_array_equal(plain, capped)
+    assert np.abs(full - plain).max() > 0.05
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_thin_splats_without_a_surface_are_dropped_where_one_is_needed(pipeline: ls.Pipeline) -> None:
+    """A veil that hides less than the threshold stays where it shines as captured, and goes where it reflects."""
+    veil = curtain(rows=3, opacity=0.04)
+    assert lit(ls.Scene(splats=[veil], lights=[FACING]), pipeline).alpha.max() > 0.05
+    reflecting = ls.SplatInstance(veil, material=ls.MaterialSimple(emissive=(1, 1, 1), diffuse=(0.1, 0.1, 0.1)))
+    gone = lit(ls.Scene(splats=[reflecting], lights=[FACING]), pipeline, background=(0.2, 0.4, 0.6))
+    assert gone.alpha.max() == 0.0
+    np.testing.assert_array_equal(gone.captured, np.broadcast_to(np.float32([0.2, 0.4, 0.6]), gone.color.shape))
+    untouched = lit(ls.Scene(splats=[veil, reflecting], lights=[FACING]), pipeline)
+    assert 0.0 < untouched.alpha.max() < 0.25  # the first set in a pixel says
+
+
+def test_light_reaches_around_no_corner_of_a_shading_normal() -> None:
+    """A light behind the triangle does not light it, however far its normals lean towards it."""
+    plain = wall(diffuse())
+    leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
+    below = ls.LightDirectional((0.0, 1.0, -0.1), intensity=10.0)
+    assert middle(lit(ls.Scene(meshes=[leaning], lights=[below]), shadows=ls.Shadows.OFF)).max() == 0.0
+
+
+def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
+    """Lit samples of single Gaussians, over black and over white: their mean is the light of all, blended."""
+    capture = curtain(rows=5, opacity=0.35)
+    splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
+    scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
+    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT, jitter=False)
+    for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), None):
+        common = {"shadows": ls.Shadows.OFF, "background": background}
+        exact = lit(scene, trace=ls.TraceConfig(jitter=False), **common)
+        mean = lit(scene, trace=chance, samples=256, **common)
+        assert 0.6 < exact.alpha.mean() < 0.99
+        np.testing.assert_allclose(mean.color.mean(axis=(0, 1)), exact.color.mean(axis=(0, 1)), rtol=0.03)
+        np.testing.assert_allclose(mean.premultiplied().mean(), exact.premultiplied().mean(), rtol=0.03)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES)
+@pytest.mark.parametrize("samples", [1, 32])
+def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.Pipeline) -> None:
+    """A capture of stripes narrower than pixels is darkened by what its lights lack, however many samples see it."""
+    x = np.linspace(-1.7, 1.7, 341)
+    means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
+    scales = np.tile([0.009, 3.0, 0.002], (341, 1))
+    colors = np.where(np.arange(341)[:, None] % 4 < 2, 0.95, 0.05) * np.ones(3)
+    wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (341, 1))
+    stripes = ls.SplatInstance(
+        ls.Gaussians(means, wxyz, scales, np.full(341, 0.99), flat_sh(colors)),
+        material=ls.MaterialSimple(ambient=(0.5, 0.5, 0.5)),
+        shadow_only=True,
+    )
+    sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+    screen = np.array([[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [9.0, 9.0, -3.0], [-9.0, 9.0, -3.0]])
+    blocker = ls.Mesh(screen, [[0, 2, 1], [0, 3, 2]])
+    settings = {"samples": samples, "trace": ls.TraceConfig(jitter=True)}
+    free = lit(ls.Scene(splats=[stripes], lights=[sun]), pipeline, **settings)
+    dark = lit(ls.Scene(splats=[stripes], meshes=[blocker], lights=[sun]), pipeline, **settings)
+    # Half of the light is ambient: 0.5 pi of 1.5 pi.
+    np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
+
+
+def test_rough_glass_keeps_its_light() -> None:
+    """What transmits but is rough scatters that share back, instead of losing it."""
+    frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
+    plain = replace(frosted, transmission=0.0)
+    seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[FACING]))) for m in (frosted, plain)]
+    np.testing.assert_allclose(seen[0], seen[1], rtol=1e-6)

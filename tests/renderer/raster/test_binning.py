@@ -1,0 +1,142 @@
+"""Depth order and tile lists against NumPy, in both schedules."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.structs.scene import Rect
+from lumisplat.errors import DeviceError
+from lumisplat.renderer.raster.binning import OrderChunked, OrderParallel, grown
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes import raster_scenes as scenes
+
+CULLED, NONFINITE = 0xFFFFFFFF, 0xFFFFFFFE
+
+
+def make_order(parallel: bool, threads: int = 3) -> OrderChunked | OrderParallel:
+    """An order of either schedule on the CPU."""
+    launcher = Launcher("cpu", threads=threads, parallel=parallel)
+    order = (OrderParallel if parallel else OrderChunked)(launcher, Buffers("cpu"))
+    order.begin()
+    return order
+
+
+def random_keys(count: int, seed: int) -> np.ndarray:
+    """Bits of positive floats with many ties, some culled, some not finite."""
+    random = np.random.default_rng(seed)
+    keys = np.round(random.uniform(0.01, 1000.0, count), 1).astype(np.float32).view(np.uint32)
+    keys[random.random(count) < 0.2] = CULLED
+    keys[random.random(count) < 0.05] = NONFINITE
+    return keys
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+@pytest.mark.parametrize("count", [1, 2, 100, 5000])
+def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> None:
+    """Visible items come front to back, ties in their own order, culled ones never."""
+    keys = random_keys(count, count)
+    order = make_order(parallel)
+    result = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
+    expected = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
+    np.testing.assert_array_equal(result.order.numpy()[: len(expected)], expected)
+    assert order.finish()
+    assert order.counts.visible == len(expected)
+    assert order.counts.nonfinite == (keys == NONFINITE).sum()
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_all_visible_and_none_visible(parallel: bool) -> None:
+    """Nothing is lost at the ends: neither the last of all-visible items, nor a first of none."""
+    for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
+        order = make_order(parallel)
+        order.sort(wp.array(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
+        assert order.finish()
+        assert order.counts.visible == expected
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_keys_over_the_whole_range_sort(parallel: bool) -> None:
+    """Three-digit keys, from the smallest denormal to the largest float, are ordered too."""
+    depths = np.array([3.4e38, 1e-45, 1.0, 2.0, 1e-20, 1e20, 0.5], np.float32)
+    result = make_order(parallel).sort(wp.array(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
+    np.testing.assert_array_equal(result.order.numpy()[: len(depths)], np.argsort(depths))
+
+
+def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_count: int) -> list[list[int]]:
+    """Which items touch each tile, in order."""
+    lists: list[list[int]] = [[] for _ in range(tile_count)]
+    for item in order:
+        rect = rects[item]
+        for y in range(rect["y0"], rect["y1"]):
+            for x in range(rect["x0"], rect["x1"]):
+                lists[y * tiles_x + x].append(int(item))
+    return lists
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
+    """Every tile lists exactly its items, in depth order; in the parallel schedule also after its lists overflowed."""
+    random = np.random.default_rng(5)
+    tiles_x, tiles_y, count = 7, 5, 400
+    table = np.zeros(count, dtype=np.dtype(Rect.numpy_dtype()))
+    for axis, tiles in (("x", tiles_x), ("y", tiles_y)):
+        first = random.integers(0, tiles, count)
+        table[axis + "0"] = first
+        table[axis + "1"] = np.minimum(first + random.integers(0, 6, count), tiles)
+    keys = random_keys(count, 1)
+    table[keys >= NONFINITE] = 0
+    rects = wp.array(table, dtype=Rect, device="cpu")
+    order = make_order(parallel)
+    depth_order = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
+    lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
+    assert order.finish() != parallel  # 400 items start with room for 1024 pairs, fewer than there are
+    order.begin()
+    lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
+    assert order.finish()
+    visible = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
+    expected = brute_force_lists(table, visible, tiles_x, tiles_x * tiles_y)
+    starts, items = lists.starts.numpy(), lists.items.numpy()
+    assert [items[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
+    assert order.counts.pairs == sum(map(len, expected))
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
+    """Pairs that 32 bits cannot count end in one line, not in a wrapped sum, a cut list or a write out of bounds."""
+    tiles_x, tiles_y, count = 4096, 3, 180_000
+    table = np.zeros(count, dtype=np.dtype(Rect.numpy_dtype()))
+    table["x1"], table["y1"] = tiles_x, tiles_y
+    rects = wp.array(table, dtype=Rect, device="cpu")
+    order = make_order(parallel)
+    with pytest.raises(DeviceError, match=r"needs 2,211,840,000 \(tile, item\) pairs"):
+        order.bin("raster", order.unsorted(count), rects, tiles_x, tiles_x * tiles_y)
+        order.finish()
+
+
+def test_grown_leaves_room_without_doubling() -> None:
+    """Capacities hold the count and waste at most a quarter, or 1024 elements."""
+    for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
+        assert count <= grown(count) <= max(1.25 * count + 1, count + 1024)
+
+
+def test_overflow_draws_the_frame_again_with_more_room() -> None:
+    """A camera that comes so close that splats cover more tiles than the graph has room for: no cut frame is shown."""
+    scene = ls.Scene([scenes.random_gaussians(4, count=200)])
+    launcher = GraphLauncher()
+    renderer = ls.Renderer(ls.RenderConfig(), launcher)
+    for offset in (-30.0, -30.0, -30.0, -30.0, 1.5):
+        pose = np.eye(4)
+        pose[2, 3] = -offset
+        camera = scenes.front_camera(400, 300, 300.0, camera_from_world=pose)
+        frame = renderer.render(scene, camera)
+    assert frame.stats is not None and frame.stats.pair_count > 1024
+    assert launcher.draws == 6  # the last frame came from the graph, was cut, and was drawn again
+    expected = ls.render(scene, camera, device="cpu")
+    np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)

@@ -1,0 +1,115 @@
+"""Depth, normal and index of the surface that a frame describes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.images import assert_close
+from support.compare.ways import renderer_of
+from support.oracles import raster_oracle as oracles
+from support.scenes.raster_scenes import (
+    front_camera,
+    joined,
+    one_gaussian,
+    opposed_sheets,
+    quad,
+    random_gaussians,
+    rotation,
+)
+
+CENTRE = (24, 32)
+
+
+def camera() -> ls.Camera:
+    """A camera whose optical axis passes through the centre of pixel (24, 32)."""
+    return front_camera(cx=32.5, cy=24.5)
+
+
+@pytest.mark.parametrize(("opacity", "is_surface"), [(0.29, False), (0.31, True), (1.0, True)])
+def test_surface_needs_transmittance_below_threshold(renderer: ls.Renderer, opacity: float, is_surface: bool) -> None:
+    """One Gaussian is a surface if it leaves less than 0.7 of the light."""
+    frame = renderer.render(ls.Scene([one_gaussian(opacity=opacity)]), camera())
+    assert frame.gaussian_index[CENTRE] == (0 if is_surface else -1)
+    assert frame.instance_index[CENTRE] == (0 if is_surface else -1)
+    assert np.isfinite(frame.depth[CENTRE]) == is_surface
+    assert np.linalg.norm(frame.normal[CENTRE]) == pytest.approx(1.0)
+
+
+def test_surface_is_where_opacity_adds_up(renderer: ls.Renderer) -> None:
+    """0.8 x 0.8 < 0.7: the second of several faint layers is the surface, not the first and not the last."""
+    layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
+    frame = renderer.render(ls.Scene([joined(*reversed(layers))]), camera())
+    assert frame.gaussian_index[CENTRE] == 2
+    assert frame.depth[CENTRE] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
+def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
+    """The iso-opacity threshold chooses the layer."""
+    layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
+    config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
+    frame = renderer_of(way, config).render(ls.Scene([joined(*layers)]), camera())
+    assert frame.gaussian_index[CENTRE] == index
+
+
+def test_depth_is_along_the_ray(renderer: ls.Renderer) -> None:
+    """A wall at one view depth has that depth_z everywhere, and the distance along each pixel's ray as depth."""
+    frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 5.0), 50.0, 0.9)]), front_camera(cx=20.0))
+    ray = oracles.pixel_rays(front_camera(cx=20.0))
+    assert_close(frame.depth_z, np.full((48, 64), 5.0), atol=1e-5)
+    assert_close(frame.depth, 5.0 * np.linalg.norm(ray, axis=-1), atol=1e-5)
+
+
+def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:
+    """Splat instances are numbered first, meshes after them; a mesh has no Gaussian index."""
+    far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
+    target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)
+    scene = ls.Scene([far, joined(far, near), joined(target, far)], [quad(9.0, 0.1), quad(6.0, 5.0)])
+    frame = renderer.render(scene, camera())
+    assert (frame.instance_index[24, 42], frame.gaussian_index[24, 42]) == (1, 5)
+    assert (frame.instance_index[24, 22], frame.gaussian_index[24, 22]) == (2, 0)
+    assert (frame.instance_index[5, 32], frame.gaussian_index[5, 32]) == (4, -1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.8])
+def test_normal_of_a_disc(renderer: ls.Renderer, angle: float) -> None:
+    """A flat Gaussian's normal is its thin axis, on the viewer's side."""
+    half = 0.5 * angle
+    disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
+    axis = rotation((1.0, 0.0, 0.0), angle)[:3, 2]
+    normal = renderer.render(ls.Scene([disc]), camera()).normal[CENTRE]
+    assert normal == pytest.approx(-np.sign(axis[2]) * axis, abs=1e-3)
+
+
+def test_normal_of_a_ball_is_towards_the_eye(renderer: ls.Renderer) -> None:
+    """A round Gaussian faces the camera wherever it stands, over its whole footprint."""
+    mean = np.array([0.8, -0.5, 3.0])
+    frame = renderer.render(ls.Scene([one_gaussian(tuple(mean), 0.2, 0.9)]), camera())
+    seen = frame.alpha > 0.0
+    assert_close(frame.normal[seen], np.broadcast_to(-mean / np.linalg.norm(mean), (seen.sum(), 3)), atol=1e-5)
+    assert (frame.normal[~seen] == 0.0).all()
+
+
+def test_normals_mix_by_weight(renderer: ls.Renderer) -> None:
+    """The frame's normal is the mean over splats and mesh, each with the weight of its colour."""
+    tilt = 0.4
+    disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.6, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0))
+    frame = renderer.render(ls.Scene([disc], [quad(5.0, tilt=0.5)]), camera())
+    disc_normal = -rotation((1.0, 0.0, 0.0), tilt)[:3, 2]
+    mesh_normal = np.array([0.5, 0.0, -1.0]) / np.hypot(0.5, 1.0)
+    mixed = 0.6 * disc_normal + 0.4 * mesh_normal
+    assert frame.normal[CENTRE] == pytest.approx(mixed / np.linalg.norm(mixed), abs=1e-3)
+
+
+def test_cancelling_normals_face_the_camera(renderer: ls.Renderer) -> None:
+    """Where the normals cancel out, the direction towards the camera stands in; with either sheet alone it does not."""
+    sheets = opposed_sheets()
+    frame = renderer.render(ls.Scene([sheets]), camera())
+    assert frame.normal[CENTRE] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+    above = renderer.render(ls.Scene([sheets]), camera()).normal[14, 32]
+    ray = oracles.pixel_rays(camera())[14, 32]
+    assert above == pytest.approx(-ray / np.linalg.norm(ray), abs=1e-5)
+    alone = renderer.render(ls.Scene([sheets.subset(np.array([0]))]), camera())
+    assert abs(alone.normal[CENTRE][0]) > 0.99

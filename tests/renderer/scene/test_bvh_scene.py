@@ -1,0 +1,307 @@
+"""Trees of a scene: which assets get one, when they are refitted, and the tree of the instances above them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.constants import NODE_WIDTH
+from lumisplat.device.structs.bvh import FAR, NO_CHILD
+from lumisplat.renderer.scene import bvh_scene, device_scene
+from lumisplat.renderer.scene.bvh_scene import tree_of_boxes
+from support.compare.images import assert_close, assert_images_alike
+from support.compare.ways import renderer_of
+from support.oracles.raster_oracle import rotation_from_quaternion
+from support.scenes.raster_scenes import front_camera, joined, one_gaussian, random_gaussians, similarity
+
+WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
+
+
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest) -> str:
+    """One way to trace a frame."""
+    return request.param
+
+
+def view() -> ls.Camera:
+    """A small camera towards (0, 0, 4)."""
+    return front_camera(24, 18, 22.0)
+
+
+def assert_as_new(warm: ls.Renderer, way: str, scene: ls.Scene) -> None:
+    """The image is to the bit that of a renderer that saw nothing before."""
+    shown, fresh = (renderer.render(scene, view()) for renderer in (warm, renderer_of(way, warm.config)))
+    for name in IMAGES:
+        np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
+
+
+def held(renderer: ls.Renderer) -> list[int]:
+    """Identities of the trees, by asset."""
+    return [id(one.tree) for one in renderer._trees._held]
+
+
+# --- Assets ---
+
+
+def test_instances_share_the_tree_of_their_asset(way: str) -> None:
+    """Three placements of two sets: two trees, built once, and rows that say where each is."""
+    first, second = random_gaussians(1, 50), random_gaussians(2, 30)
+    places = [similarity((1.0, 2.0, 0.5), 0.4 * i, 0.5 + i, (0.1 * i, 0.2, 0.3)) for i in range(3)]
+    scene = ls.Scene([ls.SplatInstance(g, place) for g, place in zip((first, second, first), places, strict=True)])
+    renderer = renderer_of(way, TRACE)
+    renderer.render(scene, view())
+    trees = held(renderer)
+    assert len(trees) == 2
+    rows = renderer._trees.instances.numpy()
+    assert rows["asset"].tolist() == [0, 1, 0] and rows["first"].tolist() == [0, 50, 80]
+    for row, place in zip(rows, places, strict=True):
+        inverse = np.linalg.inv(place)
+        np.testing.assert_allclose(row["object_from_world"], inverse[:3, :3], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(row["object_from_world_offset"], inverse[:3, 3], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(row["world_from_object"] @ row["world_from_object"].T, np.eye(3), atol=1e-6)
+    moved = ls.Scene([ls.SplatInstance(first, places[1]), ls.SplatInstance(second, places[0])])
+    assert_as_new(renderer, way, moved)
+    assert held(renderer) == trees, "poses are no reason to build"
+
+
+def test_an_asset_in_another_ones_place_is_followed(way: str) -> None:
+    """As many Gaussians in the same place: the tree is refitted, and its neighbour's untouched."""
+    first, second = random_gaussians(3, 60), random_gaussians(4, 60)
+    warm = renderer_of(way, TRACE)
+    assert_as_new(warm, way, ls.Scene([first, second]))
+    trees = held(warm)
+    second_nodes = warm._trees._held[1].tree.nodes.numpy().tobytes()
+    moved = replace(first, means=first.means + np.float32(0.05))
+    assert_as_new(warm, way, ls.Scene([moved, second]))
+    assert held(warm) == trees
+    assert warm._trees._held[1].tree.nodes.numpy().tobytes() == second_nodes
+
+
+@pytest.mark.parametrize(
+    "change", ["count", "degree", "other still there", "other place", "order", "one more", "one less", "none", "back"]
+)
+def test_other_changes_build_what_is_new(way: str, change: str) -> None:
+    """Trees stay with their assets through any rearrangement, and what is no successor gets a tree of its own."""
+    first, second = random_gaussians(5, 60), random_gaussians(6, 60)
+    warm = renderer_of(way, TRACE)
+    warm.render(ls.Scene([first, second]), view())
+    a, b = held(warm)
+    kept = warm._trees._held  # so that a new tree cannot have an old one's identity
+    other = random_gaussians(7, 60)
+    scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
+        "count": ([random_gaussians(7, 61), second], [None, b]),
+        "degree": ([replace(other, kernel_degree=3), second], [None, b]),
+        "other still there": ([other, first], [None, a]),
+        "other place": ([second, other], [b, None]),
+        "order": ([second, first], [b, a]),
+        "one more": ([first, other, second], [a, None, b]),
+        "one less": ([second], [b]),
+        "none": ([], []),
+        "back": ([second, first, second], [b, a]),
+    }
+    splats, expected = scenes[change]
+    assert_as_new(warm, way, ls.Scene(splats))
+    for tree, known in zip(held(warm), expected, strict=True):
+        assert tree == known if known is not None else tree not in (a, b), change
+    assert_as_new(warm, way, ls.Scene([first, second]))
+    assert [one.gaussians for one in kept] == [first, second]
+
+
+def test_degrees_of_captures_may_differ(way: str) -> None:
+    """Each capture responds with its own degree, unless the settings say otherwise."""
+    left, right = one_gaussian((-0.9, 0.0, 4.0), 0.2, 0.9), one_gaussian((0.9, 0.0, 4.0), 0.2, 0.9)
+    sharp = replace(right, kernel_degree=5)
+    mixed = renderer_of(way, TRACE).render(ls.Scene([left, sharp]), view())
+    soft = renderer_of(way, TRACE).render(ls.Scene([left, right]), view())
+    np.testing.assert_array_equal(mixed.alpha[:, :12], soft.alpha[:, :12])
+    assert np.abs(mixed.alpha[:, 12:] - soft.alpha[:, 12:]).max() > 0.1
+    forced = replace(TRACE, trace=ls.TraceConfig(kernel_degree=2))
+    np.testing.assert_array_equal(renderer_of(way, forced).render(ls.Scene([left, sharp]), view()).alpha, soft.alpha)
+
+
+def test_memory_counts_the_trees() -> None:
+    """A frame's memory covers particles and nodes."""
+    gaussians = random_gaussians(8, 3000)
+    renderer = renderer_of("cpu", TRACE)
+    frame = renderer.render(ls.Scene([gaussians]), view())
+    assert frame.stats is not None
+    assert frame.stats.memory_bytes >= 64 * 3000 + renderer._trees.bytes > 64 * 3000 + 224 * 3000 / NODE_WIDTH
+
+
+@pytest.mark.parametrize(
+    "stray",
+    [
+        one_gaussian(scale=1e20, opacity=0.02),
+        one_gaussian(scale=(0.1, 1e37, 0.1), opacity=0.02),
+        one_gaussian((3e38, 0.0, 0.0), 0.2),
+        one_gaussian((1e20, -1e20, 1e20), 1e19, 0.02),
+    ],
+    ids=["vast", "endless", "lost", "vast and lost"],
+)
+def test_strays_beyond_float32_hide_nothing(way: str, stray: ls.Gaussians) -> None:
+    """One Gaussian of a broken capture whose bounds overflow is drawn or not, and costs no other one its place."""
+    gaussians = random_gaussians(13, 100)
+    renderer = renderer_of(way, TRACE)
+    expected = renderer_of(way, TRACE).render(ls.Scene([gaussians]), view())
+    for scene in (ls.Scene([joined(gaussians, stray)]), ls.Scene([joined(stray, gaussians)])):
+        frame = renderer.render(scene, view())
+        assert_close(frame.alpha, expected.alpha, atol=0.021, name="alpha")
+        assert_close(frame.color, expected.color, atol=0.05, name="color")
+
+
+# --- What fails half-way ---
+
+
+def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assets that were dropped for a scene that did not fit are elsewhere when they come back: so are their rows."""
+    first, second = random_gaussians(9, 60), random_gaussians(10, 70)
+    renderer = renderer_of("cpu", TRACE)
+    renderer.render(ls.Scene([first]), view())
+    freed = renderer._scene.assets[0].data  # kept, so that its successor lies elsewhere
+
+    def refuse(*_: object) -> None:
+        raise RuntimeError("out of memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(device_scene, "upload_gaussians", refuse)
+        with pytest.raises(ls.DeviceError, match="no room"):
+            renderer.render(ls.Scene([second]), view())
+    renderer.render(ls.Scene([first]), view())
+    row = renderer._trees.assets.numpy()[0]["gaussians"]["rotations"]["data"]
+    assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
+
+
+def test_a_failed_build_leaves_nothing_stale(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tree that was refitted before the next one failed is not taken for what it was."""
+    first, second = random_gaussians(11, 60), random_gaussians(12, 70)
+    renderer = renderer_of(way, TRACE)
+    renderer.render(ls.Scene([first]), view())
+
+    def refuse(*_: object) -> None:
+        raise ls.DeviceError("out of memory")
+
+    moved = replace(first, means=first.means + np.float32(0.3))
+    with monkeypatch.context() as patch:
+        patch.setattr(bvh_scene, "GaussianTree", refuse)
+        with pytest.raises(ls.DeviceError, match="out of memory"):
+            renderer.render(ls.Scene([moved, second]), view())
+    assert_as_new(renderer, way, ls.Scene([first]))
+
+
+# --- Instances ---
+
+
+def boxes(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Random boxes."""
+    random = np.random.default_rng(seed)
+    center, half = random.normal(size=(count, 3)), np.exp(random.uniform(-4.0, 1.0, (count, 3)))
+    return center - half, center + half
+
+
+def leaves(nodes: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Boxes of all items, by their number; asserts that each node has one parent and lies in its box."""
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    parents = np.zeros(len(nodes), int)
+    for number, node in enumerate(nodes):
+        low, high = (np.stack([node[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high"))
+        for c, link in enumerate(node["link"]):
+            if link == NO_CHILD:
+                assert (low[c] == np.float32(FAR)).all() and (high[c] == -np.float32(FAR)).all()
+            elif link < 0:
+                assert ~link not in found, "an item in two leaves"
+                found[~link] = low[c], high[c]
+            else:
+                assert link > number
+                parents[link] += 1
+                below = nodes[link]
+                full = below["link"] != NO_CHILD
+                for k, axis in enumerate("xyz"):
+                    assert low[c, k] <= below[f"low_{axis}"][full].min()
+                    assert high[c, k] >= below[f"high_{axis}"][full].max()
+    assert (parents[1:] == 1).all() and parents[0] == 0
+    return found
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9, 17, 64, 65, 300])
+def test_tree_of_boxes_holds_each_once(count: int) -> None:
+    """All boxes, each as it is, in no more nodes than it takes."""
+    low, high = boxes(count)
+    nodes = tree_of_boxes(low, high)
+    found = leaves(nodes)
+    assert sorted(found) == list(range(count))
+    for item, (box_low, box_high) in found.items():
+        np.testing.assert_array_equal(box_low, np.float32(low[item]))
+        np.testing.assert_array_equal(box_high, np.float32(high[item]))
+    assert len(nodes) <= 1 + count // 2
+
+
+def test_tree_of_boxes_leaves_out_the_inverted() -> None:
+    """Instances in which nothing counts are in no leaf; boxes in one place are in one each."""
+    low, high = boxes(40)
+    low[::3], high[::3] = np.float32(FAR), -np.float32(FAR)
+    low[1::3], high[1::3] = low[1], high[1]
+    assert sorted(leaves(tree_of_boxes(low, high))) == [i for i in range(40) if i % 3]
+    assert leaves(tree_of_boxes(high[::3], low[::3])) != {} and leaves(tree_of_boxes(low[::3], high[::3])) == {}
+
+
+def test_tree_of_boxes_groups_what_is_near() -> None:
+    """Eight clusters of eight boxes: the root's children are the clusters."""
+    corners = np.array([[x, y, z] for x in (0, 10) for y in (0, 20) for z in (0, 40)], float)
+    low = (corners[None] + np.random.default_rng(0).uniform(0.0, 1.0, (8, 8, 3))).reshape(-1, 3)
+    nodes = tree_of_boxes(low, low + 0.1)
+    size = np.stack([nodes[0][f"high_{axis}"] - nodes[0][f"low_{axis}"] for axis in "xyz"])
+    assert len(nodes) == 9 and (size < 1.2).all()
+
+
+def baked(instance: ls.SplatInstance) -> ls.Gaussians:
+    """The Gaussians of an instance in world space; colours must not depend on the view."""
+    gaussians, transform, scale = instance.gaussians, instance.transform, instance.scale
+    turn = transform[:3, :3] / scale
+    w = 0.5 * np.sqrt(1.0 + np.trace(turn))  # all turns of the tests are below 180 degrees
+    x, y, z = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (4.0 * w)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    np.testing.assert_allclose(rotation_from_quaternion(np.array([[w, x, y, z]]))[0], turn, atol=1e-9)
+    return replace(
+        gaussians,
+        means=gaussians.means @ transform[:3, :3].T + transform[:3, 3],
+        rotations_wxyz=gaussians.rotations_wxyz @ left.T,
+        scales=gaussians.scales * scale,
+    )
+
+
+@pytest.mark.parametrize(("count", "size"), [(9, 0.1), (200, 0.02)])
+def test_many_instances_are_one_merged_set(way: str, count: int, size: float) -> None:
+    """Whatever their size and place, they show what one set of all their Gaussians shows."""
+    random = np.random.default_rng(count)
+    assets = [random_gaussians(seed, 20, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0)) for seed in (20, 21, 22)]
+    scene = ls.Scene(
+        [
+            ls.SplatInstance(
+                assets[i % 3],
+                similarity(
+                    tuple(random.normal(size=3)),
+                    random.uniform(0.0, 2.0),
+                    size * 10.0 ** random.uniform(0.0, 1.0),
+                    (random.uniform(-1.5, 1.5), random.uniform(-1.0, 1.0), random.uniform(3.0, 6.0)),
+                ),
+            )
+            for i in range(count)
+        ]
+    )
+    whole = ls.Scene([joined(*(baked(instance) for instance in scene.splats))])
+    shown, expected = (renderer_of(way, TRACE).render(one, view()) for one in (scene, whole))
+    assert expected.alpha.mean() > 0.05
+    for name in ("color", "alpha"):
+        # Where float32 decides otherwise about a step of 1/255, it is one of a Gaussian's rim.
+        assert_close(getattr(shown, name), getattr(expected, name), atol=1.0 / 255.0, name=name)
+        images = (getattr(one, name) for one in (shown, expected))
+        assert_images_alike(*images, mean=1e-5, within=2e-5, share=0.97, name=name)
+    same = shown.gaussian_index >= 0
+    number = shown.instance_index * 20 + shown.gaussian_index
+    assert (number[same] == expected.gaussian_index[same]).mean() > 0.98

@@ -1,0 +1,197 @@
+"""The table of lights that kernels read: order, units, names, and what is uploaded when."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lumisplat.device.structs.light import (
+    LIGHT_DIRECTIONAL,
+    LIGHT_ENVIRONMENT,
+    LIGHT_HEADLIGHT,
+    LIGHT_POINT,
+    LIGHT_RECT,
+    LIGHT_SPOT,
+)
+from lumisplat.renderer.scene import lights as render_lights
+from lumisplat.renderer.scene.lights import LightTable, environment_ends
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.lights import (
+    Light,
+    LightDirectional,
+    LightEnvironment,
+    LightPoint,
+    LightRect,
+    LightSphere,
+    LightSpot,
+)
+from lumisplat.scene.scene import Scene
+
+CAMERA = Camera.look_at((1.0, 2.0, 5.0), (0.0, 0.0, 0.0), width=8, height=8)
+IMAGE = np.random.default_rng(0).random((4, 8, 3), dtype=np.float32)
+
+
+class Rig:
+    """A table, and the buffers that a renderer would keep with it."""
+
+    def __init__(self) -> None:
+        self.table = LightTable()
+        self.buffers = Buffers("cpu")
+
+    def sync(self, *lights: Light, camera: Camera = CAMERA) -> np.ndarray:
+        """The rows for these lights."""
+        self.table.sync(Scene(lights=lights), camera, self.buffers)
+        return self.table.lights.numpy()
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """A table that has seen nothing yet."""
+    return Rig()
+
+
+def test_units(rig: Rig) -> None:
+    """Candela, lux and radiance times colour; spheres in candela; angles as versines; normals of rectangles."""
+    rows = rig.sync(
+        LightPoint((1, 2, 3), (1.0, 0.5, 0.0), 8.0, range=7.0, radius=0.25),
+        LightSpot((0, 1, 0), (0, -3, 0), intensity=2.0, inner_angle=0.2, outer_angle=1.0, radius=0.1),
+        LightDirectional((0, 0, 5), (0.5, 0.5, 0.5), 10.0, 0.02),
+        LightSphere((4, 5, 6), 0.5, intensity=3.0),
+        LightRect((0, 3, 0), (2, 0, 0), (0, 0, 1), intensity=4.0, casts_shadow=False),
+        LightEnvironment(IMAGE, intensity=2.0),
+    )
+    kinds = [LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_POINT, LIGHT_RECT, LIGHT_ENVIRONMENT]
+    assert rows["kind"].tolist() == [int(kind) for kind in kinds]
+    power = [(8, 4, 0), (2, 2, 2), (5, 5, 5), (0.75 * math.pi,) * 3, (4, 4, 4), (2, 2, 2)]
+    np.testing.assert_allclose(rows["power"], power, rtol=1e-6)
+    np.testing.assert_allclose(rows["position"][[0, 1, 3, 4]], [(1, 2, 3), (0, 1, 0), (4, 5, 6), (0, 3, 0)])
+    np.testing.assert_allclose(rows["direction"][[1, 2, 4]], [(0, -1, 0), (0, 0, 1), (0, -1, 0)])
+    np.testing.assert_allclose(rows["radius"], [0.25, 0.1, 0.02, 0.5, 0.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose([rows["inner"][1], rows["outer"][1]], 1.0 - np.cos([0.2, 1.0]), rtol=1e-6)
+    assert rows["range"][0] == 7.0
+    assert np.isinf(rows["range"][1:]).all()
+    np.testing.assert_array_equal(rows["edge_u"][4], (2, 0, 0))
+    np.testing.assert_array_equal(rows["edge_v"][4], (0, 0, 1))
+    assert rows["casts_shadow"].tolist() == [1, 1, 1, 1, 0, 1]
+
+
+def test_order_and_names(rig: Rig) -> None:
+    """Lights that are on, in the scene's order; those without a name have their number, and no name comes twice."""
+    point = LightPoint((0, 0, 0), intensity=1.0)
+    rows = rig.sync(
+        point,
+        LightPoint((0, 0, 0), intensity=2.0, enabled=False),
+        LightEnvironment(name="sky", intensity=3.0),
+        LightPoint((0, 0, 0), intensity=4.0, name="lamp"),
+        LightPoint((0, 0, 0), intensity=5.0, name="lamp_5"),
+        LightPoint((0, 0, 0), intensity=6.0, name="lamp"),
+        LightPoint((0, 0, 0), intensity=7.0, name="light0"),
+    )
+    assert rig.table.count == 6
+    assert rows["power"][:, 0].tolist() == [1.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    names = rig.table.names
+    assert names[:4] == ("light0", "sky", "lamp", "lamp_5")
+    assert len(set(names)) == 6
+
+
+def test_headlight(rig: Rig) -> None:
+    """A scene without lights has one at the eye: irradiance pi, no shadow. One whose lights are off has none."""
+    rows = rig.sync()
+    assert (rig.table.count, rig.table.names) == (1, ("headlight",))
+    assert rows["kind"][0] == int(LIGHT_HEADLIGHT)
+    np.testing.assert_allclose(rows["position"][0], (1.0, 2.0, 5.0), rtol=1e-6)
+    np.testing.assert_allclose(rows["power"][0], math.pi, rtol=1e-6)
+    assert not rows["casts_shadow"][0]
+    assert len(rig.sync(LightPoint((0, 0, 0), enabled=False))) == 1
+    assert (rig.table.count, rig.table.names) == (0, ())
+
+
+def test_no_environment_has_arrays(rig: Rig) -> None:
+    """Kernels get arrays that exist, and are told not to look."""
+    rig.sync(LightPoint((0, 0, 0)))
+    data = rig.table.environment
+    assert not data.exists
+    assert [data.texels.size, data.row_ends.size, data.column_ends.size, data.width, data.height] == [1] * 5
+
+
+def test_environment(rig: Rig) -> None:
+    """Image, factor, rotation and whether it is seen."""
+    rig.sync(LightEnvironment(IMAGE, (1.0, 0.5, 0.25), 2.0, (0.0, 1.0, 0.0, 0.0), visible=False))
+    data = rig.table.environment
+    assert (data.exists, data.visible, data.width, data.height) == (1, 0, 8, 4)
+    np.testing.assert_array_equal(data.texels.numpy().reshape(IMAGE.shape), IMAGE)
+    np.testing.assert_allclose(data.power, (2.0, 1.0, 0.5))
+    np.testing.assert_allclose(
+        np.array(data.world_from_environment).reshape(3, 3), np.diag([1.0, -1.0, -1.0]), atol=1e-7
+    )
+    rig.sync(LightEnvironment(rotation_wxyz=(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))))
+    turned = np.array(data.world_from_environment).reshape(3, 3)
+    np.testing.assert_allclose(turned @ (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), atol=1e-7)  # about z, x goes to y
+    np.testing.assert_array_equal(data.texels.numpy(), [(1.0, 1.0, 1.0)])
+
+
+def test_images_are_kept(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same object is uploaded once, whatever else changes, also after it was off for a while."""
+    uploads = []
+    monkeypatch.setattr(render_lights, "environment_ends", lambda i: uploads.append(i) or environment_ends(i))
+    sky = LightEnvironment(IMAGE)
+    image: Any = sky.image
+    for light in (sky, sky, LightEnvironment(image, intensity=3.0), LightEnvironment(image, enabled=False)):
+        rig.sync(light)
+    rig.sync(LightPoint((0, 0, 0)))
+    rig.sync(sky)
+    assert len(uploads) == 1
+    rig.sync(LightEnvironment(IMAGE + 1.0))
+    assert len(uploads) == 2
+    np.testing.assert_array_equal(rig.table.environment.texels.numpy().reshape(IMAGE.shape), IMAGE + 1.0)
+
+
+def test_version(rig: Rig) -> None:
+    """It changes with what graphs bake in, and not with what they read."""
+    sky = LightEnvironment(IMAGE)
+    rig.sync(LightPoint((0, 0, 0)), sky)
+    before = rig.table.version
+    rig.sync(LightPoint((1, 0, 0), intensity=9.0), sky)
+    assert rig.table.version == before
+    for changed in (
+        (LightPoint((0, 0, 0)),),
+        (LightPoint((0, 0, 0)), sky),
+        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0)),
+        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0, visible=False)),
+        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0, rotation_wxyz=(0, 1, 0, 0))),
+        (LightPoint((0, 0, 0)), LightEnvironment(IMAGE + 1.0)),
+    ):
+        rig.sync(*changed)
+        assert rig.table.version == before + 1
+        before += 1
+
+
+def test_large_figures_stay_finite(rig: Rig) -> None:
+    """What no float32 holds becomes what it just holds."""
+    rows = rig.sync(
+        LightPoint((1e30, 0, 0), intensity=3e38, range=1e300, radius=3e38),
+        LightSphere((0, 0, 0), 3e38, intensity=3e38),
+        LightRect((0, 0, 0), (1e30, 0, 0), (0, 1e30, 0), intensity=3e38),
+        LightEnvironment(np.full((2, 2, 3), 1e30, dtype=np.float32), intensity=1e20),
+    )
+    for name in ("position", "power", "radius", "edge_u", "edge_v", "direction"):
+        assert np.isfinite(rows[name]).all(), name
+    assert np.isinf(rows["range"]).all()
+    assert np.isfinite(np.array(rig.table.environment.power)).all()
+    assert max(rig.table.environment.power) * 1e30 <= 1.01e30
+
+
+def test_shares_of_rows() -> None:
+    """By hand: one row as bright as the other has the larger share where it is the larger band of the sphere."""
+    image = np.ones((3, 2, 3), dtype=np.float32)
+    rows, columns = environment_ends(image)
+    np.testing.assert_allclose(rows, (0.25, 0.75, 1.0), rtol=1e-6)  # 1 - cos 60 degrees, halved
+    np.testing.assert_allclose(columns, [(0.5, 1.0)] * 3)
+    image[0] = 0.0
+    image[2] = 0.0
+    rows, _ = environment_ends(image)  # cells beside it get 1/8, its own keeps 3/4
+    np.testing.assert_allclose(rows, np.cumsum([0.125 * 0.25, 0.75 * 0.5, 0.125 * 0.25]) / 0.4375, rtol=1e-6)

@@ -1,0 +1,355 @@
+"""Shadows of meshes and Gaussians against closed forms, and against integrals in float64 where there is none."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb
+from support.compare.images import assert_close
+from support.oracles.raster_oracle import rotation_from_quaternion
+from support.scenes.light_rig import PIPELINES, RAYS, above, floor, floor_points, lit, towards
+from support.scenes.light_scenes import ball_at, box, clear_glass, matte, parallelogram
+from support.scenes.raster_scenes import flat_sh, joined, one_gaussian, rotation
+
+# --- Shadows of meshes ---
+
+
+@PIPELINES
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("shape", ["square", "sliver", "tilted"])
+def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
+    """Whichever way it faces, and however its triangles are cut: light that comes at any angle arrives everywhere."""
+    long, wide = (9.0, 0.02) if shape == "sliver" else (5.5, 4.5)
+    turn = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
+    if shape == "tilted":
+        turn = rotation((0.3, 0.8, -0.5), 0.9) @ turn
+    corners = np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ turn[:3, :3].T
+    eye, up = np.array([0.2, 3.0, 0.7]) @ turn[:3, :3].T, turn[:3, :3] @ [0.0, 0.0, -1.0]
+    camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), up, width=96, height=64, fov_y=0.8)
+    lights = [ls.LightPoint(tuple(np.array(at) @ turn[:3, :3].T)) for at in ((1.6, 2.6, 1.4), (-3.0, 0.4, 0.2))]
+    plane = parallelogram(*corners, matte(0.8))
+    frame = lit(ls.Scene((), [plane], lights), camera, pipeline, aovs=("lights",))
+    assert frame.light_shadow is not None
+    assert (frame.instance_index == 0).sum() > 40
+    assert (frame.light_shadow[:, frame.instance_index == 0] == 1.0).all()
+
+
+@PIPELINES
+@pytest.mark.parametrize("height", [1.2, 2.0, 6.0])
+def test_hard_shadow_of_a_sphere_ends_where_it_must(pipeline: ls.Pipeline, height: float) -> None:
+    """A light straight over a sphere: a circle of a radius known to a twentieth of a pixel, wherever the light is."""
+    radius, center = 0.3, 0.6
+    light = ls.LightPoint((0.0, height, 0.0), intensity=5.0)
+    ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
+    sine = radius / (height - center)
+    edge = height * sine / math.sqrt(1.0 - sine * sine)
+    camera = above(height=9.0, eye=(0.0, 0.01), fov_y=2.6 * edge / 9.0, rows=64)
+    frame = lit(ls.Scene((), [floor(matte(0.8)), ball], [light]), camera, pipeline, aovs=("lights",))
+    assert frame.light_shadow is not None
+    points = floor_points(camera)
+    distance = np.hypot(points[..., 0], points[..., 2])
+    pixel = 9.0 / camera.fx
+    on_floor = frame.instance_index == 0
+    bright = frame.light_shadow[0, ..., 0] > 0.5
+    assert set(np.unique(frame.light_shadow[0])) == {0.0, 1.0}
+    assert not bright[on_floor & (distance < edge - 0.05 * pixel)].any()
+    assert bright[on_floor & (distance > edge + 0.05 * pixel)].all()
+    # What hides the floor lies over the shadow: all that is not bright counts.
+    area = np.count_nonzero(~(bright & on_floor)) * pixel**2
+    assert math.sqrt(area / np.pi) == pytest.approx(edge, abs=0.15 * pixel)
+
+
+def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray, radius: float) -> np.ndarray:
+    """How much of a sphere's light passes another sphere, for points on the plane, shape (N,): an integral in float64.
+
+    Over the cone of directions to the light, by solid angle and weighted by the cosine with the plane's normal.
+    """
+    steps = 160
+    shares = []
+    for point in points:
+        away = np.array(light.position) - point
+        distance = np.linalg.norm(away)
+        axis = away / distance
+        least = math.sqrt(1.0 - (light.radius / distance) ** 2)
+        cosine = 1.0 - (1.0 - least) * (np.arange(steps) + 0.5)[:, None] / steps
+        turn = (np.arange(2 * steps) + 0.5) * np.pi / steps
+        side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+        side /= np.linalg.norm(side)
+        other = np.cross(axis, side)
+        across = np.sqrt(1.0 - cosine**2)
+        directions = (
+            cosine[..., None] * axis
+            + (across * np.cos(turn))[..., None] * side
+            + (across * np.sin(turn))[..., None] * other
+        )
+        offset = center - point
+        along = directions @ offset
+        free = (along < 0.0) | (offset @ offset - along**2 > radius**2)
+        weight = directions[..., 1]
+        shares.append((weight * free).sum() / weight.sum())
+    return np.array(shares)
+
+
+@RAYS
+def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
+    """No light within the umbra, all of it beyond the penumbra, and in between the profile of the integral."""
+    radius, center, lamp, height = 0.3, 0.5, 0.15, 2.0
+    light = ls.LightSphere((0.0, height, 0.0), lamp, intensity=50.0)
+    ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
+    camera = above(height=4.0, eye=(0.0, 0.01), fov_y=0.3, width=64, rows=64)
+    scene = ls.Scene((), [floor(matte(0.8)), ball], [light])
+    trace = ls.TraceConfig(jitter=False)
+    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), trace=trace)
+    assert frame.light_shadow is not None
+    points = floor_points(camera)
+    distance = np.hypot(points[..., 0], points[..., 2])
+    # Lines that touch both spheres: on the same side of the axis for the umbra, on opposite ones for the penumbra.
+    umbra, penumbra = (
+        (radius + center * sine) / math.sqrt(1.0 - sine * sine)
+        for sine in ((radius - lamp) / (height - center), (radius + lamp) / (height - center))
+    )
+    on_floor = frame.instance_index == 0
+    share = frame.light_shadow[0, ..., 0]
+    pixel = 4.0 / camera.fx
+    assert (share[on_floor & (distance < umbra - 0.2 * pixel)] == 0.0).all()
+    assert (share[on_floor & (distance > penumbra + 0.2 * pixel)] == 1.0).all()
+    edges = np.linspace(umbra - 0.01, penumbra + 0.01, 9)
+    for low, high in itertools.pairwise(edges):
+        ring = on_floor & (distance >= low) & (distance < high)
+        assert ring.sum() > 20
+        expected = penumbra_share(points[ring], light, np.array([0.0, center, 0.0]), radius).mean()
+        assert share[ring].mean() == pytest.approx(expected, abs=0.015)
+
+
+@PIPELINES
+def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
+    """A sun of a known angle behind a straight edge: the share of its disc that is seen, by distance from the edge."""
+    angle, height = 0.1, 0.8
+    light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, angle=angle)
+    lid = parallelogram((-9.0, height, 9.0), (9.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
+    camera = ls.Camera.look_at((2.0, 1.5, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=64, height=48, fov_y=0.25)
+    scene = ls.Scene((), [floor(matte(0.8)), lid], [light])
+    trace = ls.TraceConfig(jitter=False)
+    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), trace=trace)
+    assert frame.light_shadow is not None
+    x = floor_points(camera)[..., 0]
+    on_floor = frame.instance_index == 0
+    # On the plane, directions of equal irradiance are evenly spread over a disc of radius sin(angle).
+    turn, out = np.meshgrid((np.arange(400) + 0.5) / 200 * np.pi, np.sqrt((np.arange(400) + 0.5) / 400))
+    slope_x, slope_z = math.sin(angle) * out * np.cos(turn), math.sin(angle) * out * np.sin(turn)
+    reach = height * slope_x / np.sqrt(1.0 - slope_x**2 - slope_z**2)
+    width = height * math.tan(angle)
+    share = frame.light_shadow[0, ..., 0]
+    assert (share[on_floor & (x < -1.02 * width)] == 0.0).all()
+    assert (share[on_floor & (x > 1.02 * width)] == 1.0).all()
+    edges = np.linspace(-width, width, 9)
+    for low, high in itertools.pairwise(edges):
+        band = on_floor & (x >= low) & (x < high)
+        assert band.sum() > 20
+        expected = np.mean([(place + reach > 0.0).mean() for place in x[band]])
+        assert share[band].mean() == pytest.approx(expected, abs=0.015)
+
+
+@PIPELINES
+@pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
+def test_only_what_is_nearer_than_a_light_blocks_it(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+    """A lid right under a lamp leaves the floor dark, one right above it changes nothing."""
+    lights = [
+        ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
+        ls.LightPoint((0.5, 2.0, 0.3), radius=0.2),
+        ls.LightSpot((-0.5, 2.0, 0.3), (0.1, -1.0, 0.0), outer_angle=1.2),
+        ls.LightRect((0.0, 2.0, -0.5), (0.5, 0.0, 0.0), (0.0, 0.0, 0.5)),
+    ]
+    camera = ls.Camera.look_at((0.0, 1.2, 2.6), (0.0, 0.0, 0.0), width=48, height=32, fov_y=0.5)
+    for height, arrives in ((1.69, 0.0), (2.31, 1.0)):
+        lid = parallelogram((-9.0, height, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
+        scene = ls.Scene((), [floor(matte(0.8)), lid], lights)
+        frame = lit(scene, camera, pipeline, shadows=shadows, samples=4, aovs=("lights",))
+        assert frame.light_shadow is not None
+        assert (frame.instance_index == 0).all()
+        np.testing.assert_array_equal(frame.light_shadow, arrives)
+
+
+@PIPELINES
+def test_glass_lets_light_through_straight(pipeline: ls.Pipeline) -> None:
+    """Two faces of a slab, each with the share that Fresnel's equations let through at that angle."""
+    slab = box((8.0, 0.1, 8.0), replace(clear_glass(1.5), base_color=(0.9, 0.8, 0.5)))
+    slab = replace(slab, positions=slab.positions + np.array([0.0, 1.2, 0.0], np.float32))
+    light = ls.LightPoint((0.3, 2.0, 0.0), intensity=5.0)
+    camera = ls.Camera.look_at((0.0, 1.0, 2.6), (0.0, 0.0, 0.0), width=64, height=48, fov_y=0.5)
+    frame = lit(ls.Scene((), [floor(matte(0.8)), slab], [light]), camera, pipeline, aovs=("lights",))
+    assert frame.light_shadow is not None
+    cosine = towards(light.position, floor_points(camera))[0][..., 1]
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / 1.5**2)
+    across = ((cosine - 1.5 * inside) / (cosine + 1.5 * inside)) ** 2
+    along = ((inside - 1.5 * cosine) / (inside + 1.5 * cosine)) ** 2
+    share = (1.0 - 0.5 * (across + along)) ** 2
+    assert np.ptp(share) > 0.05
+    assert_close(frame.light_shadow[0], share[..., None] * np.array([0.9, 0.8, 0.5]) ** 2, atol=1e-4)
+
+
+# --- Shadows of Gaussians ---
+
+
+def stack() -> ls.Gaussians:
+    """Gaussians of known place, shape and colour over the plane, some of them overlapping."""
+    return joined(
+        one_gaussian((0.0, 0.9, 0.0), (0.25, 0.1, 0.2), 0.6, (0.9, 0.1, 0.1), (0.9, 0.2, 0.3, 0.1)),
+        one_gaussian((0.1, 1.2, 0.05), (0.3, 0.05, 0.3), 0.5, (0.1, 0.8, 0.2)),
+        one_gaussian((-0.15, 1.5, -0.1), 0.12, 0.95, (0.2, 0.2, 0.9)),
+        one_gaussian((0.3, 0.9, 0.2), (0.02, 0.2, 0.15), 1.0, (0.6, 0.6, 0.6), (0.8, 0.1, 0.1, 0.5)),
+    )
+
+
+def alphas(gaussians: ls.Gaussians, points: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Of each Gaussian on the way from points to a light, in 3D: min(0.99, opacity exp(-d^2 / 2)), shape (N, ...)."""
+    result = []
+    axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(np.float64))
+    for mean, frame, scales, opacity in zip(gaussians.means, axes, gaussians.scales, gaussians.opacities, strict=True):
+        canonical = frame / scales.astype(np.float64)
+        origin, direction = (points - mean) @ canonical, (light - points) @ canonical
+        t = -(origin * direction).sum(-1) / (direction * direction).sum(-1)
+        nearest = origin + t[..., None] * direction
+        alpha = np.minimum(0.99, opacity * np.exp(-0.5 * (nearest * nearest).sum(-1)))
+        result.append(np.where((alpha >= 1.0 / 255.0) & (t > 0.0) & (t < 1.0), alpha, 0.0))
+    return np.array(result)
+
+
+STACK_CAMERA = ls.Camera.look_at((0.0, 0.4, 2.2), (0.0, 0.0, -0.1), width=64, height=48, fov_y=0.5)
+"""Sees the plane from under the Gaussians."""
+STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5.0)
+
+
+@PIPELINES
+@pytest.mark.parametrize("method", ls.ShadowMethod, ids=lambda method: method.value)
+def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.ShadowMethod) -> None:
+    """Along each shadow ray the product of 1 - alpha; also of the nearest eight of four, and by chance on average."""
+    samples = 64 if method is ls.ShadowMethod.STOCHASTIC else 1
+    settings = {"samples": samples, "shadow": ls.ShadowConfig(method=method), "trace": ls.TraceConfig(jitter=False)}
+    scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
+    frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), **settings)
+    assert frame.light_shadow is not None
+    expected = (1.0 - alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))).prod(axis=0)
+    seen = (frame.instance_index == 1) & (frame.alpha >= 1.0) & (np.abs(frame.position[..., 1]) < 1e-3)
+    assert seen.mean() > 0.75
+    assert expected[seen].min() < 0.05
+    share = frame.light_shadow[0]
+    if samples == 1:
+        edge = 1.1 / 255.0  # Where a Gaussian ends, rounding decides.
+        off = np.abs(share - expected[..., None])[seen]
+        assert off.max() < edge
+        assert np.percentile(off, 98) < 1e-4
+    else:
+        # Five standard deviations, and what rare samples add to that (Cornish and Fisher 1938).
+        deviation = np.sqrt(expected * (1.0 - expected) / samples)
+        assert (np.abs(share[..., 0] - expected) < 5.0 * deviation + 4.0 / samples)[seen].all()
+        noisy = seen & (expected > 0.1) & (expected < 0.9)
+        scores = ((share[..., 0] - expected)[noisy] / deviation[noisy]) ** 2
+        assert 0.05 < scores.mean() < 1.15  # Below 1: samples of a pixel are spread evenly.
+        assert share[seen].mean() == pytest.approx(expected[seen].mean(), abs=0.025)  # All pixels draw alike.
+
+
+@PIPELINES
+def test_opaque_enough_counts_as_black_and_the_rest_is_stretched(pipeline: ls.Pipeline) -> None:
+    """The threshold of seeds/000: (T - threshold) / (1 - threshold), at least 0."""
+    shadow = ls.ShadowConfig(transmittance_threshold=0.3)
+    scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
+    frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow=shadow)
+    assert frame.light_shadow is not None
+    passed = (1.0 - alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))).prod(axis=0)
+    expected = np.clip((passed - 0.3) / 0.7, 0.0, 1.0)
+    seen = frame.instance_index == 1
+    off = np.abs(frame.light_shadow[0] - expected[..., None])[seen]
+    assert off.max() < 2.0 / 255.0
+    assert np.percentile(off, 98) < 2e-4
+
+
+def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
+    """Stained glass: towards the mean colour of the Gaussians, brightest channel 1, by strength times darkness."""
+    shadow = ls.ShadowConfig(color_strength=1.5)
+    scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
+    frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow=shadow)
+    assert frame.light_shadow is not None
+    each = alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))
+    passed = (1.0 - each).prod(axis=0)
+    colors = decode_srgb(np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.2], [0.2, 0.2, 0.9], [0.6, 0.6, 0.6]]))
+    tint = np.tensordot(each, colors, axes=(0, 0))
+    tint /= np.maximum(tint.max(axis=-1, keepdims=True), 1e-12)
+    share = np.minimum(1.5 * (1.0 - passed), 1.0)[..., None]
+    expected = passed[..., None] * (1.0 - share + share * tint)
+    seen = frame.instance_index == 1
+    off = np.abs(frame.light_shadow[0] - expected)[seen]
+    assert np.ptp(expected[seen], axis=-1).max() > 0.2
+    assert off.max() < 2.0 / 255.0
+    assert np.percentile(off, 98) < 1e-3
+
+
+# --- Captures ---
+
+
+def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
+    """The plane as Gaussians, of one colour, with normals that point up."""
+    disc = parallelogram((-1.0, 0.0, 1.0), (2.0, 0.0, 0.0), (0.0, 0.0, -2.0), matte(0.5, 0.4, 0.3))
+    return ls.SplatInstance(ls.gaussians_from_mesh(disc, count), **changes)  # type: ignore[arg-type]
+
+
+@PIPELINES
+def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pipeline) -> None:
+    """Captured colour times (A pi + E V) / (A pi + E), and just as captured outside the shadow."""
+    capture = sheet(shadow_only=True)
+    lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
+    lid = replace(lid, indices=lid.indices[:, ::-1])  # Seen from above or not, it is in the way.
+    light = ls.LightDirectional((0.5, -1.0, 0.0), color=(1.0, 0.6, 0.3), intensity=4.0)
+    camera = ls.Camera.look_at((0.0, 3.0, 0.01), (0.3, 0.0, 0.0), (0.0, 0.0, -1.0), width=64, height=48, fov_y=0.45)
+    frame = lit(ls.Scene([capture], [lid], [light]), camera, pipeline)
+    unlit = ls.render(ls.Scene([capture], [lid]), camera, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    points = floor_points(camera)
+    assert frame.light is not None
+    assert frame.captured is not None
+    cosine = -light.direction[1]
+    crossing = points - 0.7 / cosine * np.array(light.direction)
+    beside = np.maximum(np.abs(crossing[..., 0]), np.abs(crossing[..., 2]))
+    on_sheet = (unlit.instance_index == 0) & (np.abs(points[..., [0, 2]]).max(-1) < 0.9)
+    free, dark = on_sheet & (beside > 0.45), on_sheet & (beside < 0.35)
+    assert free.sum() > 100
+    assert dark.sum() > 100
+    np.testing.assert_array_equal(frame.light[free], 0.0)
+    np.testing.assert_array_equal(frame.captured[free], unlit.color[free])
+    power = np.array(light.color) * light.intensity * cosine
+    ratio = 0.5 * np.pi / (0.5 * np.pi + power)
+    covered = dark & (unlit.alpha > 0.99)
+    np.testing.assert_allclose(frame.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
+
+    # A lamp that nothing blocks shines into the shadow, whether or not it has an image of its own.
+    lamp = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, casts_shadow=False)
+    ratio = (0.5 * np.pi + 3.0) / (0.5 * np.pi + 3.0 + power)
+    for aovs in ((), ("lights",)):
+        brighter = lit(ls.Scene([capture], [lid], [light, lamp]), camera, pipeline, aovs=aovs)
+        np.testing.assert_allclose(brighter.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
+    below = brighter.instance_index == 1
+    assert below.sum() > 50
+    plain = lit(ls.Scene([replace(capture, shadow_only=False)], [lid], [light, lamp]), camera, pipeline)
+    np.testing.assert_allclose(brighter.color[below], plain.color[below], rtol=1e-4, atol=1e-6)
+
+
+@PIPELINES
+def test_a_captured_colour_is_the_albedo_of_a_set_without_any(pipeline: ls.Pipeline) -> None:
+    """A matte sheet of Gaussians under a sun: decoded colour over pi times lux times cosine."""
+    capture = sheet(material=matte(1.0))
+    bare = replace(
+        capture.gaussians, albedo=None, roughness=None, metallic=None, sh=flat_sh(np.tile([0.7, 0.5, 0.2], (1500, 1)))
+    )
+    light = ls.LightDirectional((0.5, -1.0, 0.2), color=(1.0, 0.6, 0.3), intensity=4.0)
+    camera = ls.Camera.look_at((0.4, 2.6, 0.3), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0), width=64, height=48, fov_y=0.4)
+    frame = lit(ls.Scene([replace(capture, gaussians=bare)], (), [light]), camera, pipeline)
+    inside = (frame.alpha > 0.995) & (np.abs(floor_points(camera)[..., [0, 2]]).max(-1) < 0.8)
+    assert inside.mean() > 0.3
+    expected = decode_srgb(np.array([0.7, 0.5, 0.2])) / np.pi * 4.0 * -light.direction[1] * light.color
+    np.testing.assert_allclose(frame.color[inside].mean(axis=0), expected, rtol=0.01)
+    np.testing.assert_allclose(frame.color[inside], np.broadcast_to(expected, frame.color[inside].shape), rtol=0.03)

@@ -1,0 +1,532 @@
+"""Shadow rays: what of a light comes through Gaussians and glass, by hand, against the twin, and by chance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.config import ShadowMethod
+from lumisplat.demo.shapes import icosphere
+from lumisplat.math.color import decode_srgb
+from lumisplat.renderer.shadow import stochastic_bvh
+from support.oracles import shadow_oracle
+from support.oracles.raster_oracle import normalized
+from support.scenes.raster_scenes import checker_quad, joined, one_gaussian, quad, random_gaussians, similarity
+from support.scenes.shadow_rig import SCHEDULES, ShadowRig
+from support.scenes.trace_scenes import copies, placed_scene
+
+AHEAD = np.array([0.0, 0.0, 1.0])
+ORIGIN = np.zeros(3)
+FIRST, STOCHASTIC = ShadowMethod.FIRST_HITS, ShadowMethod.STOCHASTIC
+
+
+@pytest.fixture(params=SCHEDULES)
+def rig(request: pytest.FixtureRequest) -> ShadowRig:
+    """Shadow rays, on a device and by a schedule."""
+    return ShadowRig(request.param)
+
+
+def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)) -> ls.Gaussians:
+    """Gaussians centred on the axis at z = 3, 4, 5 and so on."""
+    parts = [one_gaussian((0.0, 0.0, 3.0 + i), opacity=opacity, color=color) for i, opacity in enumerate(opacities)]
+    return joined(*parts)
+
+
+def glass(**changes: Any) -> ls.MaterialPbr:
+    """White glass that reflects nothing, unless told otherwise."""
+    settings = {"base_color": (1.0, 1.0, 1.0), "roughness": 0.0, "transmission": 1.0, "specular": 0.0}
+    return ls.MaterialPbr(**(settings | changes))  # type: ignore[arg-type]
+
+
+def rays_around(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """Rays from all sides through the neighbourhood of (0, 0, 4); some in packets, some every which way."""
+    rng = np.random.default_rng(seed)
+    origins = np.array([0.0, 0.0, 4.0]) + rng.normal(0.0, 2.0, (count, 3))
+    targets = np.array([0.0, 0.0, 4.0]) + rng.normal(0.0, 0.8, (count, 3))
+    half = count // 2
+    origins[:half] = np.repeat(origins[: half // 20], 20, axis=0) + rng.normal(0.0, 0.01, (half, 3))
+    targets[:half] = np.repeat(targets[: half // 20], 20, axis=0) + rng.normal(0.0, 0.1, (half, 3))
+    return origins.astype(np.float32), normalized(targets - origins).astype(np.float32)
+
+
+def assert_as_twin(
+    rig: ShadowRig, scene: ls.Scene, config: ls.RenderConfig | None = None, seed: int = 1, **shadow: Any
+) -> np.ndarray:
+    """Random rays with random offsets and lights, against float64; what arrived."""
+    config = config or ls.RenderConfig()
+    origins, along = rays_around(seed)
+    rng = np.random.default_rng(seed + 100)
+    t_min = rng.choice([0.0, 0.3], len(origins)) * rng.random(len(origins))
+    t_max = np.where(rng.random(len(origins)) < 0.5, rng.uniform(1.0, 4.0, len(origins)), np.inf)
+    t_min, t_max = t_min.astype(np.float32), t_max.astype(np.float32)
+    found = rig.light(scene, origins, along, config, t_min=t_min, t_max=t_max, **shadow)
+    twin_config = replace(config, shadow=ls.ShadowConfig(**shadow))
+    expected = shadow_oracle.light(scene, origins, along, twin_config, t_min=t_min, t_max=t_max)
+    sure = np.isfinite(expected.slack)
+    assert sure.mean() > 0.8
+    off = np.abs(found - expected.color).max(axis=1)[sure]
+    worst = int((off - expected.slack[sure]).argmax())
+    assert (off <= expected.slack[sure] + 2e-5).all(), f"ray {np.flatnonzero(sure)[worst]} is off by {off[worst]}"
+    assert 0.1 < (found[:, 0] < 0.99).mean() < 1.0
+    return found
+
+
+# --- The product over all Gaussians ---
+
+
+def test_light_is_the_product(rig: ShadowRig) -> None:
+    """Of what each Gaussian before the light lets through; nothing before the first, nor behind the light."""
+    t_max = np.array([2.9, 3.1, 4.1, 5.1, 1e9, np.inf])
+    light = rig.light(ls.Scene([stack(0.5, 0.8, 0.3)]), np.zeros((6, 3)), AHEAD, t_max=t_max)
+    np.testing.assert_allclose(light, np.outer([1.0, 0.5, 0.1, 0.07, 0.07, 0.07], np.ones(3)), rtol=1e-5)
+
+
+def test_offset_skips_what_is_nearer(rig: ShadowRig) -> None:
+    """Gaussians that peak no farther than ``t_min`` do not count; a ray that ends there meets none."""
+    t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
+    t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
+    light = rig.light(ls.Scene([stack(0.5, 0.8)]), np.zeros((5, 3)), AHEAD, t_min=t_min, t_max=t_max)
+    np.testing.assert_allclose(light[:, 0], [0.1, 0.2, 1.0, 1.0, 1.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("degree", [0, 2, 4])
+def test_product_is_the_twins(rig: ShadowRig, degree: int) -> None:
+    """Anisotropic Gaussians of several degrees, in several placements, for bundles and single rays."""
+    placed = placed_scene()
+    scene = ls.Scene([*placed.splats, replace(random_gaussians(7, 60), kernel_degree=degree)])
+    assert_as_twin(rig, scene, seed=10 + degree)
+
+
+@pytest.mark.parametrize("trace", [{"min_response": 0.2}, {"kernel_degree": 5}, {"hit_distance": ls.HitDistance.HULL}])
+def test_product_follows_the_settings_of_rays(rig: ShadowRig, trace: dict[str, Any]) -> None:
+    """Where Gaussians end, and how they respond, is what it is for rays from the camera."""
+    assert_as_twin(rig, placed_scene(), ls.RenderConfig(trace=ls.TraceConfig(**trace)), seed=20)
+
+
+def test_order_does_not_matter(rig: ShadowRig) -> None:
+    """However Gaussians are stored and split into instances, the light and its colour are the same."""
+    whole = random_gaussians(30, 300)
+    shuffled = whole.subset(np.random.default_rng(1).permutation(300))
+    parts = [whole.subset(np.arange(start, 300, 3)) for start in range(3)]
+    origins, along = rays_around(31)
+    first, *others = (
+        rig.light(ls.Scene(splats), origins, along, color_strength=2.0) for splats in ([whole], [shuffled], parts)
+    )
+    assert first.std() > 0.2 and (first[:, 0] != first[:, 2]).mean() > 0.2
+    for other in others:
+        np.testing.assert_allclose(other, first, atol=5e-6)
+
+
+def test_darker_than_the_least_transmittance_is_black(rig: ShadowRig) -> None:
+    """Above it the product is exact, at it and below there is nothing; without one there is no end."""
+    scene = ls.Scene([stack(0.95, 0.95, 0.95)])
+    for least, expected in ((1e-4, 0.05**3), (1.2e-4, 0.05**3), (1.3e-4, 0.0), (0.0, 0.05**3)):
+        config = ls.RenderConfig(trace=ls.TraceConfig(transmittance_min=least))
+        assert rig.light(scene, ORIGIN, AHEAD, config)[0] == pytest.approx(np.full(3, expected), rel=1e-4)
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    """Bands over any number of threads give the same."""
+    origins, along = rays_around(40)
+    scene = placed_scene()
+    for shadow in ({"color_strength": 1.0}, {"method": FIRST, "hits": 4}, {"method": STOCHASTIC}):
+        one, three = (ShadowRig("cpu", threads).light(scene, origins, along, **shadow) for threads in (1, 3))
+        np.testing.assert_array_equal(one, three)
+
+
+# --- Threshold and tint ---
+
+
+def test_threshold_stretches_what_is_above(rig: ShadowRig) -> None:
+    """Black at and below the threshold, unchanged where nothing is in the way, linear between."""
+    light = rig.light(
+        ls.Scene([stack(0.2, 0.5, 0.5)]),
+        np.zeros((4, 3)),
+        AHEAD,
+        t_max=[2.5, 3.5, 4.5, 5.5],
+        transmittance_threshold=0.25,
+    )
+    np.testing.assert_allclose(light[:, 1], [1.0, (0.8 - 0.25) / 0.75, (0.4 - 0.25) / 0.75, 0.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 5.0])
+def test_tint_by_hand(rig: ShadowRig, strength: float) -> None:
+    """One pane: the colour over its largest channel, as far as the shadow is dark; linear."""
+    color = (0.8, 0.4, 0.2)
+    light = rig.light(ls.Scene([stack(0.6, color=color)]), ORIGIN, AHEAD, color_strength=strength)[0]
+    tint = decode_srgb(np.array(color)) / decode_srgb(0.8)
+    np.testing.assert_allclose(light, 0.4 * (1.0 + min(0.6 * strength, 1.0) * (tint - 1.0)), rtol=1e-5)
+
+
+def test_tint_is_the_mean_colour_weighted_by_alpha(rig: ShadowRig) -> None:
+    """Two panes of different colours and opacities, whichever comes first; black ones tint nothing."""
+    red, green = (stack(opacity, color=c) for opacity, c in ((0.6, (1.0, 0.0, 0.0)), (0.3, (0.0, 1.0, 0.0))))
+    away = similarity(offset=(0.0, 0.0, 1.0))
+    for splats in ([red, ls.SplatInstance(green, away)], [green, ls.SplatInstance(red, away)]):
+        light = rig.light(ls.Scene(splats), ORIGIN, AHEAD, color_strength=1.0)[0]
+        share = 1.0 - 0.28
+        np.testing.assert_allclose(light, 0.28 * np.array([1.0, 1.0 - share * 0.5, 1.0 - share]), rtol=1e-4)
+    black = rig.light(ls.Scene([stack(0.5, color=(0.0, 0.0, 0.0))]), ORIGIN, AHEAD, color_strength=5.0)[0]
+    np.testing.assert_allclose(black, 0.5, rtol=1e-5)
+
+
+def test_tint_and_threshold_are_the_twins(rig: ShadowRig) -> None:
+    """Both at once, on random scenes."""
+    found = assert_as_twin(rig, placed_scene(), seed=50, color_strength=1.5, transmittance_threshold=0.3)
+    assert (np.ptp(found, axis=1) > 0.05).mean() > 0.1
+
+
+# --- The first hits only ---
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
+    """The product and the colour of the nearest four, in whatever order they are stored; the rest lets all through."""
+    six = stack(0.1, 0.2, 0.3, 0.4, 0.9, 0.9)
+    scene = ls.Scene([six.subset(np.arange(5, -1, -1)) if reverse else six])
+    light = rig.light(scene, ORIGIN, AHEAD, method=FIRST, hits=4)[0]
+    np.testing.assert_allclose(light, 0.9 * 0.8 * 0.7 * 0.6, rtol=1e-5)
+    tinted = joined(stack(0.5, 0.5, 0.5, 0.5, color=(0.2, 0.2, 0.9)), one_gaussian((0, 0, 8), color=(0.9, 0.0, 0.0)))
+    blue = rig.light(ls.Scene([tinted]), ORIGIN, AHEAD, method=FIRST, hits=4, color_strength=1.0)[0]
+    tint = decode_srgb(0.2) / decode_srgb(0.9)
+    np.testing.assert_allclose(blue, 0.0625 * np.array([1.0 - 0.9375 * (1.0 - tint)] * 2 + [1.0]), rtol=1e-4)
+
+
+def test_first_hits_at_one_distance_go_by_number(rig: ShadowRig) -> None:
+    """Copies are told apart by their place in the scene."""
+    same = copies(12, 60)
+    aim = normalized(np.array([0.1, -0.2, 4.0]))
+    light = rig.light(ls.Scene([same]), ORIGIN, aim, method=FIRST, hits=8)[0]
+    np.testing.assert_allclose(light, np.prod(1.0 - same.opacities[:8].astype(float)), rtol=1e-4)
+
+
+def test_first_hits_never_darken_more(rig: ShadowRig) -> None:
+    """What is not counted is not in the way; where few are, all are counted."""
+    origins, along = rays_around(61)
+    scene = ls.Scene([random_gaussians(62, 400)])
+    exact = rig.light(scene, origins, along)[:, 0]
+    few, many = (rig.light(scene, origins, along, method=FIRST, hits=hits)[:, 0] for hits in (4, 32))
+    rounding = 0.004  # of a ray that touches the edge of a Gaussian, which is 1/255 opaque there
+    assert (few >= exact - rounding).all() and (few > exact + 0.05).mean() > 0.1
+    np.testing.assert_allclose(many, exact, atol=rounding)
+    assert (np.abs(many - exact) < 2e-6).mean() > 0.99
+    assert_as_twin(rig, placed_scene(), seed=63, method=FIRST, hits=4)
+    hull = ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.HitDistance.HULL))
+    assert_as_twin(rig, placed_scene(), hull, seed=64, method=FIRST, hits=4)
+
+
+# --- Meshes ---
+
+
+def test_walls_block(rig: ShadowRig) -> None:
+    """A triangle between the point and the light does, from either side; behind the light it does not."""
+    scene = ls.Scene([stack(0.5)], [quad(4.0)])
+    t_max = [2.0, 3.5, 4.5, np.inf]
+    np.testing.assert_allclose(
+        rig.light(scene, np.zeros((4, 3)), AHEAD, t_max=t_max)[:, 0], [1.0, 0.5, 0.0, 0.0], atol=1e-6
+    )
+    assert rig.light(scene, 8.0 * AHEAD, -AHEAD, t_max=3.9)[0, 0] == 1.0
+    assert rig.light(scene, 8.0 * AHEAD, -AHEAD, t_max=4.1)[0, 0] == 0.0
+
+
+def test_meshes_count_from_the_origin_on(rig: ShadowRig) -> None:
+    """The offset is for Gaussians: a wall nearer than it blocks, even if the light is nearer, too."""
+    scene = ls.Scene([stack(0.5)], [quad(1.0)])
+    light = rig.light(scene, np.zeros((3, 3)), AHEAD, t_min=[2.0, 2.0, 0.0], t_max=[np.inf, 1.5, 0.9])
+    np.testing.assert_array_equal(light[:, 0], [0.0, 0.0, 1.0])
+
+
+def test_smooth_glass_lets_light_through(rig: ShadowRig) -> None:
+    """Transmission, tint, Fresnel's 4 % by the reflection's strength, and what is no metal; rough glass nothing."""
+    for changes, expected in (
+        ({}, (1.0, 1.0, 1.0)),
+        ({"base_color": (0.5, 0.25, 1.0)}, (0.5, 0.25, 1.0)),
+        ({"transmission": 0.5}, (0.5, 0.5, 0.5)),
+        ({"specular": 1.0}, (0.96, 0.96, 0.96)),
+        ({"specular": 0.5, "ior": 3.0}, (0.875, 0.875, 0.875)),
+        ({"metallic": 0.25}, (0.75, 0.75, 0.75)),
+        ({"roughness": 0.01}, (0.0, 0.0, 0.0)),
+        ({"transmission": 0.0}, (0.0, 0.0, 0.0)),
+        ({"metallic": 1.0}, (0.0, 0.0, 0.0)),
+    ):
+        scene = ls.Scene([], [quad(4.0, material=glass(**changes))])
+        np.testing.assert_allclose(rig.light(scene, [0.3, 0.1, 0.0], AHEAD)[0], expected, atol=1e-6)
+
+
+def test_both_sides_of_a_pane_reflect_alike(rig: ShadowRig) -> None:
+    """Light goes straight on, so it never meets glass from within: grazing light comes through a slab, squared."""
+    material = glass(specular=1.0)
+    slanted = normalized(np.array([0.9, 0.1, 0.3]))
+    cosine = float(slanted[2])
+    beyond = math.sqrt(1.0 - (1.0 - cosine**2) / 2.25)
+    across, along = (cosine - 1.5 * beyond) / (cosine + 1.5 * beyond), (1.5 * cosine - beyond) / (1.5 * cosine + beyond)
+    passed = 1.0 - 0.5 * (across**2 + along**2)
+    front, back = quad(1.0, 9.0, material=material), quad(1.2, 9.0, material=material)
+    inside_out = replace(back, indices=back.indices[:, ::-1])
+    light = rig.light(ls.Scene([], [front, inside_out]), ORIGIN, slanted)[0]
+    np.testing.assert_allclose(light, passed**2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
+def test_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
+    """Coloured panes, each its own instance or all in one mesh; a wall among them ends it."""
+    colors = ((0.5, 1.0, 0.8), (0.9, 0.2, 0.5), (0.7, 0.6, 0.5))
+    panes = [quad(2.0 + i, material=glass(base_color=colors[i])) for i in order]
+    light = rig.light(ls.Scene([], panes), [0.3, 0.1, 0.0], AHEAD)[0]
+    np.testing.assert_allclose(light, np.prod(colors, axis=0), rtol=1e-5)
+    one = ls.Mesh(
+        np.concatenate([pane.positions for pane in panes]),
+        np.concatenate([pane.indices + 4 * i for i, pane in enumerate(panes)]),
+        material=glass(base_color=(0.5, 0.6, 0.7)),
+    )
+    np.testing.assert_allclose(
+        rig.light(ls.Scene([], [one]), [0.3, 0.1, 0.0], AHEAD)[0], np.power([0.5, 0.6, 0.7], 3), rtol=1e-5
+    )
+    for meshes in ([quad(3.5), *panes], [*panes, quad(3.5)], [panes[0], quad(1.0), *panes[1:]]):
+        assert (rig.light(ls.Scene([], meshes), [0.3, 0.1, 0.0], AHEAD) == 0.0).all()
+
+
+def test_edges_and_corners_count_once(rig: ShadowRig) -> None:
+    """Rays exactly through the edges and vertices of a pane meet one triangle, however these are wound."""
+    x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
+    points = np.stack([x.ravel(), y.ravel(), np.full(25, 3.0)], axis=-1)
+    corner = (np.arange(4)[:, None] * 5 + np.arange(4)).reshape(-1, 1)
+    faces = np.concatenate([np.add(corner, [0, 1, 5]), np.add(corner, [1, 6, 5])])
+    for indices in (faces, faces[:, ::-1], np.concatenate([faces[:7, ::-1], faces[7:]])):
+        pane = ls.Mesh(points, indices, material=glass(base_color=(0.5, 0.5, 0.5)))
+        steps = np.arange(0.5, 3.6, 0.5)  # corners, middles of edges, and of diagonals
+        origins = np.array([(u, v, 0.0) for u in steps for v in steps])
+        for along in (AHEAD, -AHEAD):
+            start = origins if along[2] > 0.0 else origins + 6.0 * AHEAD
+            np.testing.assert_allclose(rig.light(ls.Scene([], [pane]), start, along), 0.5, rtol=1e-6)
+
+
+def test_closed_glass_is_crossed_an_even_number_of_times(rig: ShadowRig) -> None:
+    """Aimed at vertices, edges and faces of a sphere: in and out."""
+    sphere = icosphere(1.0, subdivisions=2)
+    ball = ls.Mesh(sphere.positions, sphere.indices, material=glass(base_color=(0.5, 0.5, 0.5)))
+    rng = np.random.default_rng(70)
+    faces = ball.indices[rng.integers(0, ball.face_count, 600)]
+    weights = rng.dirichlet((1.0, 1.0, 1.0), 600)
+    weights[200:400, 0] = 0.0
+    weights[400:] = [1.0, 0.0, 0.0]
+    weights /= weights.sum(axis=1, keepdims=True)
+    aims = 0.999 * np.einsum("nk,nkc->nc", weights, ball.positions[faces].astype(float))
+    origins = np.array([0.3, -4.0, 0.2])
+    light = rig.light(ls.Scene([], [ball]), origins, normalized(aims - origins))[:, 0]
+    crossings = np.log(light) / math.log(0.5)
+    np.testing.assert_allclose(crossings % 2.0, np.round(crossings) % 2.0, atol=1e-4)
+    assert (np.round(crossings) == 2).mean() > 0.99 and (np.round(crossings) % 2 == 0).all()
+
+
+def test_glass_and_gaussians_are_the_twins(rig: ShadowRig) -> None:
+    """Textured, tilted, sheared and mirrored panes among Gaussians."""
+    tilted = quad(4.5, 1.4, tilt=0.8, material=glass(base_color=(0.9, 0.6, 0.4), specular=0.8, ior=1.8))
+    board = checker_quad(0.0)
+    textured = replace(board, material=glass(base_color_texture=board.material.base_color_texture, metallic=0.3))
+    sheared = similarity((1.0, 2.0, 0.5), 0.7, 0.9, (0.1, 0.2, 3.8)) @ np.diag([1.0, -1.3, 1.0, 1.0])
+    meshes = [tilted, ls.MeshInstance(textured, sheared), ls.MeshInstance(quad(0.0, 0.6), similarity(offset=(1, 1, 4)))]
+    assert_as_twin(rig, ls.Scene([random_gaussians(71, 60)], meshes), seed=72, color_strength=1.0)
+
+
+def test_opaque_asks_for_no_glass(rig: ShadowRig) -> None:
+    """On request, every mesh blocks."""
+    scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass())])
+    assert rig.light(scene, ORIGIN, AHEAD)[0, 0] == pytest.approx(0.5, rel=1e-5)
+    assert rig.light(scene, ORIGIN, AHEAD, opaque=True)[0, 0] == 0.0
+
+
+# --- Rays that do not see everything, and those that are none ---
+
+
+def test_rays_skip_shadow_only_instances(rig: ShadowRig) -> None:
+    """Those that are told to; the others of the packet do not, and all see the rest of the scene."""
+    scene = ls.Scene(
+        [
+            ls.SplatInstance(stack(0.5), shadow_only=True),
+            ls.SplatInstance(stack(0.8), similarity(offset=(0.0, 0.0, 1.0))),
+        ],
+        [quad(9.0)],
+    )
+    skips = np.arange(48) % 3 == 0
+    for method in ShadowMethod:
+        light = rig.light(scene, np.zeros((48, 3)), AHEAD, skips=skips, t_max=8.0, method=method, hits=4)[:, 0]
+        if method is not STOCHASTIC:
+            np.testing.assert_allclose(light, np.where(skips, 0.2, 0.1), rtol=1e-5)
+    alone = ls.Scene([ls.SplatInstance(stack(0.5), shadow_only=True)])
+    assert (rig.light(alone, np.zeros((16, 3)), AHEAD, skips=1) == 1.0).all()
+
+
+def test_nothing_is_no_number(rig: ShadowRig) -> None:
+    """Places without a ray, lights at the point itself, and rays out of nowhere leave no NaN, nor spoil the others."""
+    scene = ls.Scene([stack(0.5)], [quad(5.0, material=glass())])
+    t_max = np.tile([4.0, -np.inf, 0.0, -1.0, np.inf, np.nan, 4.0, np.inf], 4)
+    origins = np.zeros((32, 3))
+    along = np.tile(AHEAD, (32, 1))
+    along[[1, 12, 14]] = 0.0
+    origins[[6, 7]] = np.nan
+    along[[15, 22]] = np.nan
+    for method in ShadowMethod:
+        light = rig.light(
+            scene, origins, along, t_max=t_max, method=method, hits=4, color_strength=1.0, transmittance_threshold=0.1
+        )
+        assert np.isfinite(light).all()
+        if method is not STOCHASTIC:
+            np.testing.assert_allclose(light[::8, 0], 4.0 / 9.0, rtol=1e-5)
+    assert (rig.light(ls.Scene(), origins, AHEAD) == 1.0).all()
+
+
+# --- By chance ---
+
+
+def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options: Any) -> np.ndarray:
+    """The share of samples in which light arrives, (N,); each is all or nothing."""
+    total = np.zeros(len(rays[0]))
+    for sample in range(samples):
+        light = rig.light(scene, *rays, sample=sample, method=STOCHASTIC, **options)
+        assert np.isin(light, (0.0, 1.0)).all()
+        total += light[:, 0]
+    return total / samples
+
+
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int) -> None:
+    """Ray by ray within four standard deviations, and more tightly over all; instances share their trees."""
+    asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)
+    scene = ls.Scene([asset, ls.SplatInstance(asset, similarity((1, 2, 0.5), 1.1, 1.2, (0.3, 0.1, 4.0))), stack(0.5)])
+    rays = rays_around(81, 200)
+    exact = rig.light(scene, *rays)[:, 0]
+    samples = 256
+    mean = chances(rig, scene, rays, samples)
+    sigma = np.sqrt(exact * (1.0 - exact) / samples)
+    assert (np.abs(mean - exact) <= 4.0 * sigma + 1e-6).mean() > 0.995
+    assert (np.abs(mean - exact) <= 5.0 * sigma + 2.0 / samples).all()
+    assert abs(float(np.mean(mean - exact))) < 0.02
+
+
+@pytest.mark.parametrize("other", ["same set twice", "two sets"])
+def test_draws_are_independent(rig: ShadowRig, other: str) -> None:
+    """Two Gaussians at one place each let light through half the time: together a quarter, not half."""
+    pane = stack(0.5)
+    scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
+    assert chances(rig, scene, (np.zeros((1, 3)), AHEAD), 1024)[0] == pytest.approx(0.25, abs=4 * 0.0135)
+
+
+def test_samples_are_stratified(rig: ShadowRig) -> None:
+    """Sixteen samples of one Gaussian miss its alpha by less than one of them."""
+    for opacity in (0.1, 0.5, 0.77):
+        through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16)[0]
+        assert abs(16.0 * through - 16.0 * (1.0 - opacity)) < 1.0
+
+
+def test_seeds_and_samples_differ(rig: ShadowRig) -> None:
+    """The same ones give the same shadows, others give others."""
+    scene, rays = ls.Scene([random_gaussians(82, 200)]), rays_around(83)
+
+    def shadows(seed: int, sample: int) -> np.ndarray:
+        return rig.light(scene, *rays, ls.RenderConfig(seed=seed), sample=sample, method=STOCHASTIC)[:, 0]
+
+    first = shadows(0, 0)
+    np.testing.assert_array_equal(first, shadows(0, 0))
+    for seed, sample in ((1, 0), (0, 1), (0, 16)):
+        assert 0.1 < (first != shadows(seed, sample)).mean() < 0.6
+
+
+def test_schedules_draw_the_same() -> None:
+    """Packets and single rays, trees by area and by code: the same light but where rounding decides."""
+    scene, rays = placed_scene(), rays_around(84, 2000)
+    packets, alone = (ShadowRig(schedule).light(scene, *rays, method=STOCHASTIC) for schedule in SCHEDULES[:2])
+    assert (packets != alone).mean() < 1e-3
+    assert 0.2 < packets.mean() < 0.9
+
+
+@pytest.mark.parametrize("degree", [0, 2, 5])
+@pytest.mark.parametrize("trace", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
+def test_shrunk_trees_change_nothing(
+    rig: ShadowRig, degree: int, trace: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every ray meets in them what it meets in the whole ones, whatever the kernel and the number of instances."""
+    config = ls.RenderConfig(trace=ls.TraceConfig(**trace))
+    asset = replace(random_gaussians(85, 150, center=(0, 0, 0), scale_range=(0.01, 0.4)), kernel_degree=degree)
+    poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.5 + 0.3 * i, (0.2 * i, -0.1 * i, 4.0)) for i in range(3)]
+    scene = ls.Scene([*(ls.SplatInstance(asset, pose) for pose in poses), random_gaussians(86, 100)])
+    rays = rays_around(87, 1000)
+    found = {}
+    for rays_per_gaussian in (0.0, np.inf):
+        monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
+        found[rays_per_gaussian] = [
+            rig.light(scene, *rays, config, sample=sample, method=STOCHASTIC) for sample in range(8)
+        ]
+    np.testing.assert_array_equal(found[0.0], found[np.inf])
+    assert 0.02 < np.mean(found[0.0]) < 0.98
+
+
+def test_shrunk_trees_follow_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Instances come, also more than are worth it, and go and move; sets are replaced."""
+    one, other = (random_gaussians(seed, 100, center=(0.0, 0.0, 0.0)) for seed in (91, 92))
+    poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.3, (0.2 * i - 1.0, 0.1 * i, 4.0)) for i in range(12)]
+    scenes = [
+        ls.Scene([ls.SplatInstance(one, pose) for pose in some])
+        for some in (poses[:1], poses[:3], poses, poses[5:7], poses[6:8])
+    ]
+    scenes += [ls.Scene([*scenes[1].splats, ls.SplatInstance(other, poses[4])]), ls.Scene([other])]
+    rays = rays_around(90)
+    shadows = {}
+    for rays_per_gaussian in (0.0, np.inf):
+        monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
+        rig = ShadowRig()
+        shadows[rays_per_gaussian] = [
+            rig.light(scene, *rays, sample=sample, method=STOCHASTIC) for sample, scene in enumerate(scenes)
+        ]
+    for shrunk, whole in zip(shadows[0.0], shadows[np.inf], strict=True):
+        np.testing.assert_array_equal(shrunk, whole)
+        assert 0.1 < shrunk.mean() < 0.999
+
+
+def test_stochastic_takes_no_part_in_threshold_and_tint(rig: ShadowRig) -> None:
+    """All or nothing is what the formulas leave alone."""
+    scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89)
+    plain = rig.light(scene, *rays, method=STOCHASTIC)
+    other = rig.light(scene, *rays, method=STOCHASTIC, transmittance_threshold=0.8, color_strength=3.0)
+    np.testing.assert_array_equal(plain, other)
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline)
+def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
+    """Two samples and two more are four: each sample draws its own shadows, whenever it is rendered."""
+    floor = ls.SplatInstance(
+        joined(*(one_gaussian((x, 0.6, z), (0.3, 0.05, 0.3), 0.95) for x in (-0.4, 0.0, 0.4) for z in (3.6, 4.0, 4.4))),
+        material=ls.MaterialSimple(diffuse=(1.0, 1.0, 1.0)),
+    )
+    scene = ls.Scene([floor, one_gaussian((0.0, -0.4, 4.0), 0.25, 0.6)], lights=[ls.LightDirectional((0, 1, 0))])
+    camera = ls.Camera.look_at((0.0, -1.0, 0.5), (0.0, 0.3, 4.0), (0, -1, 0), width=24, height=16, fov_y=0.6)
+    still = ls.TraceConfig(jitter=False)  # so that samples differ by their shadows only
+    config = ls.RenderConfig(pipeline=pipeline, trace=still, shadow=ls.ShadowConfig(method=STOCHASTIC))
+    renderers = {count: ls.create_renderer(replace(config, samples=count), "cpu") for count in (1, 2, 4)}
+    whole = renderers[4].render(scene, camera)
+    half = renderers[2].render(scene, camera)
+    np.testing.assert_allclose(renderers[2].render(scene, camera, resume=half).color, whole.color, atol=1e-6)
+    assert np.abs(half.color - whole.color).max() > 0.01
+
+
+def test_samples_near_the_exact_shadow_of_a_capture(data_dir: Path) -> None:
+    """64 samples of the biker's shadows on itself and around: 35 dB over an image of them."""
+    scene = ls.Scene([ls.load(data_dir / "splats" / "biker.compressed.ply")])
+    camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)
+    directions = (camera.ray_directions() @ camera.camera_from_world[:3, :3]).reshape(-1, 3)
+    depth = ls.trace_rays(scene, camera.eye, directions, device="cpu").depth
+    met = np.isfinite(depth)
+    points = camera.eye + depth[met, None] * directions[met]
+    to_light = normalized(np.array([0.6, -1.5, -1.0]))
+    rig = ShadowRig()
+    exact = rig.light(scene, points, to_light, t_min=0.02)[:, 0]
+    mean = chances(rig, scene, (points, np.broadcast_to(to_light, points.shape)), 64, t_min=0.02)
+    error = float(np.mean((mean - exact) ** 2))
+    assert -10.0 * math.log10(error) > 29.0
+    assert -10.0 * math.log10(error * met.mean()) > 35.0

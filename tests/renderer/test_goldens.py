@@ -1,0 +1,42 @@
+"""Nothing moved: the demo scene looks as it did when someone last looked at it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.goldens import CASES, LAYERS, Golden
+from support.compare.images import assert_images_alike
+
+
+@pytest.fixture(scope="module")
+def scene() -> ls.Scene:
+    """The demo scene, built once."""
+    return ls.demo_scene()
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.view)
+def test_demo_looks_as_stored(case: Golden, scene: ls.Scene) -> None:
+    """Colour, normal and depth of a view agree with the stored ones, channel by channel."""
+    now = case.render(scene)
+    with np.load(case.path) as stored:
+        for layer in LAYERS:
+            expected = stored[layer].astype(np.float32)
+            seen = np.isfinite(expected)
+            assert (seen == np.isfinite(now[layer])).mean() > 0.999, f"{layer}: the outline moved"
+            actual = np.where(seen & np.isfinite(now[layer]), now[layer], 0.0)
+            # Sampling the scene's surfaces rounds differently from one NumPy to another: a few Gaussians may move.
+            assert_images_alike(
+                actual, np.where(seen, expected, 0.0), mean=1 / 255, within=8 / 255, share=0.98, name=layer
+            )
+
+
+def test_goldens_notice_a_change(scene: ls.Scene) -> None:
+    """A frame of another setting is not taken for the stored one."""
+    case = CASES[0]
+    blurred = Golden(case.view, "", ls.RenderConfig(raster=ls.RasterConfig(dilation=3.0))).render(scene)
+    with np.load(case.path) as stored, pytest.raises(AssertionError):
+        assert_images_alike(
+            blurred["color"], stored["color"].astype(np.float32), mean=1 / 255, within=8 / 255, share=0.98
+        )

@@ -1,0 +1,88 @@
+"""What only a CUDA device can show; skipped where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import test_lit_frames
+import warp as wp
+
+import lumisplat as ls
+from support.scenes import raster_scenes as scenes
+from support.scenes import trace_scenes
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(wp.get_cuda_device_count() == 0, reason="no CUDA device"),
+]
+
+NAMES = ("color", "alpha", "normal")
+
+
+@pytest.mark.parametrize("case", scenes.cases(), ids=lambda case: case.name)
+def test_cuda_draws_what_the_cpu_draws(case: scenes.Case) -> None:
+    """A CUDA frame equals the CPU's, but for pixels where an alpha lies within rounding of 1/255."""
+    cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
+    cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
+    for name in NAMES:
+        difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
+        assert np.quantile(difference, 0.99) < 1e-4, name
+        assert difference.mean() < 1e-3, name
+
+
+@pytest.mark.parametrize("case", trace_scenes.cases(), ids=lambda case: case.name)
+def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
+    """A traced CUDA frame equals the CPU's, but where a decision lies within rounding."""
+    cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
+    cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
+    for name in NAMES:
+        difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
+        assert np.quantile(difference, 0.99) < 1e-3, name
+        assert difference.mean() < 1e-3, name
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_cuda_lights_what_the_cpu_lights(pipeline: ls.Pipeline) -> None:
+    """A lit CUDA frame, with soft shadows, mirrors and glass, equals the CPU's but where a decision is rounding's."""
+    config = test_lit_frames.config(pipeline, shadows=ls.Shadows.SOFT, samples=2)
+    scene, camera = test_lit_frames.scene(*test_lit_frames.LAMPS, test_lit_frames.SKY), test_lit_frames.camera()
+    cpu, cuda = (ls.render(scene, camera, config, device=device) for device in ("cpu", "cuda"))
+    for name in ("color", "captured", "light", "alpha"):
+        difference = np.abs(getattr(cpu, name) - getattr(cuda, name))
+        assert np.quantile(difference, 0.98) < 1e-3, name
+        assert difference.mean() < 2e-3, name
+
+
+def test_graph_repeats_the_direct_frame() -> None:
+    """The third frame, replayed as a graph, is bit-equal to the first; a moved camera moves the replay too."""
+    case = scenes.cases()[3]
+    renderer = ls.create_renderer(case.config, "cuda")
+    first = renderer.render(case.scene, case.camera)
+    moved = scenes.front_camera(cx=30.0)
+    for _ in range(3):
+        again = renderer.render(case.scene, case.camera)
+        np.testing.assert_array_equal(first.color, again.color)
+    expected = ls.render(case.scene, moved, case.config, device="cuda")
+    np.testing.assert_array_equal(renderer.render(case.scene, moved).color, expected.color)
+
+
+def test_profiled_frame_times_its_stages() -> None:
+    """Profiling reports every stage and changes nothing."""
+    case = scenes.cases()[3]
+    plain = ls.create_renderer(case.config, "cuda").render(case.scene, case.camera)
+    profiled = ls.create_renderer(case.config, "cuda", profile=True).render(case.scene, case.camera)
+    np.testing.assert_array_equal(plain.color, profiled.color)
+    assert profiled.stats is not None
+    assert {"project", "sort", "bin", "composite"} <= profiled.stats.stage_ms.keys()
+
+
+@pytest.mark.parametrize("light", [(0.5, -3.0, 1.0), ls.LightDirectional((0.2, 1.0, 0.1))], ids=["point", "parallel"])
+def test_cuda_shadows_what_the_cpu_shadows(light: object) -> None:
+    """A deep shadow map on CUDA is the CPU's, to float32's rounding."""
+    casters, receivers = scenes.random_gaussians(1, 200), scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
+    seen = [
+        ls.DeepShadowMap.build(casters, light, receivers, device=device).transmittance_of(receivers)
+        for device in ("cpu", "cuda")
+    ]
+    assert seen[0].min() < 0.5
+    np.testing.assert_allclose(seen[1], seen[0], atol=1e-4)

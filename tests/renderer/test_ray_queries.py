@@ -1,0 +1,187 @@
+"""Any rays: what they see, how much light comes through, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.renderer import ray_queries as rays_module
+from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
+
+AHEAD = np.array([[0.0, 0.0, 1.0]])
+ORIGIN = np.zeros((1, 3))
+
+
+def tracer(**trace: object) -> ls.Renderer:
+    """A renderer that traces on the CPU."""
+    config = ls.TraceConfig(**trace)  # type: ignore[arg-type]
+    return ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config), "cpu")
+
+
+def stack(*opacities: float) -> ls.Gaussians:
+    """Gaussians centred on the axis at z = 3, 4, 5 and so on."""
+    return joined(*(one_gaussian((0.0, 0.0, 3.0 + i), opacity=opacity) for i, opacity in enumerate(opacities)))
+
+
+def test_transmittance_is_the_product() -> None:
+    """Of what the Gaussians before the distance let through, mean by mean; one distance a ray."""
+    scene = ls.Scene([stack(0.5, 0.8, 0.3)])
+    distances = np.array([2.5, 3.5, 4.5, 5.5, math.inf])
+    through = ls.transmittance(scene, np.zeros((5, 3)), np.repeat(AHEAD, 5, axis=0), distances, device="cpu")
+    np.testing.assert_allclose(through, [1.0, 0.5, 0.1, 0.07, 0.07], rtol=1e-5)
+    assert ls.transmittance(scene, ORIGIN, AHEAD, 3.5, device="cpu") == pytest.approx(0.5, rel=1e-5)
+
+
+def test_transmittance_equals_sorted_rays() -> None:
+    """The product in any order is what sorted rays leave, for rays every which way, but for what counts as nothing."""
+    rng = np.random.default_rng(5)
+    scene = ls.Scene([random_gaussians(70, count=400)])
+    origins, directions = rng.normal((0.0, 0.0, 4.0), 2.0, (500, 3)), rng.normal(size=(500, 3))
+    through = ls.transmittance(scene, origins, directions, device="cpu")
+    hits = tracer(transmittance_min=0.0).trace_rays(scene, origins, directions)
+    assert (through < 0.9).mean() > 0.2
+    np.testing.assert_allclose(through, hits.transmittance, atol=2e-4)
+
+
+def test_nothing_comes_through_walls() -> None:
+    """A mesh lets nothing through, whatever it is made of; what is nearer than it does."""
+    glass = ls.MaterialPbr(transmission=1.0, roughness=0.0)
+    scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass)])
+    aside = np.array([0.3, 0.2, 0.0])
+    for distance, expected in ((3.5, 1.0), (4.5, 0.0)):
+        through = ls.transmittance(scene, ORIGIN + aside * 2.0, AHEAD, distance, device="cpu")
+        assert through == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
+def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.HitDistance) -> None:
+    """Also where its hull reaches through the wall: it neither shines nor shades there."""
+    behind = ls.Scene([one_gaussian((0.0, 0.0, 5.0), 0.5, opacity=0.95)], [quad(4.0, material=ls.MaterialPbr())])
+    renderer = tracer(hit_distance=hit_distance)
+    hits = renderer.trace_rays(behind, [[0.1, 0.05, 0.0]], AHEAD)
+    assert hits.depth == pytest.approx(4.0)
+    assert hits.instance_index == 1
+    alone = ls.Scene(behind.splats)
+    assert renderer.transmittance(alone, ORIGIN, AHEAD, 4.0) == pytest.approx(1.0)
+    assert renderer.transmittance(alone, ORIGIN, AHEAD, 5.5) < 0.1
+
+
+def test_rays_are_those_of_a_frame() -> None:
+    """The rays of a camera see what its frame shows, whatever their lengths and order."""
+    scene, camera = ls.Scene([random_gaussians(71)], [quad(4.0, 0.6, tilt=0.3)]), front_camera()
+    frame = tracer().render(scene, camera)
+    directions = camera.ray_directions().reshape(-1, 3) @ camera.camera_from_world[:3, :3]
+    order = np.random.default_rng(6).permutation(len(directions))
+    lengths = np.exp(np.random.default_rng(7).uniform(-50.0, 50.0, (len(directions), 1)))
+    hits = tracer().trace_rays(scene, np.zeros((len(directions), 3)), (directions * lengths)[order])
+    close = np.abs(hits.radiance - frame.color.reshape(-1, 3)[order]).max(axis=1) < 1e-4
+    assert close.mean() > 0.99
+    np.testing.assert_allclose(1.0 - hits.transmittance, frame.alpha.reshape(-1)[order], atol=2e-3)
+
+
+def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of 64 see what one of all does, random numbers included; memory stays that of a batch."""
+    scene = ls.Scene([random_gaussians(72)])
+    rng = np.random.default_rng(8)
+    origins, directions = rng.normal(size=(1000, 3)), rng.normal((0.0, 0.0, 3.0), 1.0, (1000, 3))
+    for strategy in ls.TraceStrategy:
+        whole = tracer(strategy=strategy).trace_rays(scene, origins, directions)
+        with monkeypatch.context() as patch:
+            patch.setattr(rays_module, "RAY_BATCH", 64)
+            parts = tracer(strategy=strategy).trace_rays(scene, origins, directions)
+        np.testing.assert_array_equal(parts.radiance, whole.radiance)
+        np.testing.assert_array_equal(parts.depth, whole.depth)
+
+
+def test_many_sizes_take_no_more_memory() -> None:
+    """Queries of ever other numbers of rays share a few buffers."""
+    renderer, scene = tracer(), ls.Scene([stack(0.5)])
+    renderer.trace_rays(scene, np.zeros((900, 3)), np.repeat(AHEAD, 900, axis=0))
+    allocations, views = renderer._buffers.allocations, len(renderer._buffers._views)
+    for count in range(1, 900, 37):
+        renderer.trace_rays(scene, np.zeros((count, 3)), np.repeat(AHEAD, count, axis=0))
+    assert renderer._buffers.allocations == allocations
+    assert len(renderer._buffers._views) == views
+
+
+def test_one_origin_is_that_of_all_rays() -> None:
+    """As if it had been repeated."""
+    scene, directions = ls.Scene([random_gaussians(73)]), np.random.default_rng(9).normal((0, 0, 3), 1.0, (50, 3))
+    one, many = (ls.trace_rays(scene, o, directions, device="cpu") for o in ((0, 0, 1), np.tile((0, 0, 1), (50, 1))))
+    np.testing.assert_array_equal(one.radiance, many.radiance)
+
+
+def test_no_rays_are_fine() -> None:
+    """Zero rays give arrays of none."""
+    hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
+    assert len(hits) == 0 and hits.radiance.shape == (0, 3)
+    assert ls.transmittance(ls.Scene(), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu").shape == (0,)
+
+
+def test_colors_beyond_numbers_are_black_and_said(caplog: pytest.LogCaptureFixture) -> None:
+    """A ray whose colour overflows is black; a log line counts such rays."""
+    wild = ls.Gaussians([[0.0, 0.0, 3.0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], np.full((1, 16, 3), 3e38))
+    hits = ls.trace_rays(ls.Scene([wild]), np.zeros((2, 3)), [[0, 0, 1], [0, 0, -1]], device="cpu")
+    np.testing.assert_array_equal(hits.radiance, 0.0)
+    assert "1 samples of 2 rays were not finite" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("origins", "directions", "message"),
+    [
+        (np.zeros((3, 3)), [[0, 0, 1], [0, 0, 0], [0, 0, 0]], "2 of 3 ray directions have no length"),
+        (np.zeros((2, 3)), [[0, 0, math.nan], [0, 0, 1]], "1 of 2 ray directions are not finite"),
+        ([[math.inf, 0, 0]], AHEAD, "1 of 1 ray origins are not finite"),
+        ([[1e39, 0, 0]], AHEAD, "1 of 1 ray origins are not finite"),
+        (np.zeros(2), AHEAD, r"ray origins have shape \(2,\), expected \(N, 3\)"),
+        (ORIGIN, [[0, 1]], r"ray directions have shape \(1, 2\)"),
+        (np.zeros((2, 3)), AHEAD, "2 origins and 1 directions"),
+        ("here", AHEAD, "origins are not numbers"),
+        (ORIGIN, [[1j, 0, 0]], "directions are not numbers"),
+    ],
+)
+def test_bad_rays_are_refused(origins: object, directions: object, message: str) -> None:
+    """With one line that counts them, and no warning of NumPy's."""
+    with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
+        warnings.simplefilter("error")
+        ls.trace_rays(ls.Scene([stack(0.5)]), origins, directions, device="cpu")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("distance", "message"),
+    [
+        (-1.0, "1 of 1 values of max_distance are negative or NaN"),
+        (math.nan, "negative or NaN"),
+        ([1.0, 2.0], r"max_distance has shape \(2,\), expected one number or \(1,\)"),
+        ("far", "max_distance are not numbers"),
+    ],
+)
+def test_bad_distances_are_refused(distance: object, message: str) -> None:
+    """Likewise."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")  # type: ignore[arg-type]
+
+
+def test_a_renderer_that_rasterises_traces_nothing() -> None:
+    """It says which one does."""
+    with pytest.raises(ls.ConfigError, match=r"a renderer with Pipeline\.TRACE"):
+        ls.create_renderer(device="cpu").trace_rays(ls.Scene([stack(0.5)]), ORIGIN, AHEAD)
+
+
+@pytest.mark.data
+def test_parallel_rays_from_everywhere(data_dir: Path) -> None:
+    """They see what each of them sees alone, in whatever company they are asked for."""
+    capture = ls.load(data_dir / "splats" / "biker.compressed.ply")
+    assert isinstance(capture, ls.Gaussians)
+    rng = np.random.default_rng(9)
+    origins = rng.uniform(capture.means.min(axis=0), capture.means.max(axis=0), (320, 3))
+    directions = np.repeat([[0.2, -0.9, 0.1]], 320, axis=0)
+    renderer, scene = tracer(), ls.Scene([capture])
+    together = renderer.trace_rays(scene, origins, directions)
+    alone = [renderer.trace_rays(scene, origins[i : i + 1], directions[:1]).radiance[0] for i in range(40)]
+    np.testing.assert_allclose(together.radiance[:40], alone, atol=2e-6)

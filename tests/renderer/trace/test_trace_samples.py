@@ -1,0 +1,270 @@
+"""Samples of traced images: their mean, where in the pixel they lie, and frames that are resumed."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.constants import SAMPLES_MAX
+from lumisplat.renderer.scene.camera_table import subpixel
+from support.compare.images import assert_close
+from support.compare.ways import renderer_of
+from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian, quad, random_gaussians
+
+WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+STRATEGIES = list(ls.TraceStrategy)
+SORTED, HIT, PASS = STRATEGIES
+IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "instance_index")
+BLACK = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0))
+WHITE = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0))
+
+
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest) -> str:
+    """One way to trace a frame."""
+    return request.param
+
+
+@functools.cache
+def renderer(
+    way: str,
+    samples: int = 1,
+    strategy: ls.TraceStrategy = SORTED,
+    jitter: bool = True,
+    background: tuple[float, float, float] | None = (0.1, 0.2, 0.3),
+) -> ls.Renderer:
+    """One renderer for all tests that need the same."""
+    trace = ls.TraceConfig(strategy=strategy, jitter=jitter)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=background, trace=trace, samples=samples, seed=3)
+    return renderer_of(way, config)
+
+
+def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
+    """A small camera towards (0, 0, 4)."""
+    return front_camera(width, height, focal, **changes)
+
+
+def scene() -> ls.Scene:
+    """Gaussians and two meshes."""
+    return ls.Scene([random_gaussians(90, 150, degree=1)], [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
+
+
+def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = IMAGES) -> None:
+    """Bit-equal images."""
+    for name in names:
+        np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), err_msg=name)
+
+
+# --- The mean ---
+
+
+def test_frames_are_means_of_samples_across_the_pixel(way: str) -> None:
+    """Sample n is the image of a camera shifted to where sample n lies in the pixels: the frame is their mean."""
+    camera = view()
+    singles = []
+    for n in range(8):
+        x, y = subpixel(n)
+        shifted = replace(camera, cx=camera.cx + 0.5 - x, cy=camera.cy + 0.5 - y)
+        singles.append(renderer(way).render(scene(), shifted))
+    frame = renderer(way, 8).render(scene(), camera)
+    for name in ("color", "alpha"):
+        mean = np.mean([getattr(single, name) for single in singles], axis=0, dtype=np.float64)
+        # A ray may just miss a triangle in one of the two, which rounds its pixels differently.
+        close = np.abs(getattr(frame, name) - mean).reshape(18, 24, -1).max(axis=-1) < 1e-5
+        assert close.mean() > 0.99, name
+    assert np.abs(frame.color - singles[0].color).max() > 0.05
+
+
+def test_samples_average_as_they_are_shown(way: str) -> None:
+    """Half white and half black is 0.5 in the space that captures are trained in, not the 0.73 of equal light."""
+    camera = view(8, 8, 8.0)
+    meshes = [quad(4.0, 4.0, material=BLACK), quad(3.9, 1.95, material=WHITE)]  # white ends in the middle of a pixel
+    shifted = replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5)
+    frame = renderer(way, 64).render(ls.Scene([], meshes), shifted)
+    assert frame.color[4, 4] == pytest.approx([1.0] * 3, abs=1e-6)
+    edge = frame.color[4, 0]
+    assert edge == pytest.approx([0.5] * 3, abs=0.03) and (edge == edge[0]).all()
+    single = renderer(way, 64, HIT).render(ls.Scene([one_gaussian(scale=50.0, opacity=0.5, color=(1, 1, 1))]), camera)
+    expected = 0.5 + 0.5 * np.array([0.1, 0.2, 0.3])
+    assert single.color.mean(axis=(0, 1)) == pytest.approx(expected, abs=0.02)
+
+
+@pytest.mark.parametrize("strategy", [HIT, PASS])
+def test_samples_of_a_pixel_differ(way: str, strategy: ls.TraceStrategy) -> None:
+    """Each draws anew, so that every pixel comes near its expectation, without any sub-pixel offset."""
+    faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
+    frame = renderer(way, 64, strategy, jitter=False).render(faint, view(12, 9))
+    assert frame.alpha.mean() == pytest.approx(0.3, abs=0.02)
+    assert (np.abs(frame.alpha - 0.3) < 5.0 * np.sqrt(0.3 * 0.7 / 64.0)).all()
+    assert len(np.unique(frame.alpha)) > 10
+
+
+def test_jitter_antialiases_edges(way: str) -> None:
+    """With it, alpha at a mesh's edge is the area covered; without it, all or nothing at any number of samples."""
+    square = ls.Scene([], [quad(4.0, 1.0)])
+    camera = view(16, 16, 22.3, cx=8.21, cy=8.37)  # edges at 2.635, 13.785 and 2.795, 13.945
+    smooth = renderer(way, 64).render(square, camera).alpha
+    pixels = np.arange(16)
+    row, column = (
+        np.clip(c + 0.25 * 22.3 - pixels, 0.0, 1.0) * np.clip(pixels + 1.0 - c + 0.25 * 22.3, 0.0, 1.0)
+        for c in (8.37, 8.21)
+    )
+    area = row[:, None] * column
+    assert ((area > 0.1) & (area < 0.9)).sum() > 30
+    assert_close(smooth, area, atol=0.05, name="coverage")
+    hard = renderer(way, 64, jitter=False).render(square, camera).alpha
+    assert set(np.unique(hard)) == {0.0, 1.0}
+    np.testing.assert_array_equal(hard, renderer(way).render(square, camera).alpha)
+
+
+def test_surface_is_that_of_the_first_sample(way: str) -> None:
+    """Depth, normal and indices are those through the pixels' centres, however many samples follow."""
+    for strategy in STRATEGIES:
+        one, many = (renderer(way, samples, strategy).render(scene(), view()) for samples in (1, 8))
+        assert_equal(many, one, ("depth", "normal", "gaussian_index", "instance_index"))
+        assert (many.color != one.color).any()
+
+
+# --- Resuming ---
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_resumed_frames_are_those_rendered_at_once(way: str, strategy: ls.TraceStrategy) -> None:
+    """Eight samples, three and then five, and one by one are the same to the bit, and say how many they are."""
+    whole = renderer(way, 8, strategy).render(scene(), view())
+    assert whole.samples == 8
+    three = renderer(way, 3, strategy).render(scene(), view())
+    before = three.color.copy()
+    eight = renderer(way, 5, strategy).render(scene(), view(), resume=three)
+    assert (three.samples, eight.samples) == (3, 8)
+    np.testing.assert_array_equal(three.color, before, "the frame that is resumed stays as it is")
+    assert_equal(eight, whole)
+    assert np.abs(three.color - whole.color).max() > 1e-3
+
+    steps = renderer(way, 1, strategy)
+    frame = steps.render(scene(), view())
+    for _ in range(7):
+        steps.render(ls.Scene([], [quad(3.0)]), view())  # what is drawn in between leaves no trace
+        frame = steps.render(scene(), view(), resume=frame)
+    assert frame.samples == 8
+    assert_equal(frame, whole)
+
+
+def test_frames_resume_elsewhere() -> None:
+    """What one schedule began, the other one finishes."""
+    whole = renderer("cpu", 8).render(scene(), view())
+    mixed = renderer("cpu as cuda", 5).render(scene(), view(), resume=renderer("cpu", 3).render(scene(), view()))
+    assert_close(mixed.color, whole.color, atol=2e-6)
+    assert_equal(mixed, whole, ("gaussian_index", "instance_index"))
+
+
+def test_resume_refuses_what_does_not_fit() -> None:
+    """Another size, another background, the rasteriser, its frames, and more samples than a mean can tell apart."""
+    frame = renderer("cpu").render(scene(), view())
+    for camera in (view(18, 24), view(24, 17), view(25, 18)):
+        with pytest.raises(ls.ConfigError, match=rf"cannot resume a frame of 24 x 18 .* is {camera.width} x"):
+            renderer("cpu").render(scene(), camera, resume=frame)
+    for background in (None, (0.1, 0.2, 0.4)):
+        with pytest.raises(ls.ConfigError, match=r"over \(0.1, 0.2, 0.3\): this one is .* over "):
+            renderer("cpu", background=background).render(scene(), view(), resume=frame)
+    with pytest.raises(ls.ConfigError, match=r"sorted rasteriser cannot be resumed"):
+        ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
+    rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background), device="cpu")
+    assert rasterised.samples == 0
+    with pytest.raises(ls.ConfigError, match="cannot resume a rasterised frame"):
+        renderer("cpu").render(scene(), view(), resume=rasterised)
+    with pytest.raises(ls.ConfigError, match="at most 16,777,216 samples: this one has 16,777,215"):
+        renderer("cpu", 3).render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))
+    last = renderer("cpu").render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))
+    assert last.samples == SAMPLES_MAX
+
+
+POSE = ls.Camera.look_at((0.1, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0)).camera_from_world
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"camera_from_world": POSE},
+        {"camera_from_world_end": POSE},
+        {"fx": 23.0, "cy": 8.0},
+        {"model": ls.CameraModel.FISHEYE},
+        {"aperture": 0.1},
+        {"focus_distance": 3.0},
+        {"near": 0.5},
+    ],
+    ids=", ".join,
+)
+def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
+    """Of the same size, but elsewhere, another lens, ...: the message names what differs, a name may."""
+    frame = renderer("cpu").render(scene(), view())
+    with pytest.raises(ls.ConfigError, match=rf"they differ in {', '.join(changes)}$"):
+        renderer("cpu").render(scene(), replace(view(), **changes), resume=frame)
+    renderer("cpu").render(scene(), replace(view(), name="again"), resume=frame)
+
+
+@pytest.mark.parametrize(
+    ("changes", "trace", "names"),
+    [
+        ({"seed": 4}, {}, "seed"),
+        ({"max_bounces": 1}, {"jitter": False}, "trace.jitter, max_bounces"),
+        ({}, {"strategy": HIT, "kernel_degree": 4}, "trace.strategy, trace.kernel_degree"),
+    ],
+)
+def test_resume_refuses_other_settings(changes: dict[str, Any], trace: dict[str, Any], names: str) -> None:
+    """All but the number of samples must be as they were; a frame that does not know them is taken at its word."""
+    first = renderer("cpu")
+    frame = first.render(scene(), view())
+    assert frame.config == first.config
+    settings = replace(first.config, trace=replace(first.config.trace, **trace), samples=2, **changes)
+    second = ls.create_renderer(settings, "cpu")
+    with pytest.raises(ls.ConfigError, match=f"they differ in {names}$"):
+        second.render(scene(), view(), resume=frame)
+    assert second.render(scene(), view(), resume=replace(frame, config=None)).samples == 3
+
+
+def test_resume_takes_frames_only() -> None:
+    """What is none is named, not looked into."""
+    with pytest.raises(ls.ConfigError, match=r"^resume is 'a\.png', expected a Frame$"):
+        renderer("cpu").render(scene(), view(), resume="a.png")  # type: ignore[arg-type]
+
+
+def test_transparent_frames_resume(way: str) -> None:
+    """Without a background likewise."""
+    whole = renderer(way, 4, background=None).render(scene(), view())
+    half = renderer(way, 2, background=None).render(scene(), view())
+    assert_equal(renderer(way, 2, background=None).render(scene(), view(), resume=half), whole)
+
+
+# --- Progress and counts ---
+
+
+def test_progress_counts_the_samples() -> None:
+    """Called once a sample of this call, also of one that resumes; the last call says 1."""
+    calls: list[tuple[str, float]] = []
+    frame = renderer("cpu", 4).render(scene(), view(), progress=lambda *call: calls.append(call))
+    assert calls == [("tracing", share) for share in (0.25, 0.5, 0.75, 1.0)]
+    calls.clear()
+    renderer("cpu", 2).render(scene(), view(), resume=frame, progress=lambda *call: calls.append(call))
+    assert calls == [("tracing", 0.5), ("tracing", 1.0)]
+
+
+def test_what_is_not_finite_is_black_and_counted(way: str) -> None:
+    """Once a sample and pixel; frames before or beside have no part in it, also where one is resumed."""
+    broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
+    both = ls.Scene([broken], [quad(6.0, 10.0)])
+    drawn = renderer(way, 3, jitter=False).render(both, view())
+    black = (drawn.color == 0.0).all(axis=-1)
+    assert drawn.stats is not None and np.isfinite(drawn.color).all()
+    assert drawn.stats.nonfinite_count == 3 * black.sum() > 0
+
+    clean = ls.Scene([random_gaussians(91)])
+    for one in (renderer(way, 3, jitter=False), renderer_of(way, renderer(way, 3, jitter=False).config)):
+        resumed = one.render(clean, view(), resume=renderer(way, jitter=False).render(clean, view()))
+        assert resumed.stats is not None and resumed.stats.nonfinite_count == 0

@@ -1,0 +1,87 @@
+"""The ray tracer against its float64 twin, frame by frame and ray by ray."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.ways import renderer_of
+from support.oracles import trace_oracle
+from support.scenes.raster_scenes import quad
+from support.scenes.trace_scenes import Case, cases, mirror_scene, placed_scene, trace_config
+
+CASES = {case.name: case for case in cases()}
+WORLD = trace_config((0.3, 0.5, 0.9))
+SURE = 0.75
+"""Share of the pixels at which the twin must leave little room, or the comparison would prove nothing."""
+
+
+@cache
+def twin_of(name: str) -> dict[str, np.ndarray]:
+    """The twin's frame of a case, the same for every way."""
+    case = CASES[name]
+    return trace_oracle.render(case.scene, case.camera, case.config)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_frame_equals_twin(case: Case, way: str) -> None:
+    """Every image of a frame is the twin's, but for what rounding may change of it by the twin's own account.
+
+    Colours, alpha and normals everywhere; index and distance of the surface where it cannot be another one.
+    """
+    frame = renderer_of(way, case.config).render(case.scene, case.camera)
+    assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
+
+
+@cache
+def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Rays every which way, of any length, through Gaussians, meshes and a mirror, and what the twin sees on them."""
+    rng = np.random.default_rng(180)
+    scene = ls.Scene(placed_scene().splats, mirror_scene().meshes + ls.Scene([], [quad(3.4, 0.6, tilt=0.4)]).meshes)
+    origins = rng.normal((0.0, 0.0, 4.0), 2.5, (600, 3)).astype(np.float32)
+    directions = rng.normal((0.0, 0.0, 4.0), 0.8, (600, 3)).astype(np.float32) - origins
+    return scene, origins, directions, trace_oracle.trace_rays(scene, origins, directions, WORLD)
+
+
+def test_rays_equal_twin(way: str) -> None:
+    """Rays that share neither origin nor direction see what the twin does; mirrors show the background."""
+    scene, origins, directions, twin = rays_and_twin()
+    hits = renderer_of(way, WORLD).trace_rays(scene, origins, directions)
+    assert_agrees(hits, twin, ("radiance", "transmittance"), ("depth",))
+    assert 0.2 < np.isfinite(hits.depth).mean() < 0.9
+    assert len(np.unique(hits.instance_index)) == 6
+
+
+def assert_agrees(
+    actual: ls.Frame | ls.RayHits, twin: dict[str, np.ndarray], colors: tuple[str, ...], depths: tuple[str, ...]
+) -> None:
+    """Every image is within what rounding may do to the twin's."""
+    for name in colors:
+        assert (twin["slack"] < 0.02).mean() >= SURE, "too much room to compare"
+        assert_within(getattr(actual, name), twin[name], 5e-6 + twin["slack"], name)
+    assert (twin["normal_slack"] < 0.1).mean() >= SURE, "too much room to compare"
+    assert_within(actual.normal, twin["normal"], 1e-5 + twin["normal_slack"], "normal")
+    sure = ~twin["band"]
+    assert sure.mean() >= SURE, "too many surfaces are in doubt to compare"
+    for name in ("gaussian_index", "instance_index"):
+        assert_within(getattr(actual, name)[sure], twin[name][sure], np.zeros(np.count_nonzero(sure)), name)
+    found = sure & np.isfinite(twin["depth"])
+    np.testing.assert_array_equal(np.isfinite(actual.depth) & sure, found)
+    for name in depths:
+        expected = twin[name][found]
+        room = 1e-5 * np.abs(expected) + twin["depth_slack"][found]
+        assert_within(getattr(actual, name)[found], expected, room, name)
+
+
+def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
+    """No value of a pixel is farther off than the pixel's ``room``, and none is NaN."""
+    assert not np.isnan(actual).any(), f"{name} has {np.isnan(actual).sum()} NaN"
+    error = np.abs(actual.astype(np.float64) - expected).reshape(*room.shape, -1 if actual.size else 1).max(axis=-1)
+    off = np.argwhere(error > room)
+    assert not len(off), (
+        f"{name} differs at {len(off)} pixels, first at {tuple(off[0].tolist())}: {actual[tuple(off[0])]} for "
+        f"{expected[tuple(off[0])]}, {error[tuple(off[0])]:.3g} where {room[tuple(off[0])]:.3g} is room"
+    )

@@ -1,0 +1,109 @@
+"""Launches, bands, buffers: the machinery under every stage."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+from lumisplat.errors import ConfigError, DeviceError
+from lumisplat.renderer.raster import binning_kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher, resolve_device
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+@pytest.mark.parametrize("bands", [None, 1, 7])
+def test_bands_cover_every_item_once(count: int, bands: int | None) -> None:
+    """However a launch is cut, each item is worked on exactly once."""
+    order = wp.array(np.full(count, -1, np.int32), dtype=wp.int32, device="cpu")
+    Launcher("cpu", threads=3).run_banded(binning_kernels.fill_identity, count, order, bands=bands)
+    np.testing.assert_array_equal(order.numpy(), np.arange(count))
+
+
+def test_stages_accumulate_under_their_names() -> None:
+    """A stage entered twice is reported once, with both times."""
+    launcher = Launcher("cpu")
+    for _ in range(2):
+        with launcher.stage("work"):
+            pass
+    assert list(launcher.stage_ms) == ["work"]
+    assert launcher.stage_ms["work"] > 0.0
+
+
+@pytest.mark.parametrize("name", ["cuda:99", "tpu", "", "cpu:1"])
+def test_missing_device_is_named(name: str) -> None:
+    """A device that is not there is refused with a list of those that are."""
+    with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
+        resolve_device(name)
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_threads_are_positive(threads: int) -> None:
+    """A launcher without threads is a mistake, not all cores."""
+    with pytest.raises(ConfigError, match="threads is"):
+        Launcher("cpu", threads=threads)
+
+
+def test_interrupted_bands_are_waited_for() -> None:
+    """When one band fails, none is still at work on the arrays once the error is seen."""
+    started, finished = threading.Event(), []
+
+    class Failing(Launcher):
+        def run(self, kernel: object, count: int, *inputs: object) -> None:
+            if inputs[0] == 0:
+                started.wait()
+                raise KeyboardInterrupt
+            started.set()
+            time.sleep(0.05)
+            finished.append(inputs[0])
+
+    with pytest.raises(KeyboardInterrupt):
+        Failing("cpu", threads=2).run_banded(None, 2)
+    assert finished == [1]
+
+
+def test_buffers_grow_and_never_shrink() -> None:
+    """Smaller requests reuse memory; only a larger one allocates."""
+    buffers = Buffers("cpu")
+    first = buffers.get("a", wp.float32, (4, 8))
+    assert first.shape == (4, 8)
+    assert buffers.get("a", wp.float32, 10).ptr == first.ptr
+    assert buffers.allocations == 1
+    buffers.get("a", wp.float32, 33)
+    assert buffers.allocations == 2
+    assert buffers.get("a", wp.float32, (4, 8)).shape == (4, 8)
+    assert buffers.allocations == 2
+
+
+@pytest.mark.parametrize("size", [2**40, 2**55])
+def test_out_of_memory_is_a_device_error(size: int) -> None:
+    """An allocation that cannot succeed says which device and which buffer, before the system ends the process."""
+    with pytest.raises(DeviceError, match=r"cpu.*'huge'"):
+        Buffers("cpu").get("huge", wp.float64, size)
+
+
+def test_stages_within_a_stage_are_not_counted_twice() -> None:
+    """The outer one has what the inner ones leave."""
+    launcher = Launcher("cpu")
+    with launcher.stage("outer"):
+        time.sleep(0.02)
+        with launcher.stage("inner"):
+            time.sleep(0.2)
+    assert launcher.stage_ms["inner"] > launcher.stage_ms["outer"] > 0.0
+
+
+def test_kernels_compile_without_warnings(tmp_path: Path) -> None:
+    """Nobody who renders for the first time is to read a compiler's remarks."""
+    program = (
+        f"import warp as wp; wp.config.kernel_cache_dir = {str(tmp_path)!r}; wp.init();"
+        "from lumisplat.render import lamp_kernels as kernels; wp.load_module(kernels, device='cpu')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "warning generated" not in done.stderr and "warnings generated" not in done.stderr

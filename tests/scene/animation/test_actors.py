@@ -1,0 +1,122 @@
+"""Actors and animations: where and what an actor is at a time, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.rig_files import BEND, CARRY, TubeRig
+from support.scenes.raster_scenes import random_gaussians
+
+TURN = np.array([[0.0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 4, 0]])
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """A rig of two clips, of one and of two seconds."""
+    return ls.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
+
+
+def test_keyframes_carry_what_is_placed():
+    """A point is placed first, then carried: the pose is the motion's times the placement."""
+    gaussians = random_gaussians(1, count=5)
+    actor = ls.Actor(gaussians, MOVE, TURN, name="one")
+    (instance,) = actor.at(1.0)
+    assert instance.gaussians is gaussians and instance.name == "one"
+    np.testing.assert_allclose(instance.transform, MOVE.at(1.0) @ TURN)
+    (still,) = ls.Actor(gaussians, world_from_object=TURN).at(1.0)
+    np.testing.assert_array_equal(still.transform, TURN)
+
+
+def test_clips_repeat_or_hold(rig):
+    """A clip goes round at the actor's speed, or stays at its end."""
+    rigged = ls.bind_gaussians(rig, 300)
+
+    def means(time, **settings):
+        return ls.Actor(rigged, **settings).at(time)[0].gaussians.means
+
+    np.testing.assert_array_equal(means(0.25), rigged.at(0.25).means)
+    np.testing.assert_array_equal(means(2.25), rigged.at(0.25).means)
+    np.testing.assert_array_equal(means(2.25, loop=False), rigged.at(1.0).means)
+    np.testing.assert_array_equal(means(0.25, speed=2.0), rigged.at(0.5).means)
+    np.testing.assert_array_equal(means(0.25, speed=0.0), rigged.at(0.0).means)
+    np.testing.assert_array_equal(means(0.25, clip="carry"), rigged.at(0.25, "carry").means)
+    assert ls.Actor(rigged, speed=2.0).own_duration == 0.5
+
+
+def test_every_subject_is_shown(rig):
+    """Meshes and rigs become mesh instances, scenes all of their own, each placed within the scene."""
+    (posed,) = ls.Actor(rig).at(0.5)
+    np.testing.assert_array_equal(posed.mesh.positions, rig.pose(0.5).positions)
+    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN)], meshes=[rig.mesh])
+    splat, mesh = ls.Actor(scene, MOVE).at(2.0)
+    np.testing.assert_allclose(splat.transform, MOVE.at(2.0) @ TURN)
+    assert mesh.mesh is scene.meshes[0].mesh
+    (instance,) = ls.Actor(rig.mesh, MOVE, np.diag([1.0, 2.0, 3.0, 1.0])).at(0.0)
+    assert instance.mesh is rig.mesh
+
+
+def test_captures_of_a_scene_stay_as_they_are_lit():
+    """Materials, harmonics and shadow-only captures come along, as do names unless the actor has one."""
+    settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_only": True, "name": "prop"}
+    scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN, **settings)])
+    (instance,) = ls.Actor(scene, MOVE).at(1.0)
+    assert {name: getattr(instance, name) for name in settings} == settings
+    assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
+
+
+def test_an_animation_has_its_times(rig):
+    """Frames are a steady time apart, and all actors are there in their order."""
+    gaussians = random_gaussians(1, count=5)
+    animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
+    np.testing.assert_allclose(animation.times, np.arange(20) / 10.0)
+    assert animation.duration == 2.0
+    first, second = animation.actors_at(1.0)
+    np.testing.assert_allclose(first.transform[:3, 3], [0.0, 2.0, 0.0])
+    assert isinstance(second, ls.MeshInstance)
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"subject": 3}, "an actor is a int, expected Gaussians"),
+        ({"motion": TURN}, "motion is a ndarray, expected Keyframes"),
+        ({"world_from_object": np.diag([1.0, 2.0, 1.0, 1.0])}, "scales the axes by 1, 2 and 1"),
+        ({"world_from_object": np.full((4, 4), np.nan)}, "world_from_object has non-finite values"),
+        ({"speed": -1.0}, "speed is -1.0, expected a number, at least 0"),
+        ({"speed": float("nan")}, "speed is nan"),
+        ({"loop": "yes"}, "loop is yes, expected True or False"),
+        ({"casts_shadow": 2}, "casts_shadow is 2"),
+        ({"clip": "walk"}, "clip is 'walk', but the actor has no rig"),
+    ],
+)
+def test_bad_actors_are_refused(settings, problem):
+    """When they are made, not at some frame."""
+    with pytest.raises(ls.SceneError, match=problem):
+        ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
+
+
+def test_a_clip_that_is_not_there_is_refused(rig):
+    """The message lists those there are."""
+    with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
+        ls.Actor(rig, clip="walk")
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"scene": None}, "scene is a NoneType, expected a Scene"),
+        ({"actors": [3]}, "actors holds a int, expected Actor"),
+        ({"fps": 0.0}, "fps is 0.0"),
+        ({"frame_count": 0}, "frame_count is 0"),
+        ({"frame_count": 2.5}, "frame_count is 2.5"),
+        ({"frame_count": 1_000_001}, "frame_count is 1,000,001 at 25 frames a second, expected at most 1,000,000"),
+        ({"lighting": 1}, "lighting is a int"),
+    ],
+)
+def test_bad_animations_are_refused(settings, problem):
+    """One line that names the setting."""
+    with pytest.raises(ls.SceneError, match=problem):
+        ls.Animation(**{"scene": ls.Scene(), **settings})

@@ -1,0 +1,185 @@
+"""Normals of Gaussians without any: along the surface's own, and outwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo import shapes, shapes_swept
+from lumisplat.scene.ops.estimate_normals import _neighbours
+from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
+from support.scenes.sphere import unit
+
+AXIS, PLANE = ls.NormalEstimate.SMALLEST_AXIS, ls.NormalEstimate.PCA
+
+
+def _plate() -> ls.Mesh:
+    """Two large sides close to each other, open nowhere."""
+    return shapes.rounded_box((1.0, 0.04, 1.0), 0.01)
+
+
+def _bowl() -> ls.Mesh:
+    """Inside of a bowl is outside, too: it is concave, and faces its own centre."""
+    angle = np.linspace(0.0, 0.5 * np.pi, 24)
+    outer = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    return shapes_swept.lathe(np.concatenate([0.85 * outer, outer[::-1]]))
+
+
+def bare(mesh: ls.Mesh, count: int = 6000) -> tuple[ls.Gaussians, np.ndarray]:
+    """Gaussians over a mesh without their normals, and these."""
+    gaussians = ls.gaussians_from_mesh(mesh, count)
+    assert gaussians.normals is not None
+    return replace(gaussians, normals=None), gaussians.normals
+
+
+SHAPES = {
+    "sphere": shapes.sphere(),
+    "torus": shapes.torus(1.0, 0.3),
+    "knot": shapes_swept.torus_knot(),
+    "plate": _plate(),
+    "bowl": _bowl(),
+}
+
+
+@pytest.mark.parametrize("method", [AXIS, PLANE])
+@pytest.mark.parametrize("name", SHAPES)
+def test_normals_point_outwards(name: str, method: ls.NormalEstimate) -> None:
+    """Of more than 99 % of the Gaussians, convex or concave, and they are about the surface's own."""
+    gaussians, truth = bare(SHAPES[name], 12_000)
+    normals = ls.estimate_normals(gaussians, method)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    cosine = np.einsum("ij,ij->i", normals, truth)
+    assert np.mean(cosine > 0.0) > 0.99
+    assert np.median(np.abs(cosine)) > np.cos(np.radians(5.0))
+
+
+def test_openings_do_not_turn_the_inside_out() -> None:
+    """A vase with a hole in its wall: what is seen through a hole from few directions is still inside."""
+    gaussians, truth = bare(shapes.sphere(), 12_000)
+    wall = gaussians.means @ unit(1, 1)[0] < 0.85
+    normals = ls.estimate_normals(gaussians.subset(wall), AXIS)
+    assert np.mean(np.einsum("ij,ij->i", normals, truth[wall]) > 0.0) > 0.99
+
+
+def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale: float) -> ls.Gaussians:
+    """The set, and after it balls of little opacity."""
+    count = len(means)
+    faint = ls.Gaussians(
+        means,
+        np.tile([[1.0, 0.0, 0.0, 0.0]], (count, 1)),
+        np.full((count, 3), scale),
+        np.full(count, opacity),
+        np.zeros((count, 1, 3)),
+    )
+    return joined(gaussians, faint)
+
+
+def test_strays_and_haze_change_little() -> None:
+    """Gaussians far off do not coarsen what tells the sides apart, and faint ones all around are no wall."""
+    gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
+    haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
+    strays = np.random.default_rng(4).uniform(-300.0, 300.0, (40, 3))
+    every = with_faint(with_faint(gaussians, haze, 0.05, 0.15), strays, 1.0, 0.1)
+    normals = ls.estimate_normals(every, AXIS)[: gaussians.count]
+    assert np.mean(np.einsum("ij,ij->i", normals, truth) > 0.0) > 0.99
+
+
+def test_planes_go_by_opacity() -> None:
+    """Faint Gaussians off the surface hardly tilt them."""
+    gaussians, truth = bare(shapes.sphere(), 4000)
+    off = gaussians.means * np.random.default_rng(6).uniform(0.9, 1.1, (4000, 1))
+    normals = ls.estimate_normals(with_faint(gaussians, off, 0.01, 0.02), PLANE)[:4000]
+    assert np.mean(np.abs(np.einsum("ij,ij->i", normals, truth)) > np.cos(np.radians(5.0))) > 0.95
+
+
+def test_normals_move_with_the_set() -> None:
+    """Turned, scaled and moved, a set has its normals turned."""
+    mesh = SHAPES["knot"]
+    pose = similarity((1.0, -2.0, 0.5), 1.3, 40.0, (300.0, -20.0, 7.0))
+    normals, moved = (ls.estimate_normals(bare(one)[0], AXIS) for one in (mesh, shapes.transformed(mesh, pose)))
+    expected = bare(shapes.transformed(mesh, pose))[1]
+    assert np.mean(np.einsum("ij,ij->i", moved, expected) > 0.99) > 0.99
+    assert normals.shape == moved.shape
+
+
+def test_a_set_s_own_normals_count() -> None:
+    """They are taken as they are, unless another way is asked for."""
+    gaussians = ls.gaussians_from_mesh(shapes.sphere(), 500)
+    upward = replace(gaussians, normals=np.tile([[0.0, 1.0, 0.0]], (500, 1)))
+    assert ls.estimate_normals(upward) is upward.normals
+    assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(upward, AXIS), gaussians.normals)) > 0.99
+
+
+def test_planes_are_smoother_where_gaussians_are_round() -> None:
+    """Balls on a sphere have no thin axis: planes through their means find the sphere's normals."""
+    flat, truth = bare(shapes.sphere(), 4000)
+    wide = flat.scales.max(axis=1, keepdims=True)
+    rng = np.random.default_rng(5)
+    balls = replace(flat, scales=wide * rng.uniform(0.9, 1.0, (4000, 3)), rotations_wxyz=rng.normal(size=(4000, 4)))
+    angles = [
+        np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", ls.estimate_normals(balls, method), truth), -1.0, 1.0)))
+        for method in (AXIS, PLANE)
+    ]
+    assert np.median(angles[0]) > 20.0
+    assert np.median(angles[1]) < 3.0
+
+
+@pytest.mark.parametrize("method", [AXIS, PLANE])
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_few_gaussians_have_normals(method: ls.NormalEstimate, count: int) -> None:
+    """Unit ones, whatever there is around them; all in one place, too."""
+    for gaussians in (random_gaussians(6, count), one_gaussian(opacity=0.0, scale=(0.1, 0.2, 1e-6))):
+        for some in (gaussians, replace(gaussians, means=np.zeros((gaussians.count, 3)))):
+            normals = ls.estimate_normals(some, method)
+            assert normals.shape == (some.count, 3)
+            np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+
+
+def test_a_sheet_has_one_side() -> None:
+    """Where both sides are open alike, neighbours agree on one, whichever way their own axes are stored."""
+    flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
+    w, x, y, z = flat.rotations_wxyz.T
+    flipped = np.stack([-x, w, z, -y], axis=1)  # half a turn about the Gaussian's own first axis
+    some = np.random.default_rng(7).uniform(size=(2000, 1)) < 0.5
+    sheet = replace(flat, rotations_wxyz=np.where(some, flipped, flat.rotations_wxyz))
+    cosine = np.einsum("ij,ij->i", ls.estimate_normals(sheet, AXIS), truth)
+    np.testing.assert_allclose(np.abs(cosine.mean()), 1.0, atol=1e-3)
+
+
+def test_mistakes_are_told() -> None:
+    """A method that is none, a set that is none."""
+    with pytest.raises(ls.ConfigError, match=r"expected a NormalEstimate such as NormalEstimate\.PCA"):
+        ls.estimate_normals(one_gaussian(), "pca")  # type: ignore[arg-type]
+    with pytest.raises(ls.SceneError, match="takes Gaussians, got a Scene"):
+        ls.estimate_normals(ls.Scene())  # type: ignore[arg-type]
+
+
+@pytest.mark.data
+def test_normals_of_meshes_that_are_open(data_dir) -> None:
+    """The bunny has holes below, through which the flood comes in."""
+    bunny = ls.load(data_dir / "meshes" / "stanford-bunny.obj")
+    assert isinstance(bunny, ls.Mesh)
+    gaussians, truth = bare(bunny, 20_000)
+    assert np.mean(np.einsum("ij,ij->i", ls.estimate_normals(gaussians), truth) > 0.0) > 0.99
+
+
+def test_a_dense_cluster_is_looked_at_in_part() -> None:
+    """Thousands of Gaussians in one place do not pair all with all, and planes elsewhere stay what they are."""
+    rng = np.random.default_rng(0)
+    sphere = rng.normal(size=(6000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    means = np.concatenate([sphere, [1.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(2500, 3))]).astype(np.float32)
+    count = len(means)
+    gaussians = ls.Gaussians(
+        means,
+        np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        np.full((count, 3), 0.01),
+        np.full(count, 0.9),
+        np.zeros((count, 1, 3)),
+    )
+    assert len(_neighbours(gaussians.means)[0].first) < 60 * count
+    normals = ls.estimate_normals(gaussians, PLANE)[: len(sphere)]
+    assert (np.abs(np.sum(normals * sphere, axis=1)) > 0.9).mean() > 0.98

@@ -1,0 +1,58 @@
+"""Rays of pixels in the world, and the points that they meet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.ops.pixel_rays import world_rays
+from support.oracles.camera_oracle import camera_rays
+from support.scenes.lit_frames import BALL, RADIUS, ball_frame
+
+
+def camera(model: CameraModel = CameraModel.PINHOLE, **changes: object) -> Camera:
+    """A camera that looks askew, its principal point off the centre."""
+    base = Camera.look_at((1.0, -2.0, 3.0), (0.5, 0.4, 8.0), (0.1, 1.0, 0.2), width=12, height=9, model=model)
+    return replace(base, cx=4.5, cy=5.25, **changes)  # type: ignore[arg-type]
+
+
+def shuttered(model: CameraModel) -> Camera:
+    """One that turns and moves while its rows are exposed."""
+    end = camera(model).camera_from_world @ Camera.look_at((0.3, 0.0, 0.1), (1.0, 0.2, 3.0)).camera_from_world
+    return camera(model, camera_from_world_end=end)
+
+
+@pytest.mark.parametrize("model", list(CameraModel))
+@pytest.mark.parametrize("moving", [False, True])
+def test_rays_are_those_of_the_tracer(model: CameraModel, moving: bool) -> None:
+    """As the oracle of the device's rays states them: any model, rows of a rolling shutter each from their own pose."""
+    view = shuttered(model) if moving else camera(model)
+    origins, directions, _ = camera_rays(view, jitter=False)
+    found = world_rays(view)
+    seen = np.isfinite(directions).all(axis=2)
+    np.testing.assert_allclose(found[0][seen], origins[seen], atol=1e-9)
+    np.testing.assert_allclose(found[1][seen], directions[seen], atol=1e-9)
+    if moving:
+        assert np.abs(found[1] - world_rays(camera(model))[1]).max() > 0.1
+
+
+def test_no_ray_where_a_fisheye_is_blind() -> None:
+    """Beyond half a turn directions are zero."""
+    view = camera(CameraModel.FISHEYE, fx=1.5, fy=1.5)
+    blind = ~view.ray_directions().any(axis=2)
+    assert blind.any() and not blind.all()
+    assert not world_rays(view)[1][blind].any()
+
+
+def test_positions_are_on_the_surfaces() -> None:
+    """Points of the ball are one radius from its centre, those of the floor at height 0, the others are zero."""
+    frame = ball_frame()
+    position = frame.position
+    assert position.dtype == np.float32
+    ball, floor = frame.instance_index == 1, frame.instance_index == 0
+    np.testing.assert_allclose(np.linalg.norm(position[ball] - BALL, axis=1), RADIUS, atol=1e-5)
+    np.testing.assert_allclose(position[floor][:, 1], 0.0, atol=1e-5)
+    assert not position[~ball & ~floor].any() and (~ball & ~floor).any()

@@ -1,0 +1,374 @@
+"""Deep shadow maps at the door: what may be given, what is refused, what is kept, and files."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import icosphere
+from lumisplat.shadow_maps import casters
+from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
+
+LIGHT = (0.0, 0.0, -4.0)
+BEHIND = np.array([[0.0, 0.0, 4.0], [3.5, 0.0, 4.0]], np.float32)
+"""In the shadow of what is at the origin, and beside it."""
+SMALL = ls.DeepShadowConfig(resolution=256, bins=64)
+
+
+def ball(**changes: Any) -> ls.Gaussians:
+    """One wide, dense Gaussian at the origin."""
+    return one_gaussian((0.0, 0.0, 0.0), scale=0.3, opacity=0.95, **changes)
+
+
+def behind(casters: Any, light: Any = LIGHT, config: ls.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
+    """What reaches `BEHIND`."""
+    return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
+
+
+def test_shadow_falls_behind_and_not_beside() -> None:
+    """In the middle of a ball's shadow the light is what equations 2 to 5 leave; beside it there is all of it."""
+    seen = behind(ball())
+    # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
+    assert seen[0] == pytest.approx(0.05, abs=2e-3)
+    assert seen[1] == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        list(LIGHT),
+        np.array(LIGHT),
+        ls.LightPoint(LIGHT),
+        ls.LightSphere(LIGHT, radius=0.5),
+        ls.LightSpot(LIGHT, direction=(0.0, 0.0, 1.0)),
+        ls.LightRect(LIGHT, edge_u=(1.0, 0.0, 0.0), edge_v=(0.0, 1.0, 0.0)),
+    ],
+    ids=lambda light: type(light).__name__,
+)
+def test_lights_at_a_place_shine_from_it(light: Any) -> None:
+    """Points and lights of any kind cast the same shadow from the same place."""
+    np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
+
+
+def test_casters_may_come_in_any_form() -> None:
+    """Bare, placed, in a scene, in a list: the same Gaussians cast the same shadow."""
+    moved = replace(ball(), means=ball().means + np.float32([1.0, 2.0, 3.0]))
+    back = similarity((0.3, -0.2, 1.0), 0.7)
+    back[:3, 3] = -back[:3, :3] @ [1.0, 2.0, 3.0]
+    placed = ls.SplatInstance(moved, back)
+    expected = behind(ball())
+    for given in ([ball()], placed, (placed,), ls.Scene(splats=(placed,)), [ls.Scene(splats=(ball(),))]):
+        np.testing.assert_allclose(behind(given), expected, atol=2e-5)
+
+
+def test_scaled_instances_cast_shadows_of_their_size() -> None:
+    """A set of half the size, scaled by two, is the set itself."""
+    half = replace(ball(), scales=ball().scales * np.float32(0.5))
+    np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
+
+
+def test_two_casters_multiply() -> None:
+    """Optical depths add: a second caster takes its share of what the first one leaves."""
+    other = one_gaussian((0.1, 0.0, 1.0), scale=0.4, opacity=0.5)
+    np.testing.assert_allclose(behind([ball(), other]), behind(ball()) * behind(other), rtol=1e-4)
+    np.testing.assert_array_equal(behind([ball(), other]), behind(joined(ball(), other)))
+
+
+def test_meshes_cast_as_gaussians() -> None:
+    """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
+    sphere = icosphere(radius=0.5)
+    assert behind(sphere)[0] < 0.01
+    stretched = np.diag([-8.0, 1.0, 1.0, 1.0])
+    seen = behind(ls.MeshInstance(sphere, stretched))
+    assert seen[0] < 0.01
+    # Stretched to eight times its width, its shadow at z = 4 reaches to x = 8.
+    assert seen[1] < 0.01
+    assert behind(ls.MeshInstance(sphere))[1] == 1.0
+
+
+@pytest.fixture
+def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
+    """The meshes that Gaussians are made of, as they are."""
+    calls: list[ls.Mesh] = []
+    sample = casters.sample_surface
+    monkeypatch.setattr(casters, "sample_surface", lambda mesh: calls.append(mesh) or sample(mesh))
+    return calls
+
+
+def test_mesh_is_turned_into_gaussians_once(sampled: list[ls.Mesh]) -> None:
+    """A mesh that moves keeps its Gaussians from frame to frame."""
+    sphere = icosphere(radius=0.5)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.rebuild(ls.MeshInstance(sphere, similarity((1.0, 0.0, 0.0), 0.5, 1.0, (0.0, 0.1, 0.0))))
+    assert sampled == [sphere]
+
+
+def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
+    """Poses of the same triangles are one surface: its Gaussians follow, and their shadow is that of the pose."""
+    sphere = icosphere(radius=0.5)
+    moved = replace(sphere, positions=sphere.positions * np.float32([8.0, 1.0, 1.0]), normals=None)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    assert shadow.transmittance(BEHIND)[1] == 1.0
+    shadow.rebuild(moved)
+    assert shadow.transmittance(BEHIND)[1] < 0.01
+    assert sampled == [sphere]
+    shadow.rebuild(sphere)
+    np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
+
+
+def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
+    """What an animation showed before does not change a frame."""
+    sphere = icosphere(radius=0.5)
+    moved = replace(sphere, positions=sphere.positions * np.float32([3.0, 1.0, 1.0]), normals=None)
+    shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.rebuild(moved)
+    expected = shadow.transmittance(BEHIND)
+    shadow.rebuild(ball())
+    shadow.rebuild(moved)
+    np.testing.assert_array_equal(shadow.transmittance(BEHIND), expected)
+    assert sampled == [sphere]
+
+
+def test_meshes_that_are_new_each_time_do_not_pile_up() -> None:
+    """Only so many are remembered."""
+    turned = casters.MeshesAsGaussians()
+    tiny = ls.Mesh([[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]], [[0, 1, 2]])
+    for _ in range(casters.SURFACES_HELD + 5):
+        turned.placed("casters", replace(tiny, indices=tiny.indices.copy()))
+    assert len(turned._surfaces) == casters.SURFACES_HELD
+
+
+def test_light_inside_a_caster_shines_through_half_of_it() -> None:
+    """From the middle of a ball, light passes half of its depth, in any direction."""
+    points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
+    config = replace(SMALL, bins=256)
+    seen = ls.DeepShadowMap.build(ball(), (0.0, 0.0, 0.0), points, config, device="cpu").transmittance(points)
+    np.testing.assert_allclose(seen, np.sqrt(0.05), rtol=1e-3)
+
+
+def test_parallel_light_has_no_beginning() -> None:
+    """What stands far towards the sun casts a shadow; what stands behind the receivers casts none."""
+    sun = ls.LightDirectional((0.0, 0.0, 1.0))
+    for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
+        caster = replace(ball(), means=np.float32([[0.0, 0.0, z]]))
+        seen = behind(caster, sun, replace(SMALL, resolution=512))
+        np.testing.assert_allclose(seen, [expected, 1.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
+def test_no_receivers_are_told_and_all_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """A map without receivers is made, with a warning, and shadows nothing."""
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, SMALL, device="cpu")
+    assert "no receivers" in caplog.text
+    assert (shadow.transmittance(BEHIND) == 1.0).all()
+    assert shadow.stats.voxels == 0
+    shadow.rebuild(ball())
+
+
+def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
+    """Receivers beyond the region stay lit; where none is left, that is told."""
+    points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
+    config = replace(SMALL, region_radius=2.0)
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, points, config, device="cpu")
+    seen = shadow.transmittance(points[:1])
+    assert seen[0] < 0.06
+    assert not caplog.records
+    ls.DeepShadowMap.build(ball(), LIGHT, points[1:], config, device="cpu")
+    assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
+
+
+def test_region_radius_changes_nothing_for_near_receivers() -> None:
+    """Near receivers look where they do without one, wherever they stand among those that are left out."""
+    receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)
+    whole, part = (
+        ls.DeepShadowMap.build(casters, LIGHT, receivers, config, device="cpu").transmittance_of(receivers)
+        for config in (replace(SMALL, max_distance=12.0), replace(SMALL, max_distance=12.0, region_radius=2.0))
+    )
+    center = np.average(casters.means, axis=0, weights=casters.opacities)
+    near = np.abs(receivers.means - center).max(axis=1) < 1.99
+    assert 20 < near.sum() < 200 and whole[near].min() < 0.9
+    np.testing.assert_allclose(part[near], whole[near], atol=1e-6)
+
+
+def test_without_receivers_any_point_behind_may_ask() -> None:
+    """A map for nobody in particular knows what is behind the casters as well as one for receivers does."""
+    casters = random_gaussians(3, 40)
+    points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
+    light, config = (-5.0, -4.0, -3.0), replace(SMALL, max_distance=25.0)
+    anyone = ls.DeepShadowMap.build(casters, light, None, config, device="cpu")
+    own = ls.DeepShadowMap.build(casters, light, points, config, device="cpu")
+    assert own.transmittance(points).min() < 0.9
+    np.testing.assert_allclose(anyone.transmittance(points), own.transmittance(points), atol=2e-6)
+
+
+def test_looking_is_repeatable() -> None:
+    """The points at which a receiver looks are its own: nothing flickers; another seed looks elsewhere."""
+    casters, receivers = random_gaussians(3, 40), random_gaussians(4, 200)
+    config = replace(SMALL, max_distance=20.0, region=False)
+    shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, config, device="cpu")
+    first = shadow.transmittance_of(receivers)
+    shadow.rebuild(casters)
+    np.testing.assert_array_equal(shadow.transmittance_of(receivers), first)
+    shadow.config = replace(config, seed=1)
+    assert (shadow.transmittance_of(receivers) != first).any()
+
+
+def test_rebuild_allocates_nothing_for_the_same_size() -> None:
+    """From frame to frame memory stays as it is."""
+    casters, receivers = random_gaussians(3, 60), random_gaussians(4, 300)
+    shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, SMALL, device="cpu")
+    shadow.rebuild(casters)
+    before, held = shadow._buffers.allocations, shadow.bytes
+    moved = replace(casters, means=casters.means + np.float32(1e-4))
+    for frame in (moved, casters, moved):
+        shadow.rebuild(frame)
+    assert (shadow._buffers.allocations, shadow.bytes) == (before, held)
+
+
+@pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
+def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
+    """A map from a file answers as the one it was, and is rebuilt as it."""
+    config = replace(SMALL, absorption=ls.Absorption.MASS, strength=0.01, sampling=ls.ReceiverSampling.STENCIL)
+    receivers, casters = random_gaussians(4, 100), random_gaussians(5, 30)
+    shadow = ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
+    shadow.save(tmp_path / "map.npz")
+    again = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
+    assert again.config == config
+    np.testing.assert_array_equal(again.transmittance_of(receivers), shadow.transmittance_of(receivers))
+    for one in (shadow, again):
+        one.rebuild(joined(casters, ball()))
+    np.testing.assert_array_equal(again.transmittance_of(receivers), shadow.transmittance_of(receivers))
+
+
+@pytest.mark.parametrize("culling", [True, False])
+def test_maps_for_nobody_follow_casters_also_from_files(culling: bool, tmp_path: Path) -> None:
+    """A map without receivers is rebuilt for casters elsewhere, and so is what was saved of it."""
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, None, replace(SMALL, culling=culling), device="cpu")
+    shadow.save(tmp_path / "map.npz")
+    again = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
+    np.testing.assert_array_equal(again.transmittance(BEHIND), shadow.transmittance(BEHIND))
+    aside = np.array([[6.0, 0.0, 4.0]], np.float32)
+    for one in (shadow, again):
+        assert one.transmittance(aside) > 0.99
+        one.rebuild(replace(ball(), means=np.float32([[3.0, 0.0, 0.0]])))
+        assert one.transmittance(aside) < 0.1
+
+
+def test_bad_files_are_refused(tmp_path: Path) -> None:
+    """Missing, foreign, truncated and tampered files each give one line that names the file."""
+    good = tmp_path / "good.npz"
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu")
+    shadow.save(good)
+    with pytest.raises(ls.FormatError, match=r"\.npz"):
+        shadow.save(tmp_path / "map.png")
+    with pytest.raises(ls.FormatError, match="cannot be read"):
+        ls.DeepShadowMap.load(tmp_path / "missing.npz")
+    (tmp_path / "text.npz").write_text("no archive")
+    (tmp_path / "cut.npz").write_bytes(good.read_bytes()[:300])
+    np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
+    np.savez(tmp_path / "pickled.npz", header=np.array([{}], dtype=object))
+    for name in ("text", "cut", "foreign", "pickled"):
+        with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map, or a damaged one$"):
+            ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
+    with np.load(good) as file:
+        arrays = dict(file)
+    header = json.loads(arrays["header"].tobytes())
+    for name, changed in {
+        "bins": arrays | {"count": arrays["count"] + 100},
+        "texels": arrays | {"texels": arrays["texels"] + 256 * 256},
+        "table": arrays | {"table": arrays["table"][1:]},
+        "nan": arrays | {"table": arrays["table"] * np.nan},
+        "bright": arrays | {"table": arrays["table"] + 1.0},
+        "nowhere": arrays | {"header": _tampered(header, origin=[0.0, float("nan"), 0.0])},
+    }.items():
+        np.savez(tmp_path / f"{name}.npz", **changed)
+        with pytest.raises(ls.FormatError, match="damaged"):
+            ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
+    np.savez(tmp_path / "newer.npz", **(arrays | {"header": _tampered(header, version=9)}))
+    with pytest.raises(ls.FormatError, match="version 9"):
+        ls.DeepShadowMap.load(tmp_path / "newer.npz")
+    endless = header["atlas"] | {"size": float("inf")}
+    np.savez(tmp_path / "endless.npz", **(arrays | {"header": _tampered(header, atlas=endless)}))
+    with pytest.raises(ls.FormatError, match=r"is no deep shadow map, or a damaged one$"):
+        ls.DeepShadowMap.load(tmp_path / "endless.npz")
+
+
+def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
+    return np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
+
+
+def test_flipped_bits_are_refused(tmp_path: Path) -> None:
+    """A map in which any byte is another is refused in our words, or read."""
+    path, rng = tmp_path / "map.npz", np.random.default_rng(0)
+    ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
+    good = np.frombuffer(path.read_bytes(), np.uint8)
+    refused = 0
+    for place in rng.integers(0, len(good), 400):
+        bad = good.copy()
+        bad[place] ^= 1 << rng.integers(8)
+        path.write_bytes(bad.tobytes())
+        try:
+            ls.DeepShadowMap.load(path, device="cpu")
+        except ls.FormatError as error:
+            assert "\n" not in str(error)
+            refused += 1
+    assert refused > 200
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"casters": []}, "casters have no Gaussians"),
+        ({"casters": ls.Scene()}, "casters have no Gaussians"),
+        ({"casters": 3}, "casters is a int"),
+        ({"casters": ["a"]}, "casters holds a str"),
+        ({"light_position": (0.0, np.nan, 0.0)}, "light_position has 1 non-finite"),
+        ({"light_position": (0.0, 1.0)}, "light_position has shape"),
+        ({"light_position": ls.LightEnvironment()}, "LightEnvironment"),
+        ({"receivers": np.full((4, 3), np.inf)}, "points has 12 non-finite"),
+        ({"receivers": np.zeros((4, 2))}, "points has shape"),
+        ({"receivers": np.array(3.0)}, "points has shape"),
+        ({"receivers": "floor"}, "points"),
+    ],
+)
+def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
+    """What cannot be used is refused in one line."""
+    settings = {"casters": ball(), "light_position": LIGHT, "receivers": BEHIND} | given
+    with pytest.raises(ls.SceneError, match=problem) as error:
+        ls.DeepShadowMap.build(**settings, device="cpu")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"resolution": 100},
+        {"resolution": 4},
+        {"bins": 0},
+        {"samples": 0},
+        {"strength": -1.0},
+        {"max_distance": 0.0},
+        {"absorption": "avg"},
+    ],
+)
+def test_bad_settings_are_named(changes: dict[str, Any]) -> None:
+    """A setting out of range says which, and what was expected."""
+    with pytest.raises(ls.ConfigError, match=next(iter(changes))):
+        ls.DeepShadowConfig(**changes)
+
+
+@pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
+def test_what_nothing_shadows_is_lit_to_the_bit(sampling: ls.ReceiverSampling) -> None:
+    """Receivers with nothing in the way get exactly 1: captures that are lit must keep their colours."""
+    receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
+    config = replace(SMALL, sampling=sampling)
+    shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, config, device="cpu")
+    assert (shadow.transmittance_of(receivers) == 1.0).all()

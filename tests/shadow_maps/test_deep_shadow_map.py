@@ -1,0 +1,290 @@
+"""Deep shadow maps against their float64 twin: the closed form, its table, and what must change nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.oracles import deep_shadow_oracle as oracle
+from support.oracles.raster_oracle import rotation_from_quaternion
+from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
+
+LIGHT = np.array([0.3, -0.4, 0.2])
+INSIDE = one_gaussian((0.35, -0.4, 0.3), (0.5, 0.2, 0.3), 0.6, rotation=(0.9, 0.3, -0.2, 0.1))
+"""A Gaussian around the light."""
+AROUND = joined(random_gaussians(1, 60, center=(0.0, 0.0, 0.0), extent=(2.5, 2.5, 2.5), scale_range=(0.1, 0.5)), INSIDE)
+"""Casters in all directions."""
+T_MAX = 5.0
+WHOLE = ls.DeepShadowConfig(resolution=128, bins=64, max_distance=T_MAX, region=False)
+
+
+def build(casters: Any = AROUND, light: Any = LIGHT, config: ls.DeepShadowConfig = WHOLE, receivers: Any = None) -> Any:
+    """A map on the CPU."""
+    return ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
+
+
+def scattered(count: int, seed: int = 0, radius: float = 3.0) -> np.ndarray:
+    """Points in all directions from the light, none very near."""
+    rng = np.random.default_rng(seed)
+    away = rng.normal(size=(count, 3))
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    return (LIGHT + away * rng.uniform(0.5, radius, (count, 1))).astype(np.float32)
+
+
+def exact(points: np.ndarray, casters: Any = AROUND, light: np.ndarray = LIGHT, **options: Any) -> np.ndarray:
+    """What reaches points by the closed form."""
+    return oracle.transmittance(oracle.absorbers(casters, **options), light, points)
+
+
+def texel_directions(layout: ls.AtlasLayout, resolution: int) -> np.ndarray:
+    """Of all texels, shape (N, 3)."""
+    if layout is ls.AtlasLayout.OCTAHEDRAL:
+        return oracle.decode_octahedral(oracle.texel_centers(resolution)).reshape(-1, 3)
+    size = round(resolution / np.sqrt(6.0) / 8) * 8
+    places = oracle.texel_centers(size)
+    return np.concatenate([oracle.decode_cube(np.full((size, size), face), places).reshape(-1, 3) for face in range(6)])
+
+
+# --- The table ---
+
+
+@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
+@pytest.mark.parametrize("absorption", list(ls.Absorption))
+def test_bins_hold_the_closed_form(layout: ls.AtlasLayout, absorption: ls.Absorption) -> None:
+    """T within 1e-3 of equations 2 to 5 at bins' centres along texels' rays, whatever the mapping and the layout."""
+    config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
+    rng = np.random.default_rng(0)
+    directions = texel_directions(layout, config.resolution)
+    directions = directions[rng.integers(len(directions), size=400)]
+    distances = oracle.bin_centers(config.bins, T_MAX)[rng.integers(config.bins, size=400)]
+    points = LIGHT + directions * distances[:, None]
+    expected = exact(points, absorption=absorption, strength=0.7)
+    assert expected.min() < 0.3
+    assert expected.max() > 0.9
+    np.testing.assert_allclose(build(config=config).transmittance(points), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("scale", "distance"),
+    [((0.4, 0.4, 1e-3), 3.0), ((1e-3, 0.4, 0.4), 3.0), ((0.02, 0.02, 0.8), 3.0), ((2.0, 1.0, 0.01), 80.0)],
+    ids=["disc", "disc on edge", "needle", "far"],
+)
+def test_thin_and_far_casters_keep_the_closed_form(scale: tuple[float, float, float], distance: float) -> None:
+    """Where float32 would cancel, T is still within 1e-3: before, within and behind the caster."""
+    caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
+    reach = 2.0 * distance
+    config = replace(WHOLE, resolution=512, bins=32, max_distance=reach)
+    directions = texel_directions(ls.AtlasLayout.OCTAHEDRAL, 512)
+    directions = directions[directions[:, 2] > 0.999]
+    points = (directions[:, None] * oracle.bin_centers(32, reach)[:, None]).reshape(-1, 3)
+    seen = build(caster, np.zeros(3), config).transmittance(points)
+    np.testing.assert_allclose(seen, exact(points, caster, np.zeros(3)), atol=1e-3)
+    assert seen.min() < 0.7
+
+
+def test_lookups_are_the_twins() -> None:
+    """Trilinear on a coarse table: over the fold and the square's corners, before the first bin and past the last."""
+    config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
+    points = scattered(3000, radius=4.0)
+    points[:50] = LIGHT + (points[:50] - LIGHT) * 0.05
+    table = oracle.tabulate(oracle.absorbers(AROUND), LIGHT, ls.AtlasLayout.OCTAHEDRAL, 16, 8, 3.0)
+    np.testing.assert_allclose(build(config=config).transmittance(points), oracle.look_up(table, points), atol=2e-4)
+
+
+@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
+def test_maps_converge(layout: ls.AtlasLayout) -> None:
+    """Four times the texels and bins: errors fall to less than a sixth, though the light is in a Gaussian."""
+    points = scattered(1000)
+    expected = exact(points)
+    errors = []
+    for resolution in (32, 64, 128):
+        config = replace(WHOLE, layout=layout, resolution=resolution, bins=resolution)
+        errors.append(np.abs(build(config=config).transmittance(points) - expected).mean())
+    # Faces of a cube come in multiples of 8 texels: not every step doubles them.
+    assert errors[2] < errors[0] / 6.0
+    assert errors[2] < 1e-3
+
+
+@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
+def test_no_line_is_seen_at_seams(layout: ls.AtlasLayout) -> None:
+    """Along circles over the square's rim, or the cube's edges, errors are as small there as elsewhere."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+    circles = [
+        np.stack([np.cos(turn), np.sin(turn), np.full_like(turn, -0.6)], axis=1),  # Over all four folded edges.
+        np.stack([np.cos(turn), 0.3 * np.cos(turn), np.sin(turn)], axis=1),  # A great circle, past the pole.
+        np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1),  # The diamond within the square.
+    ]
+    shadow = build(config=replace(WHOLE, layout=layout, resolution=256))
+    for circle in circles:
+        points = LIGHT + 2.5 * circle / np.linalg.norm(circle, axis=1, keepdims=True)
+        error = shadow.transmittance(points) - exact(points)
+        assert np.abs(error).max() < 1e-2
+        # A line would be a jump from one sample to the next, of which there are four or more a texel.
+        jump = np.abs(np.diff(error, append=error[:1]))
+        assert jump.max() < 6e-3
+
+
+# --- What must change nothing ---
+
+
+@pytest.mark.parametrize("resolution", [8, 16, 40, 128])
+@pytest.mark.parametrize("layout", list(ls.AtlasLayout))
+@pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.2, -0.1, 1.0))], ids=["point", "directional"])
+def test_culled_is_unculled(resolution: int, layout: ls.AtlasLayout, light: Any) -> None:
+    """Looking casters up by tiles, or asking all of them, gives the same to float precision, however wide tiles are."""
+    casters = joined(AROUND, random_gaussians(2, 200, center=(0.0, 0.0, 2.0), scale_range=(0.003, 0.3)))
+    points = scattered(2000)
+    config = replace(WHOLE, layout=layout, resolution=resolution, bins=16, max_distance=None)
+    culled, every = (build(casters, light, replace(config, culling=culling), points) for culling in (True, False))
+    assert culled.stats.pairs < (0.5 if resolution == 128 else 1.01) * every.stats.pairs
+    np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
+
+
+@pytest.mark.parametrize("light", [(0.0, 0.0, -3.0), ls.LightDirectional((0.0, 0.0, 1.0))], ids=["point", "sun"])
+def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
+    """Receivers whose farthest looks only meet the shadow are not passed over when casters are looked up by tiles."""
+    caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
+    rng = np.random.default_rng(0)
+    turn, away = rng.uniform(0.0, 2.0 * np.pi, 40_000), rng.uniform(0.8, 1.4, 40_000)
+    receivers = replace(
+        random_gaussians(4, 40_000),
+        means=np.stack([away * np.cos(turn), away * np.sin(turn), np.ones_like(away)], axis=1).astype(np.float32),
+        scales=np.full((40_000, 3), 0.3, np.float32),
+    )
+    config = ls.DeepShadowConfig(resolution=1024, bins=8, samples=64)
+    culled, every = (
+        build(caster, light, replace(config, culling=culling), receivers).transmittance_of(receivers)
+        for culling in (True, False)
+    )
+    assert (every < 0.99).sum() > 5
+    np.testing.assert_allclose(culled, every, atol=3e-5)
+
+
+@pytest.mark.parametrize("sampling", list(ls.ReceiverSampling))
+def test_region_of_interest_is_the_whole_map(sampling: ls.ReceiverSampling) -> None:
+    """Receivers see what they see in a map of everything, to rounding: bins are summed from where columns begin."""
+    receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
+    part, whole = (
+        build(config=replace(WHOLE, region=region, sampling=sampling), receivers=receivers) for region in (True, False)
+    )
+    assert part.stats.voxels < 0.5 * whole.stats.voxels
+    np.testing.assert_allclose(part.transmittance_of(receivers), whole.transmittance_of(receivers), atol=5e-7)
+
+
+def test_rebuilt_is_built() -> None:
+    """Other casters, then the first ones again: the same bits as new maps, in the same memory."""
+    receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0))
+    moved = ls.SplatInstance(AROUND, similarity((0.0, 1.0, 0.0), 0.2, 1.0, (0.1, 0.0, 0.1)))
+    shadow = build(receivers=receivers)
+    first = shadow.transmittance_of(receivers)
+    shadow.rebuild(moved)
+    np.testing.assert_array_equal(
+        shadow.transmittance_of(receivers), build(moved, receivers=receivers).transmittance_of(receivers)
+    )
+    assert not np.array_equal(shadow.transmittance_of(receivers), first)
+    held = shadow.bytes
+    for _ in range(2):  # A still actor does not flicker.
+        shadow.rebuild(AROUND)
+        np.testing.assert_array_equal(shadow.transmittance_of(receivers), first)
+    assert shadow.bytes == held
+
+
+def test_size_does_not_matter() -> None:
+    """All of it ten times as large: `avg` sees the same shadows."""
+    points = scattered(500)
+    ten = np.diag([10.0, 10.0, 10.0, 1.0])
+    config = replace(WHOLE, max_distance=10.0 * T_MAX)
+    large = build(ls.SplatInstance(AROUND, ten), 10.0 * LIGHT, config).transmittance(10.0 * points)
+    np.testing.assert_allclose(large, build().transmittance(points), atol=1e-4)
+
+
+def test_order_does_not_matter() -> None:
+    """Casters in another order cast the same shadow: optical depth is a sum."""
+    points = scattered(500)
+    turned = AROUND.subset(np.arange(len(AROUND))[::-1])
+    np.testing.assert_allclose(build(turned).transmittance(points), build().transmittance(points), atol=1e-5)
+
+
+def test_what_is_behind_the_light_or_the_receivers_casts_nothing() -> None:
+    """Casters that no ray meets before it ends change no bit."""
+    points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
+    expected = build(receivers=points).transmittance(points)
+    for place in ((0.3, -0.4, -1.2), (0.3, -0.4, 4.5)):
+        more = joined(AROUND, one_gaussian(place, (0.1, 0.2, 0.15), 0.9))
+        np.testing.assert_array_equal(build(more, receivers=points).transmittance(points), expected)
+
+
+# --- Parallel light ---
+
+
+def test_parallel_light_is_a_lamp_far_away() -> None:
+    """It converges to the closed form of lamps from so far off, each in the same direction, that nothing is behind."""
+    sun = ls.LightDirectional((0.3, -0.5, 1.0))
+    points = np.random.default_rng(3).uniform(-2.5, 2.5, (1000, 3)).astype(np.float32)
+    direction = np.array(sun.direction) / np.linalg.norm(sun.direction)
+    expected = exact(points, light=points - 100.0 * direction)
+    errors = []
+    for size in (32, 64, 128):
+        seen = build(light=sun, config=ls.DeepShadowConfig(resolution=size, bins=size), receivers=points)
+        errors.append(np.abs(seen.transmittance(points) - expected).mean())
+    assert errors[1] < 0.4 * errors[0]
+    assert errors[2] < 0.4 * errors[1]
+    assert errors[2] < 2e-3
+
+
+# --- Receivers' footprints ---
+
+
+def receivers_of(count: int = 40) -> ls.Gaussians:
+    """Turned, anisotropic receivers."""
+    return random_gaussians(7, count, center=(0.5, 0.5, 1.0), extent=(1.5, 1.5, 1.5), scale_range=(0.05, 0.6))
+
+
+def test_the_center_is_the_mean() -> None:
+    """`center` looks where the Gaussian is."""
+    shadow = build(config=replace(WHOLE, sampling=ls.ReceiverSampling.CENTER))
+    receivers = receivers_of()
+    np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
+
+
+def test_the_stencil_weighs_seven_points() -> None:
+    """`stencil` is the weighted mean of what the map holds at the twin's seven points."""
+    shadow = build(config=replace(WHOLE, sampling=ls.ReceiverSampling.STENCIL))
+    receivers = receivers_of()
+    points = oracle.footprint_points(receivers, oracle.STENCIL)
+    expected = shadow.transmittance(points.reshape(-1, 3)).reshape(-1, 7) @ oracle.stencil_weights()
+    np.testing.assert_allclose(shadow.transmittance_of(receivers), expected, atol=1e-4)
+
+
+def test_monte_carlo_finds_the_mean_over_the_footprint() -> None:
+    """1024 points: within four standard errors of the mean over the Gaussian; different seeds, different points."""
+    receivers = receivers_of()
+    shadow = build(config=replace(WHOLE, samples=1024))
+    rng = np.random.default_rng(11)
+    points = oracle.footprint_points(receivers, rng.normal(size=(len(receivers), 4096, 3)))
+    looks = shadow.transmittance(points.reshape(-1, 3)).reshape(len(receivers), -1)
+    found = shadow.transmittance_of(receivers)
+    error = looks.std(axis=1) * np.sqrt(1.0 / 1024 + 1.0 / 4096) + 1e-4
+    assert (np.abs(found - looks.mean(axis=1)) < 4.0 * error).all()
+    few, others = (build(config=replace(WHOLE, seed=seed)).transmittance_of(receivers) for seed in (0, 1))
+    assert not np.array_equal(few, others)
+    np.testing.assert_allclose(few.mean(), others.mean(), atol=0.02)
+
+
+def test_footprints_turn_with_their_receivers() -> None:
+    """A flat receiver at the edge of a shadow: its length along it does not matter, across it does."""
+    wall = one_gaussian((-2.0, 0.0, 2.0), (0.5, 3.0, 0.01), 0.99)
+    shadow = build(wall, np.zeros(3), replace(WHOLE, resolution=256, samples=256))
+    spot = (-1.0, 0.0, 3.0)
+    along, across = (one_gaussian(spot, scale, 0.9) for scale in ((1e-3, 0.5, 1e-3), (0.5, 1e-3, 1e-3)))
+    quarter = (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
+    turned = one_gaussian(spot, (1e-3, 0.5, 1e-3), 0.9, rotation=quarter)
+    center = shadow.transmittance(np.array([spot]))
+    assert abs(shadow.transmittance_of(along) - center) < 0.03
+    assert abs(shadow.transmittance_of(across) - center) > 0.06
+    np.testing.assert_allclose(shadow.transmittance_of(turned), shadow.transmittance_of(across), atol=0.03)
+    assert rotation_from_quaternion(np.array([quarter]))[0, :, 1] == pytest.approx([-1.0, 0.0, 0.0])

@@ -1,0 +1,31 @@
+"""CUDA graphs without a GPU: Warp captures and replays on the CPU as well, so a stale graph shows there too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from lumisplat.runtime.launcher import Launcher
+
+
+class GraphLauncher(Launcher):
+    """Runs the CUDA schedule on the CPU, from captured graphs: addresses, sizes and values stay as captured."""
+
+    draws = 0
+    """Calls of ``replay`` so far."""
+
+    def __init__(self) -> None:
+        super().__init__("cpu", threads=1, parallel=True)
+        self.is_cuda = True  # all that CUDA does differently from here on is graphs, and not to time stages
+        self._used: list[tuple[Any, ...]] = []
+
+    def run(self, kernel: Any, count: int, *inputs: Any) -> None:
+        """Keeps the inputs: a stale graph shows old data, where with freed memory it might end the process."""
+        self._used.append(inputs)
+        super().run(kernel, count, *inputs)
+
+    def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
+        """As on CUDA; fails instead of drawing the same frame for ever."""
+        self.draws += 1
+        assert self.draws < 1000, "is a frame drawn again from a stale graph, for ever?"
+        super().replay(name, key, work)

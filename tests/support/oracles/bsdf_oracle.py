@@ -1,0 +1,140 @@
+"""The materials' equations as the books have them, in float64: by angles and tangents, a direction a row.
+
+Colours have shape (..., 3), directions (..., 3), unit and away from the surface; materials are dictionaries of the
+names of `lumisplat.device.structs.light.Bsdf`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Material = dict[str, Any]
+
+WIDTH_MIN = 1e-6
+
+
+def cosine(a: Array, b: Array) -> Array:
+    """Of the angle between unit vectors."""
+    return np.sum(a * b, axis=-1)
+
+
+def angle(a: Array, b: Array) -> Array:
+    """Between vectors of any length, without the arc cosine's loss near 0."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), cosine(a, b))
+
+
+def schlick(normal_incidence: npt.ArrayLike, grazing: float, cos: Array) -> Array:
+    """Reflectance by angle of incidence, per channel."""
+    head_on = np.asarray(normal_incidence, dtype=np.float64)
+    return head_on + (grazing - head_on) * ((1.0 - cos) ** 5)[..., None]
+
+
+def ggx(theta: Array, width: float) -> Array:
+    """D of Walter et al. 2007, equation 33."""
+    below = np.cos(theta) ** 4 * (width**2 + np.tan(theta) ** 2) ** 2
+    return np.where(theta < 0.5 * np.pi, width**2 / (np.pi * below), 0.0)
+
+
+def smith(theta: Array, width: float) -> Array:
+    """G1 of Walter et al. 2007, equation 34."""
+    return 2.0 / (1.0 + np.sqrt(1.0 + width**2 * np.tan(theta) ** 2))
+
+
+def _above(normal: Array, view: Array, light: Array) -> npt.NDArray[np.bool_]:
+    return (cosine(normal, view) > 0.0) & (cosine(normal, light) > 0.0)
+
+
+def highlight_albedo(material: Material, cos: Array | None) -> Array:
+    """Share of a white sky that a view at ``cos`` gets by the highlight, as fitted; None: the mean over all views.
+
+    With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (1 - lost - rising) + F90 rising``.
+    """
+    width = material["width"]
+    if cos is None:
+        rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * width + 17.0 * width**2))
+        lost = np.asarray(width**2 / (0.26 + 1.05 * width + 0.3 * width**2))
+    else:
+        rough = cos + 2.48 * width + 38.2 * width**2 + 24.7 * width**3
+        rising = (1.0 - cos) ** 5 * cos / rough + (1.0 - cos) ** 3 * 2.3 * width / rough
+        lost = width**2 * (0.53 + 0.79 * cos) / (cos**2 + 1.15 * width - 0.91 * width * cos + 0.74 * width**2)
+    head_on = np.asarray(material["specular"], dtype=np.float64)
+    return head_on * (1.0 - lost - rising)[..., None] + material["grazing"] * rising[..., None]
+
+
+def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) -> Array:
+    """Kelemen and Szirmay-Kalos 2001: what the highlight leaves at both ends, over what it leaves on average."""
+    if material["grazing"] == 0.0:
+        return np.broadcast_to(np.asarray(material["diffuse"]) / np.pi, np.broadcast_shapes(view.shape, light.shape))
+    let_in = 1.0 - highlight_albedo(material, cosine(normal, light))
+    let_out = 1.0 - highlight_albedo(material, cosine(normal, view))
+    mean = 1.0 - highlight_albedo(material, None)
+    return np.asarray(material["diffuse"]) / np.pi * let_in * let_out / mean
+
+
+def pbr_specular(material: Material, normal: Array, view: Array, light: Array) -> Array:
+    """Cook and Torrance's ``D G F / (4 cos cos)``."""
+    if material["width"] <= 0.0:
+        return np.zeros(np.broadcast_shapes(view.shape, light.shape))
+    width = max(material["width"], WIDTH_MIN)
+    half = view + light
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    masks = smith(angle(normal, view), width) * smith(angle(normal, light), width)
+    cosines = 4.0 * cosine(normal, view) * cosine(normal, light)
+    facets = ggx(angle(normal, half), width) * masks / cosines
+    return facets[..., None] * schlick(material["specular"], material["grazing"], cosine(view, half))
+
+
+def mirrored(normal: Array, view: Array) -> Array:
+    """The direction on the other side of the normal."""
+    return 2.0 * cosine(normal, view)[..., None] * normal - view
+
+
+def simple(material: Material, normal: Array, view: Array, light: Array) -> Array:
+    """Lambert's and Phong's shares of the light."""
+    diffuse, specular = (np.asarray(material[name], dtype=np.float64) for name in ("diffuse", "specular"))
+    exponent = material["shininess"]
+    cos = cosine(mirrored(normal, view), light)
+    phong = np.where(cos > 0.0, np.maximum(cos, 0.0) ** exponent, 0.0) * (exponent + 2.0) / (2.0 * np.pi)
+    return (diffuse / np.pi + phong[..., None] * specular) / np.maximum(1.0, diffuse + specular)
+
+
+def evaluate(material: Material, normal: Array, view: Array, light: Array) -> Array:
+    """The BSDF without the cosine."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if material["model"] == "simple":
+            value = simple(material, normal, view, light)
+        else:
+            value = pbr_diffuse(material, normal, view, light) + pbr_specular(material, normal, view, light)
+    return np.where(_above(normal, view, light)[..., None], value, 0.0)
+
+
+def density(material: Material, normal: Array, view: Array, light: Array) -> Array:
+    """Of the directions that the material picks, per steradian: visible microfacets or Phong's lobe, and the cosine."""
+    lambert = cosine(normal, light) / np.pi
+    specular = np.asarray(material["specular"], dtype=np.float64)
+    diffuse = np.asarray(material["diffuse"], dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if material["model"] == "simple":
+            exponent = material["shininess"]
+            cos = cosine(mirrored(normal, view), light)
+            lobe = np.where(cos > 0.0, (exponent + 1.0) / (2.0 * np.pi) * np.maximum(cos, 0.0) ** exponent, 0.0)
+            parts = specular.mean(), diffuse.mean()
+        else:
+            width = max(material["width"], WIDTH_MIN)
+            half = view + light
+            half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+            to_half = cosine(view, half)
+            seen = smith(angle(normal, view), width) * ggx(angle(normal, half), width) * to_half
+            lobe = seen / cosine(normal, view) / (4.0 * to_half)
+            mirror = highlight_albedo(material, cosine(normal, view))
+            parts = mirror.mean(axis=-1), (diffuse * (1.0 - mirror)).mean(axis=-1)
+            if material["width"] <= 0.0 or material["grazing"] <= 0.0:
+                parts = 0.0, 1.0
+    total = np.asarray(parts[0] + parts[1])
+    share = np.where(total > 0.0, parts[0] / np.where(total > 0.0, total, 1.0), float(material["model"] == "pbr"))
+    lobe = np.where(share > 0.0, lobe, 0.0)
+    return np.where(_above(normal, view, light), share * lobe + (1.0 - share) * lambert, 0.0)

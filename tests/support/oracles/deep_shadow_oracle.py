@@ -1,0 +1,249 @@
+"""The float64 twin of deep Gaussian shadow maps: optical depth in closed form, directions as texels, tables, lookups.
+
+Written from seeds/001, sections 3.2, 3.3 and 4.4. Nothing is cut off: every Gaussian reaches as far as float64 does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.config import Absorption, AtlasLayout
+from lumisplat.constants import ALPHA_MAX
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import SplatInstance
+from support.oracles.raster_oracle import rotation_from_quaternion, world_gaussians
+
+STENCIL = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+"""Places of the 7-point stencil, in scales."""
+
+_erf = np.vectorize(math.erf, otypes=[float])
+_erfc = np.vectorize(math.erfc, otypes=[float])
+
+
+@dataclass(frozen=True)
+class Absorbers:
+    """What stands in the light, in world space."""
+
+    mean: np.ndarray  # (G, 3)
+    whiten: np.ndarray  # (G, 3, 3), canonical from world: inverse scales times inverse axes; the precision is W^T W
+    beta: np.ndarray  # (G,), absorption per unit of length at the centre
+
+
+def absorbers(
+    casters: Gaussians | SplatInstance | Sequence[Gaussians | SplatInstance],
+    absorption: Absorption = Absorption.AVERAGE,
+    strength: float = 1.0,
+) -> Absorbers:
+    """Casters as an absorption field (equation 1)."""
+    parts = [casters] if isinstance(casters, Gaussians | SplatInstance) else casters
+    rows = [_absorbers_of(part, absorption, strength) for part in parts]
+    return Absorbers(*(np.concatenate(columns) for columns in zip(*rows, strict=True)))
+
+
+def _absorbers_of(part: Gaussians | SplatInstance, absorption: Absorption, strength: float) -> tuple[np.ndarray, ...]:
+    instance = part if isinstance(part, SplatInstance) else SplatInstance(part)
+    mean, axes, scales = world_gaussians(instance)
+    whiten = np.swapaxes(axes, 1, 2) / scales[:, :, None]
+    beta = strength * amplitude(instance.gaussians.opacities.astype(float), scales, absorption)
+    return mean, whiten, beta
+
+
+def amplitude(opacity: np.ndarray, scales: np.ndarray, absorption: Absorption) -> np.ndarray:
+    """Absorption at the centre of Gaussians without kappa (equation 5 and section 4.4 B), shape (G,).
+
+    ``A`` of section 4.4 is the precision in ``avg``, and the covariance in ``mass`` and ``diag``.
+    """
+    tau = -np.log1p(-np.minimum(opacity, ALPHA_MAX))
+    if absorption is Absorption.SIMPLE:
+        return tau
+    if absorption is Absorption.AVERAGE:
+        return tau * np.sqrt(np.mean(scales**-2.0, axis=1)) / math.sqrt(2.0 * math.pi)
+    return tau / ((2.0 * math.pi) ** 1.5 * np.prod(scales, axis=1))
+
+
+# --- Optical depth (equations 2 to 4) ---
+
+
+def optical_depth(field: Absorbers, origin: np.ndarray, directions: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Optical depth from ``origin`` (..., 3) along unit ``directions`` (..., 3) to the distances ``t`` (...).
+
+    Shapes are broadcast.
+    """
+    directions, t = np.asarray(directions, float), np.asarray(t, float)
+    total = np.zeros(np.broadcast_shapes(directions.shape[:-1], t.shape))
+    for mean, whiten, beta in zip(field.mean, field.whiten, field.beta, strict=True):
+        start = (np.asarray(origin, float) - mean) @ whiten.T
+        along = directions @ whiten.T
+        total += beta * gaussian_integral(start, along, t)
+    return total
+
+
+def gaussian_integral(start: np.ndarray, along: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Integral of exp(-|start + s along|^2 / 2) over s from 0 to t (equation 3), canonical space, broadcast.
+
+    The exponent c - b^2 / a is the squared distance of the line from the centre, taken from the nearest point: as a
+    difference it would cancel for thin or far Gaussians. So would erf of two large numbers of one sign: erfc does not.
+    """
+    a = np.sum(along * along, axis=-1)
+    nearest = -np.sum(along * start, axis=-1) / a  # -b / a
+    q = np.sum(np.square(start + nearest[..., None] * along), axis=-1)
+    low, high = np.broadcast_arrays(-np.sqrt(a / 2.0) * nearest, np.sqrt(a / 2.0) * (t - nearest))
+    return np.sqrt(np.pi / (2.0 * a)) * np.exp(-0.5 * q) * erf_difference(low, high)
+
+
+def erf_difference(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """erf(high) - erf(low) for low <= high."""
+    # Where both are below zero, mirrored to above it.
+    low, high = np.where(high < 0.0, -high, low), np.where(high < 0.0, -low, high)
+    tail = low > 0.0
+    found = np.empty(low.shape)
+    found[tail] = _erfc(low[tail]) - _erfc(high[tail])
+    found[~tail] = _erf(high[~tail]) - _erf(low[~tail])
+    return found
+
+
+def transmittance(field: Absorbers, light: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Share of a point light at ``light`` (3,), or one each, that reaches ``points`` (..., 3) (equation 4)."""
+    offset = np.asarray(points, float) - light
+    distance = np.linalg.norm(offset, axis=-1)
+    directions = offset / np.maximum(distance, 1e-300)[..., None]
+    return np.exp(-optical_depth(field, light, directions, distance))
+
+
+# --- Directions as texels ---
+
+
+def encode_octahedral(directions: np.ndarray) -> np.ndarray:
+    """Places (u, v) in -1..1 of directions (..., 3) (equation 6; sgn(0) is 1), shape (..., 2)."""
+    directions = np.asarray(directions, float)
+    q = directions / np.sum(np.abs(directions), axis=-1, keepdims=True)
+    folded = _sign(q[..., :2]) * (1.0 - np.abs(q[..., 1::-1]))
+    return np.where(q[..., 2:] >= 0.0, q[..., :2], folded)
+
+
+def decode_octahedral(uv: np.ndarray) -> np.ndarray:
+    """Unit directions of places (u, v) in -1..1, shape (..., 3)."""
+    uv = np.asarray(uv, float)
+    z = 1.0 - np.sum(np.abs(uv), axis=-1, keepdims=True)
+    xy = np.where(z >= 0.0, uv, _sign(uv) * (1.0 - np.abs(uv[..., ::-1])))
+    return _unit(np.concatenate([xy, z], axis=-1))
+
+
+def encode_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces 0..5 (+x, -x, +y, -y, +z, -z; the first of equals) and places (u, v) in -1..1 of directions (..., 3).
+
+    On the faces of an axis, u and v are the next two axes, cyclically, over the absolute value of it.
+    """
+    directions = np.asarray(directions, float)
+    axis = np.argmax(np.abs(directions), axis=-1)
+    major, u, v = (np.take_along_axis(directions, (axis[..., None] + i) % 3, axis=-1)[..., 0] for i in range(3))
+    return 2 * axis + (major < 0.0), np.stack([u, v], axis=-1) / np.abs(major)[..., None]
+
+
+def decode_cube(face: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Unit directions of places on faces, shape (..., 3)."""
+    face, uv = np.asarray(face), np.asarray(uv, float)
+    axis = face // 2
+    cyclic = np.concatenate([np.where(face % 2 == 0, 1.0, -1.0)[..., None], uv], axis=-1)
+    return _unit(np.take_along_axis(cyclic, (np.arange(3) - axis[..., None]) % 3, axis=-1))
+
+
+def texel_centers(size: int) -> np.ndarray:
+    """Places (u, v) of a square's texels, u along columns, shape (size, size, 2)."""
+    center = (np.arange(size) + 0.5) * 2.0 / size - 1.0
+    return np.stack(np.meshgrid(center, center), axis=-1)
+
+
+def _sign(x: np.ndarray) -> np.ndarray:
+    return np.where(x >= 0.0, 1.0, -1.0)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+# --- Tables and lookups ---
+
+
+@dataclass(frozen=True)
+class Table:
+    """Transmittance at texels and bins: one octahedral square, or six faces of a cube."""
+
+    light: np.ndarray  # (3,)
+    t_max: float
+    values: np.ndarray  # (F, S, S, K), F = 1 or 6
+
+
+def bin_centers(bins: int, t_max: float) -> np.ndarray:
+    """Distances t_k = (k + 1/2) t_max / K, shape (K,)."""
+    return (np.arange(bins) + 0.5) * t_max / bins
+
+
+def tabulate(field: Absorbers, light: np.ndarray, layout: AtlasLayout, size: int, bins: int, t_max: float) -> Table:
+    """The dense table; ``size`` is that of the square, or of each face."""
+    places = texel_centers(size)
+    if layout is AtlasLayout.OCTAHEDRAL:
+        directions = decode_octahedral(places)[None]
+    else:
+        directions = np.stack([decode_cube(np.full((size, size), face), places) for face in range(6)])
+    depth = optical_depth(field, light, directions[..., None, :], bin_centers(bins, t_max))
+    return Table(np.asarray(light, float), t_max, np.exp(-depth))
+
+
+def look_up(table: Table, points: np.ndarray) -> np.ndarray:
+    """Trilinear transmittance at ``points`` (N, 3), shape (N,).
+
+    Half a bin before the first centre, at the light, T is 1; behind the last centre it stays. Octahedral neighbours
+    over an edge of the square are those on the sphere; faces of a cube end at their last texels' centres.
+    """
+    offset = np.asarray(points, float) - table.light
+    distance = np.linalg.norm(offset, axis=1)
+    size, bins = table.values.shape[1], table.values.shape[3]
+    if len(table.values) == 1:
+        face, uv = np.zeros(len(offset), int), encode_octahedral(offset)
+    else:
+        face, uv = encode_cube(offset)
+    place = (uv + 1.0) * 0.5 * size - 0.5
+    if len(table.values) == 6:
+        place = np.clip(place, 0.0, size - 1.0)
+    low = np.floor(place).astype(int)
+    share = place - low
+    depth = np.minimum(distance / table.t_max * bins - 0.5, bins - 1.0)
+    first = np.floor(depth).astype(int)
+    found = np.zeros(len(offset))
+    for column, row in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        x, y = low[:, 0] + column, low[:, 1] + row
+        x, y = wrapped(x, y, size) if len(table.values) == 1 else (np.minimum(x, size - 1), np.minimum(y, size - 1))
+        texel = np.concatenate([np.ones((len(offset), 1)), table.values[face, y, x]], axis=1)  # Bin -1 is the first.
+        near, far = (texel[np.arange(len(offset)), np.minimum(first + i, bins - 1) + 1] for i in (0, 1))
+        weight = np.abs(1 - column - share[:, 0]) * np.abs(1 - row - share[:, 1])
+        found += weight * (near + (depth - first) * (far - near))
+    return found
+
+
+def wrapped(column: np.ndarray, row: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Texels of an octahedral square that lie where those up to one outside it would: an edge folds onto itself."""
+    over = (column < 0) | (column >= size)
+    column, row = np.where(over, np.clip(column, 0, size - 1), column), np.where(over, size - 1 - row, row)
+    over = (row < 0) | (row >= size)
+    return np.where(over, size - 1 - column, column), np.where(over, np.clip(row, 0, size - 1), row)
+
+
+# --- Footprints (section 4.4 A) ---
+
+
+def footprint_points(receivers: Gaussians, offsets: np.ndarray) -> np.ndarray:
+    """Points of receivers at ``offsets`` (S, 3) or (N, S, 3), in scales along their own axes, shape (N, S, 3)."""
+    axes = rotation_from_quaternion(receivers.rotations_wxyz.astype(float))
+    scaled = receivers.scales.astype(float)[:, None, :] * offsets
+    return receivers.means.astype(float)[:, None, :] + np.einsum("nij,nsj->nsi", axes, scaled)
+
+
+def stencil_weights() -> np.ndarray:
+    """Gaussian responses at the places of `STENCIL`, of sum 1, shape (7,)."""
+    weights = np.exp(-0.5 * np.sum(STENCIL**2, axis=1))
+    return weights / weights.sum()

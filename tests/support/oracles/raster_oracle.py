@@ -1,0 +1,360 @@
+"""A float64 NumPy twin of the rasteriser: slow, plain, and written from the method's papers, not from the kernels.
+
+Every step is a small function that can be read next to its equation: EWA projection (Zwicker et al. 2001), spherical
+harmonics, brute-force triangle visibility (Olano and Greer 1997), and front-to-back blending (Kerbl et al. 2023).
+The twin also says where it cannot be trusted to agree with float32: ``band`` marks the pixels at which some decision
+was so close that rounding may take the other side; ``tie`` those of them at which that may change the whole colour
+(a depth order, a triangle's edge), while a threshold of alpha or transmittance changes it by a step of 1/255.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.config import Antialiasing, RasterConfig, RenderConfig
+from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, COVARIANCE_2D_DET_MIN, JACOBIAN_CLAMP, NORMAL_DEGENERATE
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+BAND = 2e-3
+"""Relative distance from a threshold, and BAND_DEPTH between depths, within which float32 may decide differently."""
+BAND_DEPTH = 2e-5
+
+
+@dataclass
+class Splats:
+    """Projected Gaussians of all instances, front to back."""
+
+    mean_px: np.ndarray  # (N, 2)
+    covariance_px: np.ndarray  # (N, 2, 2), dilated
+    opacity: np.ndarray  # (N,), compensated
+    color: np.ndarray  # (N, 3)
+    depth_z: np.ndarray  # (N,)
+    normal: np.ndarray  # (N, 3), world, towards the eye
+    gaussian_index: np.ndarray  # (N,)
+    instance_index: np.ndarray  # (N,)
+
+
+@dataclass
+class Fragments:
+    """The nearest triangle at every pixel."""
+
+    depth_z: np.ndarray  # (H, W), inf where no triangle is
+    color: np.ndarray  # (H, W, 3), display-referred
+    normal: np.ndarray  # (H, W, 3), world, towards the viewer
+    instance_index: np.ndarray  # (H, W), -1 where no triangle is
+    band: np.ndarray  # (H, W)
+
+
+def render(scene: Scene, camera: Camera, config: RenderConfig | None = None) -> dict[str, np.ndarray]:
+    """Renders a frame; the keys are those of ``Frame``, ``band`` and ``tie``."""
+    config = config or RenderConfig()
+    splats = project(scene, camera, config.raster)
+    fragments = rasterize_meshes(scene, camera)
+    frame = composite(splats, fragments, camera, config.raster)
+    if config.background is not None:
+        frame["color"] = frame["color"] + (1.0 - frame["alpha"])[..., None] * np.asarray(config.background)
+    return frame
+
+
+# --- Camera ---
+
+
+def pixel_rays(camera: Camera) -> np.ndarray:
+    """Camera-space directions with z = 1 through the pixel centres, shape (H, W, 3)."""
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    return np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+
+
+def normalized(vectors: np.ndarray) -> np.ndarray:
+    """Unit vectors along the last axis; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+
+
+# --- Gaussians ---
+
+
+def rotation_from_quaternion(wxyz: np.ndarray) -> np.ndarray:
+    """Rotation matrices of unit quaternions, shape (N, 3, 3): column i is the image of axis i."""
+    w, v = wxyz[:, :1, None], wxyz[:, 1:]
+    zero = np.zeros(len(v))
+    cross = np.stack([zero, -v[:, 2], v[:, 1], v[:, 2], zero, -v[:, 0], -v[:, 1], v[:, 0], zero], -1).reshape(-1, 3, 3)
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross  # Rodrigues, in half angles
+
+
+def sh_basis(direction: np.ndarray) -> np.ndarray:
+    """Real spherical harmonics up to degree 3 with the Condon-Shortley sign (-1)^m, shape (N, 16)."""
+    x, y, z = direction.T
+    c = np.sqrt(
+        np.array([1, 3, 15, 5, 15, 35, 105, 21, 7, 105]) / (np.pi * np.array([4, 4, 4, 16, 16, 32, 4, 32, 16, 16]))
+    )
+    return np.stack(
+        [
+            c[0] * np.ones_like(x),
+            -c[1] * y,
+            c[1] * z,
+            -c[1] * x,
+            c[2] * x * y,
+            -c[2] * y * z,
+            c[3] * (3.0 * z**2 - 1.0),
+            -c[2] * x * z,
+            c[4] * (x**2 - y**2),
+            -c[5] * y * (3.0 * x**2 - y**2),
+            c[6] * x * y * z,
+            -c[7] * y * (5.0 * z**2 - 1.0),
+            c[8] * z * (5.0 * z**2 - 3.0),
+            -c[7] * x * (5.0 * z**2 - 1.0),
+            c[9] * z * (x**2 - y**2),
+            -c[5] * x * (x**2 - 3.0 * y**2),
+        ],
+        axis=-1,
+    )
+
+
+def sh_color(instance: SplatInstance, eye: np.ndarray, degree: int) -> np.ndarray:
+    """Colour of every Gaussian seen from a world ``eye``, shape (N, 3); directions are taken in the object's frame."""
+    object_from_world = np.linalg.inv(instance.transform)
+    object_eye = object_from_world[:3, :3] @ eye + object_from_world[:3, 3]
+    direction = normalized(instance.gaussians.means.astype(np.float64) - object_eye)
+    sh = instance.gaussians.sh.astype(np.float64)
+    count = min((degree + 1) ** 2, sh.shape[1])
+    return np.maximum(np.einsum("nk,nkc->nc", sh_basis(direction)[:, :count], sh[:, :count]) + 0.5, 0.0)
+
+
+def world_gaussians(instance: SplatInstance) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World means (N, 3), axes (N, 3, 3) as columns, and standard deviations (N, 3)."""
+    matrix, gaussians = instance.transform, instance.gaussians
+    means = gaussians.means.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    axes = (matrix[:3, :3] / instance.scale) @ rotation_from_quaternion(gaussians.rotations_wxyz.astype(np.float64))
+    return means, axes, gaussians.scales.astype(np.float64) * instance.scale
+
+
+def jacobian(mean_camera: np.ndarray, camera: Camera) -> np.ndarray:
+    """Derivative of the projection at each mean, taken no further outside the image than the clamp, shape (N, 2, 3)."""
+    x, y, z = mean_camera.T
+    margin_x = (JACOBIAN_CLAMP - 1.0) * 0.5 * camera.width / camera.fx
+    margin_y = (JACOBIAN_CLAMP - 1.0) * 0.5 * camera.height / camera.fy
+    slope_x = np.clip(x / z, -camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
+    slope_y = np.clip(y / z, -camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
+    zero = np.zeros_like(z)
+    rows = [camera.fx / z, zero, -camera.fx * slope_x / z, zero, camera.fy / z, -camera.fy * slope_y / z]
+    return np.stack(rows, axis=-1).reshape(-1, 2, 3)
+
+
+def project_instance(instance: SplatInstance, number: int, camera: Camera, config: RasterConfig) -> Splats:
+    """The visible Gaussians of one instance, in the order of the asset."""
+    means, axes, scales = world_gaussians(instance)
+    view = camera.camera_from_world
+    mean_camera = means @ view[:3, :3].T + view[:3, 3]
+    kept = np.flatnonzero(mean_camera[:, 2] > camera.near)
+    means, axes, scales, mean_camera = means[kept], axes[kept], scales[kept], mean_camera[kept]
+
+    spread = jacobian(mean_camera, camera) @ view[:3, :3] @ axes * scales[:, None, :]  # J W R S
+    sharp = spread @ spread.transpose(0, 2, 1)
+    dilated = sharp + config.dilation * np.eye(2)
+    opacity = instance.gaussians.opacities[kept].astype(np.float64)
+    antialiased = instance.gaussians.antialiased
+    if config.antialiasing is Antialiasing.ON or (config.antialiasing is Antialiasing.AUTO and antialiased):
+        opacity = opacity * np.sqrt(np.maximum(np.linalg.det(sharp) / np.linalg.det(dilated), 0.0))
+
+    x, y, z = mean_camera.T
+    to_eye = camera.eye - means
+    inverse_covariance = (axes / scales[:, None, :] ** 2) @ axes.transpose(0, 2, 1)
+    splats = Splats(
+        mean_px=np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=-1),
+        covariance_px=dilated,
+        opacity=opacity,
+        color=sh_color(instance, camera.eye, config.sh_degree)[kept],
+        depth_z=z,
+        normal=normalized(np.einsum("nij,nj->ni", inverse_covariance, to_eye)),
+        gaussian_index=kept,
+        instance_index=np.full(len(kept), number),
+    )
+    return rows(splats, (np.linalg.det(dilated) > COVARIANCE_2D_DET_MIN) & (opacity >= ALPHA_MIN))
+
+
+def rows(splats: Splats, selection: np.ndarray) -> Splats:
+    """The selected splats (a mask or indices)."""
+    return Splats(**{name: values[selection] for name, values in vars(splats).items()})
+
+
+def project(scene: Scene, camera: Camera, config: RasterConfig) -> Splats:
+    """All visible Gaussians of a scene, front to back; equal depths keep the order of the scene."""
+    parts = [project_instance(instance, i, camera, config) for i, instance in enumerate(scene.splats)]
+    if not parts:
+        empty = np.zeros(0)
+        return Splats(empty, empty, empty, empty, empty, empty, empty, empty)
+    joined = Splats(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+    return rows(joined, np.argsort(joined.depth_z, kind="stable"))
+
+
+# --- Meshes ---
+
+
+def rasterize_meshes(scene: Scene, camera: Camera) -> Fragments:
+    """Every pixel centre against every triangle; the nearest beyond the near plane wins."""
+    shape = (camera.height, camera.width)
+    fragments = Fragments(
+        np.full(shape, np.inf), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, -1), np.zeros(shape, bool)
+    )
+    for number, instance in enumerate(scene.meshes, start=len(scene.splats)):
+        for face in instance.mesh.indices:
+            rasterize_triangle(fragments, instance, face, number, camera)
+    return fragments
+
+
+def rasterize_triangle(
+    fragments: Fragments, instance: MeshInstance, face: np.ndarray, number: int, camera: Camera
+) -> None:
+    """Depth-tests one triangle, by expressing each pixel's ray in the basis of the camera-space corners."""
+    mesh, matrix, view = instance.mesh, instance.transform, camera.camera_from_world
+    corners = mesh.positions[face].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    corners_camera = corners @ view[:3, :3].T + view[:3, 3]
+    if abs(np.linalg.det(corners_camera)) < 1e-14:
+        return  # Seen edge-on.
+    rays = pixel_rays(camera)
+    weights = rays @ np.linalg.inv(corners_camera)
+    total = weights.sum(axis=-1)
+    depth_z = np.divide(1.0, total, out=np.zeros_like(total), where=np.abs(total) > 1e-12)
+    barycentric = weights * depth_z[..., None]
+    inside = (barycentric >= 0.0).all(axis=-1) & (depth_z > 0.0)
+    on_edge = (np.abs(barycentric).min(axis=-1) < BAND) & (barycentric > -BAND).all(axis=-1) & (depth_z > 0.0)
+    close = inside & (np.abs(depth_z - fragments.depth_z) < BAND_DEPTH * depth_z)
+    at_near = inside & (np.abs(depth_z - camera.near) < BAND * camera.near)
+    fragments.band |= on_edge | close | at_near
+
+    wins = inside & (depth_z >= camera.near) & (depth_z < fragments.depth_z)
+    ray_world = rays[wins] @ view[:3, :3]
+    fragments.depth_z[wins] = depth_z[wins]
+    fragments.color[wins] = encode_srgb(base_color(mesh, face, barycentric[wins]))
+    normal = mesh_normal(instance, face, corners, barycentric[wins], ray_world)
+    fragments.normal[wins] = normal
+    fragments.band[wins] |= np.abs((normal * ray_world).sum(axis=-1)) < BAND  # May be turned the other way.
+    fragments.instance_index[wins] = number
+
+
+def mesh_normal(
+    instance: MeshInstance, face: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, ray: np.ndarray
+) -> np.ndarray:
+    """World shading normal, turned against the ray, shape (P, 3)."""
+    if instance.mesh.normals is None:
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])[None].repeat(len(barycentric), axis=0)
+    else:
+        normal = (
+            barycentric @ instance.mesh.normals[face].astype(np.float64) @ np.linalg.inv(instance.transform[:3, :3])
+        )
+    unit = normalized(normal)
+    return np.where((unit * ray).sum(axis=-1, keepdims=True) > 0.0, -unit, unit)
+
+
+def base_color(mesh: Mesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """Linear base colour, shape (P, 3)."""
+    color = np.ones((len(barycentric), 3)) * mesh.material.base_color
+    if mesh.colors is not None:
+        color = color * (barycentric @ mesh.colors[face].astype(np.float64))
+    texture = mesh.material.base_color_texture
+    if texture is not None and mesh.uvs is not None:
+        color = color * bilinear(texture, barycentric @ mesh.uvs[face].astype(np.float64))
+    return color
+
+
+def bilinear(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Linear colour at ``uv``, texel centres at +0.5, repeated, filtered after decoding, shape (P, 3)."""
+    height, width = texture.shape[:2]
+    texels = decode_srgb(texture[..., :3] / 255.0)
+    x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    u, v = (x - x0)[:, None], (y - y0)[:, None]
+
+    def texel(dx: int, dy: int) -> np.ndarray:
+        return texels[(y0 + dy) % height, (x0 + dx) % width]
+
+    return (texel(0, 0) * (1 - u) + texel(1, 0) * u) * (1 - v) + (texel(0, 1) * (1 - u) + texel(1, 1) * u) * v
+
+
+# --- Blending ---
+
+
+def footprint(splats: Splats, i: int, camera: Camera) -> tuple[slice, slice]:
+    """Rows and columns of the pixel centres that the ellipse of alpha = 1/255 can reach."""
+    reach = np.sqrt(2.0 * np.log(splats.opacity[i] / ALPHA_MIN) * np.diag(splats.covariance_px[i])) + 1.0
+    low = np.clip(splats.mean_px[i] - reach - 0.5, 0.0, (camera.width, camera.height)).astype(int)
+    high = np.clip(splats.mean_px[i] + reach + 0.5, 0.0, (camera.width, camera.height)).astype(int)
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def response(splats: Splats, i: int, window: tuple[slice, slice]) -> np.ndarray:
+    """exp(-d^2 / 2) of one splat at the pixel centres of a window."""
+    x = np.arange(window[1].start, window[1].stop) + 0.5 - splats.mean_px[i, 0]
+    y = np.arange(window[0].start, window[0].stop)[:, None] + 0.5 - splats.mean_px[i, 1]
+    (a, b), (_, c) = np.linalg.inv(splats.covariance_px[i])
+    return np.exp(-0.5 * (a * x * x + 2.0 * b * x * y + c * y * y))
+
+
+def composite(splats: Splats, fragments: Fragments, camera: Camera, config: RasterConfig) -> dict[str, np.ndarray]:
+    """Blends front to back, splat by splat, then the mesh behind them."""
+    shape = (camera.height, camera.width)
+    color, normal, weight = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape)
+    transmittance, last_z = np.ones(shape), np.full(shape, -np.inf)
+    done, band, tie = np.zeros(shape, bool), np.zeros(shape, bool), fragments.band.copy()
+    depth_z, gaussian, instance = np.full(shape, np.inf), np.full(shape, -1), np.full(shape, -1)
+
+    for i, z in enumerate(splats.depth_z):
+        at = footprint(splats, i, camera)
+        alpha = np.minimum(splats.opacity[i] * response(splats, i, at), ALPHA_MAX)
+        live = ~done[at]
+        touched = live & (alpha > ALPHA_MIN * (1.0 - BAND))
+        after = transmittance[at] * (1.0 - alpha)
+        band[at] |= touched & (
+            (alpha < ALPHA_MIN * (1.0 + BAND))
+            | (np.abs(after - config.transmittance_min) < BAND * config.transmittance_min)
+            | (np.abs(after - config.depth_iso_transmittance) < BAND * config.depth_iso_transmittance)
+        )
+        tie[at] |= touched & (np.minimum(z - last_z[at], np.abs(z - fragments.depth_z[at])) < BAND_DEPTH * z)
+        reached = live & (alpha >= ALPHA_MIN) & (z < fragments.depth_z[at])
+        done[at] |= reached & (after <= config.transmittance_min)
+        accepted = reached & ~done[at]
+
+        share = np.where(accepted, alpha * transmittance[at], 0.0)
+        color[at] += share[..., None] * splats.color[i]
+        normal[at] += share[..., None] * splats.normal[i]
+        weight[at] += share
+        transmittance[at] = np.where(accepted, after, transmittance[at])
+        last_z[at] = np.where(accepted, z, last_z[at])
+        surface = accepted & (after < config.depth_iso_transmittance) & (gaussian[at] < 0)
+        depth_z[at] = np.where(surface, z, depth_z[at])
+        gaussian[at] = np.where(surface, splats.gaussian_index[i], gaussian[at])
+        instance[at] = np.where(surface, splats.instance_index[i], instance[at])
+
+    hit = np.isfinite(fragments.depth_z)
+    share = np.where(hit, transmittance, 0.0)
+    surface = hit & (gaussian < 0)
+    mean_length = np.linalg.norm(normal + share[..., None] * fragments.normal, axis=-1) / np.maximum(
+        weight + share, 1e-30
+    )
+    depth_z = np.where(surface, fragments.depth_z, depth_z)
+    return {
+        "color": color + share[..., None] * fragments.color,
+        "alpha": np.where(hit, 1.0, 1.0 - transmittance),
+        "depth_z": depth_z,
+        "depth": depth_z * np.linalg.norm(pixel_rays(camera), axis=-1),
+        "normal": integrated_normal(normal + share[..., None] * fragments.normal, weight + share, camera),
+        "gaussian_index": gaussian,
+        "instance_index": np.where(surface, fragments.instance_index, instance),
+        "tie": tie,
+        "band": band | tie | (np.abs(mean_length - NORMAL_DEGENERATE) < BAND),
+    }
+
+
+def integrated_normal(normal_sum: np.ndarray, weight_sum: np.ndarray, camera: Camera) -> np.ndarray:
+    """Unit mean normal; towards the camera where the normals cancel out, zero where nothing is."""
+    towards_camera = -normalized(pixel_rays(camera)) @ camera.camera_from_world[:3, :3]
+    degenerate = np.linalg.norm(normal_sum, axis=-1) <= NORMAL_DEGENERATE * weight_sum
+    normal = np.where(degenerate[..., None], towards_camera, normalized(normal_sum))
+    return np.where((weight_sum > 0.0)[..., None], normal, 0.0)

@@ -1,0 +1,143 @@
+"""The float64 twin's shadow rays: what of a light comes through, by the formulas and by brute force.
+
+Gaussians are ``particle_oracle``'s. Triangles are all that Moeller and Trumbore (1997) find, nearest or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lumisplat.config import RenderConfig, ShadowMethod
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.scene import Scene
+from support.oracles.mirror_oracle import Facet, MeshHit, Ray, Triangles, facet, fresnel
+from support.oracles.particle_oracle import Hits, World, hits, picked, world_of
+
+
+@dataclass(frozen=True)
+class Light:
+    """What arrives at the origins of N rays."""
+
+    color: np.ndarray  # (N, 3)
+    slack: np.ndarray  # (N,), how far rounding may move it; inf: anywhere
+
+
+def light(
+    scene: Scene,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    config: RenderConfig,
+    *,
+    t_min: np.ndarray | float = 0.0,
+    t_max: np.ndarray | float = np.inf,
+) -> Light:
+    """What of the light from ``t_max`` arrives; of stochastic shadows the mean.
+
+    Args:
+        scene: What is in the way.
+        origins: Shape (N, 3).
+        directions: Unit, shape (N, 3).
+        config: Its ``shadow`` and ``trace``.
+        t_min: Nearer Gaussians do not count; meshes do.
+        t_max: Distance of the light.
+    """
+    world = world_of(scene, config)
+    count = len(origins)
+    rows = [
+        one_light(world, Ray(origin, direction, low), high)
+        for origin, direction, low, high in zip(
+            np.asarray(origins, float),
+            np.asarray(directions, float),
+            np.broadcast_to(t_min, count).astype(float),
+            np.broadcast_to(t_max, count).astype(float),
+            strict=True,
+        )
+    ]
+    return Light(np.array([color for color, _ in rows]), np.array([slack for _, slack in rows]))
+
+
+def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
+    """What arrives along one ray, shape (3,), and its slack."""
+    past_meshes, unsure = through_meshes(world.triangles, ray, t_max)
+    every = hits(world, ray)
+    error = every.t_error
+    doubtful = every.doubtful | (np.abs(every.peak - t_max) <= error)
+    found = picked(every, every.counts & (every.peak < t_max))
+    slack = float(every.alpha[doubtful & (every.peak < t_max + error)].sum() + found.alpha_error.sum())
+    shadow = world.config.shadow
+    if shadow.method is ShadowMethod.FIRST_HITS and len(found) > shadow.hits:
+        last, next_one = found.t[shadow.hits - 1 : shadow.hits + 1]
+        if next_one - last <= 2.0 * error.max() or doubtful.any():
+            return past_meshes, np.inf
+        found = picked(found, slice(shadow.hits))
+    transmittance = float(np.prod(1.0 - found.alpha))
+    floor = max(world.config.trace.transmittance_min, shadow.transmittance_threshold)
+    color = past_meshes * shade(transmittance, mean_color(world, found), world.config)
+    slope = (1.0 + shadow.color_strength) / (1.0 - shadow.transmittance_threshold)
+    near_floor = abs(transmittance - floor) <= slack + 1e-5 * floor
+    return color, np.inf if unsure else slope * slack + (slope * floor if near_floor else 0.0)
+
+
+def shade(transmittance: float, color: np.ndarray, config: RenderConfig) -> np.ndarray:
+    """Factor of the light that comes through Gaussians of that mean colour, shape (3,)."""
+    shadow = config.shadow
+    if transmittance <= max(config.trace.transmittance_min, shadow.transmittance_threshold):
+        return np.zeros(3)
+    bright = (transmittance - shadow.transmittance_threshold) / (1.0 - shadow.transmittance_threshold)
+    share = min(shadow.color_strength * (1.0 - bright), 1.0)
+    tint = color / color.max() if color.max() > 0.0 else np.ones(3)
+    return bright * (1.0 + share * (tint - 1.0))
+
+
+def mean_color(world: World, found: Hits) -> np.ndarray:
+    """Linear, weighted by alpha, of what is the same from all sides; shape (3,)."""
+    if not len(found):
+        return np.zeros(3)
+    display = np.maximum(SH_C0 * world.sh[found.index, 0] + 0.5, 0.0)
+    return found.alpha @ decode_srgb(display) / found.alpha.sum()
+
+
+# --- Meshes ---
+
+
+def through_meshes(triangles: Triangles, ray: Ray, t_max: float) -> tuple[np.ndarray, bool]:
+    """Product over all crossings between the origin and ``t_max``, shape (3,); whether float32 may find others."""
+    color = np.ones(3)
+    unsure = False
+    for number in range(len(triangles.face)):
+        hit, doubtful = crossing(triangles, ray, number)
+        unsure |= doubtful
+        if np.isfinite(hit.t):
+            unsure |= bool(abs(hit.t - t_max) <= hit.error or abs(hit.t) <= hit.error)
+        if 0.0 < hit.t < t_max:
+            color = color * passed(facet(triangles, ray, hit), ray)
+    return color, unsure and color.max() > 0.0
+
+
+def crossing(triangles: Triangles, ray: Ray, number: int) -> tuple[MeshHit, bool]:
+    """Where the ray's line meets one triangle, at infinity where it does not, and whether that is in doubt."""
+    a, b, c = triangles.corners[number]
+    matrix = np.stack([b - a, c - a, -ray.direction], axis=-1)
+    if abs(np.linalg.det(matrix)) < 1e-12:
+        return MeshHit(np.inf, -1, np.zeros(3), 0.0, False), False
+    u, v, t = np.linalg.solve(matrix, ray.origin - a)
+    weights = np.array([1.0 - u - v, u, v])
+    error = 1e-5 * (1.0 + abs(t))
+    if weights.min() < 0.0:
+        return MeshHit(np.inf, -1, weights, error, False), bool(weights.min() > -1e-5)
+    return MeshHit(float(t), number, weights, error, False), bool(weights.min() < 1e-5)
+
+
+def passed(surface: Facet, ray: Ray) -> np.ndarray:
+    """Share of the light that a crossing lets through, shape (3,): straight on, as if out of the air each time."""
+    material = surface.material
+    assert isinstance(material, MaterialPbr)
+    if material.roughness > 0.0:
+        return np.zeros(3)
+    reflectance, _ = fresnel(min(abs(float(surface.normal @ ray.direction)), 1.0), 1.0 / material.ior)
+    passes = material.transmission * (1.0 - material.metallic) * (1.0 - material.specular * reflectance)
+    return passes * surface.base

@@ -1,0 +1,59 @@
+"""What tests of light share: a plane in y = 0 seen from above, and lit frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.images import assert_close
+from support.scenes.light_scenes import parallelogram
+
+PIPELINES = pytest.mark.parametrize("pipeline", ls.Pipeline, ids=lambda pipeline: pipeline.value)
+RAYS = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID], ids=lambda pipeline: pipeline.value)
+
+
+def above(
+    height: float = 5.0, width: int = 64, rows: int = 48, fov_y: float = 0.6, eye: tuple = (0.7, 0.9)
+) -> ls.Camera:
+    """A camera that looks down on the origin, a little from the side."""
+    return ls.Camera.look_at(
+        (eye[0], height, eye[1]), (0.0, 0.0, 0.0), (0.0, 0.0, -1.0), width=width, height=rows, fov_y=fov_y
+    )
+
+
+def floor(material: object, half: float = 20.0) -> ls.Mesh:
+    """A plane that faces up."""
+    return parallelogram((-half, 0.0, half), (2.0 * half, 0.0, 0.0), (0.0, 0.0, -2.0 * half), material)
+
+
+def floor_points(camera: ls.Camera) -> np.ndarray:
+    """Where the pixels' centres see the plane, shape (H, W, 3)."""
+    directions = camera.ray_directions() @ camera.world_from_camera[:3, :3].T
+    return camera.eye - camera.eye[1] / directions[..., 1:2] * directions
+
+
+def lit(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
+    """A lit frame."""
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True)
+    return ls.render(scene, camera, replace(config, **settings), device="cpu")  # type: ignore[arg-type]
+
+
+def towards(point: tuple[float, float, float], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions to a point, shape (H, W, 3), and distances, (H, W)."""
+    away = np.array(point) - points
+    distances = np.linalg.norm(away, axis=-1)
+    return away / distances[..., None], distances
+
+
+def assert_relatively_close(actual: np.ndarray, expected: np.ndarray, rtol: float) -> None:
+    """Within ``rtol`` of the brightest, everywhere."""
+    assert_close(actual, expected, atol=rtol * float(np.max(expected)))
+
+
+def blocks(image: np.ndarray, size: int = 8) -> np.ndarray:
+    """Means of square blocks of pixels."""
+    rows, columns = (n // size for n in image.shape)
+    return image[: rows * size, : columns * size].reshape(rows, size, columns, size).mean(axis=(1, 3))

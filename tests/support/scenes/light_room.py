@@ -1,0 +1,67 @@
+"""A room of Gaussians with lamps whose place and colour are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.gaussians import merged
+
+SIZE = np.array([4.0, 3.0, 5.0])
+"""Of the room, metres; its corner is the origin, y is up."""
+
+
+def captured(means: np.ndarray, linear: np.ndarray, opacity: float = 0.9, scale: float = 0.03) -> ls.Gaussians:
+    """Gaussians of linear colours, the same from everywhere, as a capture of degree 3 holds them."""
+    count = len(means)
+    sh = np.zeros((count, 16, 3))
+    sh[:, 0] = (encode_srgb(np.broadcast_to(linear, (count, 3))) - 0.5) / SH_C0
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    return ls.Gaussians(means, rotations, np.full((count, 3), scale), np.full(count, opacity), sh)
+
+
+def walls(count: int = 12_000, seed: int = 0) -> ls.Gaussians:
+    """The six sides of the room, of mottled grey, each seen a little differently from everywhere."""
+    rng = np.random.default_rng(seed)
+    points = rng.random((count, 3)) * SIZE
+    side = rng.integers(0, 6, count)
+    points[np.arange(count), side // 2] = (side % 2) * SIZE[side // 2]
+    room = captured(points, rng.uniform(0.05, 0.2, (count, 1)) * [1.0, 0.95, 0.9])
+    sh = room.sh.copy()
+    sh[:, 1:4] = rng.normal(0.0, 0.05, (count, 3, 3))
+    return replace(room, sh=sh)
+
+
+def lamp(
+    center: tuple[float, float, float], linear: tuple[float, float, float], radius: float = 0.08, count: int = 50
+) -> ls.Gaussians:
+    """A ball of light."""
+    rng = np.random.default_rng(count)
+    points = rng.normal(size=(count, 3))
+    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
+    return captured(points + center, np.array(linear))
+
+
+def bright_wall(linear: float = 1.0, count: int = 4_000) -> ls.Gaussians:
+    """Most of the wall at z = 0: as bright as a lamp, and broad."""
+    rng = np.random.default_rng(5)
+    points = np.column_stack([rng.uniform(0.5, 3.5, count), rng.uniform(0.5, 2.5, count), np.full(count, 0.01)])
+    return captured(points, np.full(3, linear))
+
+
+def sparkle(center: tuple[float, float, float], towards: np.ndarray, count: int = 50) -> ls.Gaussians:
+    """A highlight: brighter than any lamp for who looks along ``towards``, and dark from behind."""
+    spot = lamp(center, (0.2, 0.2, 0.2), count=count)
+    sh = spot.sh.copy()
+    x, y, z = towards / np.linalg.norm(towards)
+    sh[:, 1:4] = 1.2 * np.array([-y, z, -x])[None, :, None]
+    return replace(spot, sh=sh)
+
+
+def room_with(*parts: ls.Gaussians) -> ls.Gaussians:
+    """The walls and what is in the room, one capture."""
+    return merged([walls(), *parts])

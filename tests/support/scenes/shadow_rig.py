@@ -1,0 +1,96 @@
+"""Shadow rays through scenes: what the renderer does between a point and a light, for tests of just that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config import RenderConfig, ShadowConfig
+from lumisplat.constants import PACKET_RAYS
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.ray_queries import whole_packets
+from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.scene import Scene
+from support.scenes.raster_scenes import front_camera
+
+SCHEDULES = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
+"""With the CPU's packets and trees, with those of CUDA, and on every GPU there is."""
+
+
+class ShadowRig:
+    """Follows rays to lights.
+
+    Args:
+        schedule: One of ``SCHEDULES``.
+        threads: CPU threads.
+    """
+
+    def __init__(self, schedule: str = "cpu", threads: int | None = None) -> None:
+        device = schedule.partition(" as ")[0]
+        self._launcher = Launcher(device, threads, parallel=True if " as " in schedule else None)
+        self._device = device
+        self._buffers = Buffers(device)
+        self._shadows: dict[RenderConfig, ShadowRays] = {}
+        self._scene = DeviceScene(device)
+        self._trees: dict[RenderConfig, TreeScene] = {}
+        """By the settings that their bounds depend on."""
+
+    def light(
+        self,
+        scene: Scene,
+        origins: Any,
+        directions: Any,
+        config: RenderConfig | None = None,
+        *,
+        t_min: Any = 0.0,
+        t_max: Any = np.inf,
+        skips: Any = 0,
+        sample: int = 0,
+        opaque: bool = False,
+        **shadow: Any,
+    ) -> np.ndarray:
+        """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
+        config = replace(config or RenderConfig(), shadow=ShadowConfig(**shadow))
+        # Shadow settings and the seed have no part in what is on the device.
+        trees = self._trees.setdefault(replace(config, shadow=ShadowConfig(), seed=0), TreeScene(self._launcher))
+        self._scene.sync(scene, front_camera(), config)
+        self._scene.sync_rays(scene)
+        trees.sync(scene, self._scene, config)
+        if config not in self._shadows:
+            self._shadows[config] = ShadowRays(self._launcher, Buffers(self._device), config)
+        shadows = self._shadows[config]
+        origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
+        rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
+        shadows.begin_sample(sample)
+        light = shadows.trace(self._scene, trees, rays, skipping, "light", opaque=opaque)
+        return light.numpy()[: len(origins)].astype(float)
+
+    def _rays(
+        self, origins: np.ndarray, directions: np.ndarray, t_min: Any, t_max: Any, skips: Any
+    ) -> tuple[RayData, Any]:
+        count = max(len(origins), len(directions))
+        places = whole_packets(max(count, PACKET_RAYS))
+        rays = self._buffers.struct("test.rays", RayData, places)
+        skipping = self._buffers.get("test.skips", wp.int32, places)
+        rays.origin.assign(_padded(np.broadcast_to(origins, (count, 3)), places))
+        rays.direction.assign(_padded(np.broadcast_to(directions, (count, 3)), places))
+        rays.t_min.assign(_padded(np.broadcast_to(t_min, count), places))
+        # What is not used is no ray.
+        rays.t_max.assign(_padded(np.broadcast_to(t_max, count), places, fill=-np.inf))
+        rays.travelled.zero_()
+        rays.stream.zero_()
+        skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(np.int32))
+        return rays, skipping
+
+
+def _padded(rows: np.ndarray, count: int, fill: float = 0.0) -> np.ndarray:
+    padded = np.full((count, *rows.shape[1:]), fill, np.float32)
+    padded[: len(rows)] = rows
+    return padded

@@ -1,0 +1,274 @@
+"""The deep shadow map's float64 twin against quadrature and geometry: what it takes for the truth must be true."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from lumisplat.config import Absorption, AtlasLayout
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import SplatInstance
+from support.oracles import deep_shadow_oracle as oracle
+from support.oracles.raster_oracle import rotation_from_quaternion
+from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
+
+LIGHT = np.array([0.1, -0.2, 0.3])
+
+coordinate = st.floats(-1.0, 1.0, allow_subnormal=False)
+vectors = st.tuples(coordinate, coordinate, coordinate).filter(lambda v: np.linalg.norm(v) > 1e-3)
+
+
+def by_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray, t: float) -> float:
+    """Optical depth in `Absorption.SIMPLE`, from equations 1 and 2 and nothing else."""
+    total = 0.0
+    axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(float))
+    rows = (gaussians.means.astype(float), axes, gaussians.scales.astype(float), gaussians.opacities.astype(float))
+    for mean, frame, scales, opacity in zip(*rows, strict=True):
+        precision = frame @ np.diag(scales**-2.0) @ frame.T
+        beta = -math.log(1.0 - min(opacity, 0.99))
+
+        def density(s: float, mean=mean, precision=precision) -> float:
+            offset = origin + s * direction - mean
+            return math.exp(-0.5 * offset @ precision @ offset)
+
+        a = direction @ precision @ direction
+        peak = direction @ precision @ (mean - origin) / a
+        breaks = [s for s in peak + np.arange(-8.0, 9.0, 2.0) / math.sqrt(a) if 0.0 < s < t]
+        value, _ = quad(density, 0.0, t, points=breaks or None, epsabs=1e-15, epsrel=1e-11, limit=200)
+        total += beta * value
+    return total
+
+
+def assert_as_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray, t: float) -> None:
+    """The twin's optical depth is that of the quadrature."""
+    field = oracle.absorbers(gaussians, Absorption.SIMPLE)
+    expected = by_quadrature(gaussians, origin, direction, t)
+    assert oracle.optical_depth(field, origin, direction, np.asarray(t)) == pytest.approx(expected, rel=1e-8, abs=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_optical_depth_is_the_integral_of_the_absorption(seed):
+    """Random anisotropic Gaussians, from before, within and behind them."""
+    rng = np.random.default_rng(seed)
+    gaussians = random_gaussians(seed, 6, scale_range=(0.01, 1.0))
+    for t in (0.5, 3.5, 4.0, 9.0):
+        aim = gaussians.means[rng.integers(6)] + rng.normal(0.0, 0.1, 3)
+        assert_as_quadrature(gaussians, LIGHT, (aim - LIGHT) / np.linalg.norm(aim - LIGHT), t)
+
+
+@pytest.mark.parametrize(
+    ("mean", "scale", "aim"),
+    [
+        ((0.1, -0.2, 0.3), 0.2, (0.3, 0.1, 4.0)),  # The light in the centre.
+        ((0.2, -0.2, 0.2), (0.3, 0.1, 0.5), (0.3, 0.1, 4.0)),  # The light inside, off the centre.
+        ((0.1, -0.2, 4.3), (0.5, 0.5, 1e-4), (0.1, -0.2, 4.3)),  # A thin disc, face on,
+        ((0.1, -0.2, 4.3), (1e-4, 0.5, 0.5), (0.1, -0.2, 4.3)),  # and edge on.
+        ((0.1, -0.2, 4.3), (0.02, 0.02, 2.0), (0.11, -0.2, 4.3)),  # A needle, nearly along it.
+        ((50.0, 80.0, 400.0), (0.01, 2.0, 0.3), (50.005, 80.5, 400.0)),  # Far.
+        ((0.0, 0.0, 4.0), 0.1, (0.55, 0.0, 4.0)),  # Grazing, five scales off.
+        ((0.1, -0.2, -0.3), 0.3, (0.1, -0.2, 4.0)),  # Behind the light, which is still in its tail.
+    ],
+)
+def test_the_hard_cases_are_the_integral_too(mean, scale, aim):
+    """Where float cancels: within, thin, far, grazing, behind; before, at and past the centre."""
+    gaussian = one_gaussian(mean, scale, 0.9, rotation=(0.9999, 0.004, -0.003, 0.002))
+    direction = (np.array(aim) - LIGHT) / np.linalg.norm(np.array(aim) - LIGHT)
+    distance = np.linalg.norm(np.array(mean) - LIGHT)
+    for t in (0.3, distance, distance + 0.05, 1000.0):
+        assert_as_quadrature(gaussian, LIGHT, direction, max(float(t), 1e-3))
+
+
+def test_a_gaussian_at_a_distance_is_seen_by_its_opacity():
+    """`avg` of an isotropic Gaussian, crossed through its centre: the whole depth is that of its opacity."""
+    for scale in (0.01, 0.2):
+        field = oracle.absorbers(one_gaussian((0.0, 0.0, 4.0), scale, 0.7))
+        depth = oracle.optical_depth(field, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.asarray(9.0))
+        assert math.exp(-depth) == pytest.approx(1.0 - 0.7, abs=1e-6)
+        half = oracle.transmittance(field, np.zeros(3), np.array([0.0, 0.0, 4.0]))
+        assert half == pytest.approx(math.sqrt(1.0 - 0.7), abs=1e-6)
+
+
+def test_mappings_differ_by_their_formulas():
+    """Section 4.4 B, by hand, for scales 1, 2 and 4; opacity 1 counts as the largest alpha, kappa as a factor."""
+    opacity, scales = np.array([1.0 - math.exp(-2.0)]), np.array([[1.0, 2.0, 4.0]])
+    mean_precision = (1.0 + 1.0 / 4.0 + 1.0 / 16.0) / 3.0
+    mass = 2.0 / ((2.0 * math.pi) ** 1.5 * 8.0)
+    expected = {
+        Absorption.SIMPLE: 2.0,
+        Absorption.AVERAGE: 2.0 * math.sqrt(mean_precision / (2.0 * math.pi)),
+        Absorption.MASS: mass,
+        Absorption.DIAGONAL: mass,
+    }
+    for absorption, value in expected.items():
+        assert oracle.amplitude(opacity, scales, absorption) == pytest.approx(value, rel=1e-12)
+    assert oracle.amplitude(np.ones(1), scales, Absorption.SIMPLE) == pytest.approx(math.log(100.0))
+    one, two = (oracle.absorbers(one_gaussian(), strength=strength).beta for strength in (1.0, 2.0))
+    assert two == pytest.approx(2.0 * one)
+
+
+@given(st.floats(-40.0, 40.0), st.floats(0.01, 80.0))
+def test_erf_differences_keep_their_digits(low, width):
+    """Positive and additive, however far out: the tail's own asymptotic series bounds it."""
+    high = low + width
+    found = float(oracle.erf_difference(np.asarray(low), np.asarray(high)))
+    middle = 0.5 * (low + high)
+    parts = [oracle.erf_difference(np.asarray(a), np.asarray(b)) for a, b in ((low, middle), (middle, high))]
+    assert found == pytest.approx(float(sum(parts)), rel=1e-9, abs=1e-300)
+    assert 0.0 <= found <= 2.0
+    if 5.0 < low < 20.0 and width > 1.0:
+        tail = math.exp(-low * low) / (low * math.sqrt(math.pi))
+        assert tail * (1.0 - 0.5 / low**2) <= found * (1.0 + 1e-4)
+        assert found <= tail
+
+
+def test_placed_casters_absorb_where_they_are_placed():
+    """A rotated, scaled, moved instance under `avg` looks from its own place as the asset does from the light's."""
+    asset = random_gaussians(3, 5)
+    placed = SplatInstance(asset, similarity((1.0, 2.0, 0.5), 1.1, 0.7, (-0.4, 0.1, 4.0)))
+    points = np.array([[0.3, 0.2, 5.0], [-0.5, 0.4, 4.2]])
+    matrix = placed.transform
+    moved, light = (p @ matrix[:3, :3].T + matrix[:3, 3] for p in (points, LIGHT))
+    expected = oracle.transmittance(oracle.absorbers(asset), LIGHT, points)
+    assert oracle.transmittance(oracle.absorbers(placed), light, moved) == pytest.approx(expected, rel=1e-6)
+
+
+# --- Directions ---
+
+
+@given(vectors)
+def test_octahedral_places_decode_to_their_directions(vector):
+    """Round trip on all of the sphere, within the square."""
+    unit = np.array(vector) / np.linalg.norm(vector)
+    place = oracle.encode_octahedral(unit)
+    assert np.abs(place).max() <= 1.0 + 1e-12
+    assert oracle.decode_octahedral(place) == pytest.approx(unit, abs=1e-12)
+
+
+@given(coordinate, coordinate)
+def test_octahedral_directions_encode_to_their_places(u, v):
+    """The other way, away from the rim, where two places are one direction."""
+    place = 0.999 * np.array([u, v])
+    assert oracle.encode_octahedral(oracle.decode_octahedral(place)) == pytest.approx(place, abs=1e-12)
+
+
+@given(coordinate, st.sampled_from([-1.0, 1.0]), st.booleans())
+def test_the_rim_folds_onto_itself(along, side, vertical):
+    """Both halves of an edge of the square are the same directions: the map is continuous there."""
+    near, far = [side, along], [side, -along]
+    if vertical:
+        near, far = near[::-1], far[::-1]
+    assert oracle.decode_octahedral(np.array(near)) == pytest.approx(oracle.decode_octahedral(np.array(far)), abs=1e-12)
+
+
+@given(vectors, vectors)
+def test_the_fold_is_continuous(vector, turn):
+    """A small step on the sphere is a small step on the square, or over its rim to the mirrored place."""
+    unit = np.array(vector) / np.linalg.norm(vector)
+    other = unit + 1e-7 * np.array(turn)
+    a, b = oracle.encode_octahedral(unit), oracle.encode_octahedral(other)
+    mirrored = [b, b * [1.0, -1.0], b * [-1.0, 1.0], -b]
+    if unit[2] > 0.0 or np.abs(a).max() < 1.0 - 1e-5:
+        mirrored = [b]
+    assert min(np.abs(a - c).max() for c in mirrored) < 3e-6
+
+
+def test_texels_past_the_edge_are_neighbours_on_the_sphere():
+    """An edge of the square is an arc in the plane y = 0 or x = 0: the next texel is the mirror image of the last."""
+    size = 16
+    centers = oracle.decode_octahedral(oracle.texel_centers(size))
+    along = np.arange(size)
+    for inside, outside in ((0, -1), (size - 1, size)):
+        x, y = oracle.wrapped(np.full(size, outside), along, size)
+        assert centers[y, x] == pytest.approx(centers[along, inside] * [1.0, -1.0, 1.0])
+        x, y = oracle.wrapped(along, np.full(size, outside), size)
+        assert centers[y, x] == pytest.approx(centers[inside, along] * [-1.0, 1.0, 1.0])
+
+
+def test_texels_past_a_corner_are_at_the_pole():
+    """All four corners are -z: out over one, the opposite one comes."""
+    x, y = oracle.wrapped(np.array([-1, 8, -1, 8]), np.array([-1, -1, 8, 8]), 8)
+    assert list(zip(x, y, strict=True)) == [(7, 7), (0, 7), (7, 0), (0, 0)]
+
+
+@given(vectors)
+def test_cube_places_decode_to_their_directions(vector):
+    """Round trip over all faces."""
+    unit = np.array(vector) / np.linalg.norm(vector)
+    face, place = oracle.encode_cube(unit)
+    assert np.abs(place).max() <= 1.0
+    assert oracle.decode_cube(face, place) == pytest.approx(unit, abs=1e-12)
+
+
+# --- Tables ---
+
+
+@pytest.mark.parametrize("layout", list(AtlasLayout))
+def test_tables_hold_the_closed_form(layout):
+    """At texels' centres and bins' centres a lookup gives what is stored there, on all faces."""
+    light = np.array([0.0, 0.0, 3.0])
+    field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.2, 0.8)))
+    size, bins, t_max = 8, 6, 3.0
+    table = oracle.tabulate(field, light, layout, size, bins, t_max)
+    places = oracle.texel_centers(size)
+    faces = [oracle.decode_octahedral(places)]
+    if layout is AtlasLayout.CUBEMAP:
+        faces = [oracle.decode_cube(np.full((size, size), face), places) for face in range(6)]
+    points = light + np.stack(faces)[..., None, :] * oracle.bin_centers(bins, t_max)[:, None]
+    assert oracle.look_up(table, points.reshape(-1, 3)) == pytest.approx(table.values.ravel(), abs=1e-9)
+    assert table.values.ravel() == pytest.approx(oracle.transmittance(field, light, points).ravel(), abs=1e-12)
+
+
+@pytest.mark.parametrize("layout", list(AtlasLayout))
+def test_lookups_converge_with_the_table(layout):
+    """Twice as fine in all directions: errors fall to a quarter, a third allowed, on all of the sphere."""
+    rng = np.random.default_rng(1)
+    light = np.array([0.0, 0.0, 3.5])
+    field = oracle.absorbers(random_gaussians(5, 4, scale_range=(0.4, 0.8)))
+    points = light + rng.normal(0.0, 1.0, (400, 3))
+    exact = oracle.transmittance(field, light, points)
+    errors = []
+    for size in (12, 24, 48):
+        table = oracle.tabulate(field, light, layout, size, size, 5.0)
+        errors.append(np.abs(oracle.look_up(table, points) - exact).mean())
+    # A cube's faces end half a texel before their edges, where lookups are of first order.
+    limit = 0.34 if layout is AtlasLayout.OCTAHEDRAL else 0.45
+    assert errors[1] < limit * errors[0]
+    assert errors[2] < limit * errors[1]
+
+
+def test_depth_is_one_at_the_light_and_stays_behind_the_last_bin():
+    """Half a bin before the first centre T is 1; past the last centre nothing changes any more."""
+    field = oracle.absorbers(one_gaussian((0.0, 0.0, 0.0), 0.5, 0.9))
+    table = oracle.tabulate(field, np.zeros(3), AtlasLayout.OCTAHEDRAL, 8, 4, 2.0)
+    away = oracle.decode_octahedral(oracle.texel_centers(8)[2, 5])
+    at = oracle.look_up(table, np.outer([1e-9, 0.25, 1.75, 1.9, 50.0], away))
+    first, last = table.values[0, 2, 5, 0], table.values[0, 2, 5, -1]
+    assert at == pytest.approx([0.5 * (1.0 + first), first, last, last, last], abs=1e-8)
+
+
+# --- Footprints ---
+
+
+def test_the_stencil_sits_on_the_axes():
+    """A turned receiver's 7 points: the mean, and one scale both ways along its own axes; weights are responses."""
+    half = math.sqrt(0.5)
+    receiver = one_gaussian((1.0, 2.0, 3.0), (0.1, 0.2, 0.4), rotation=(half, 0.0, 0.0, half))  # x to y, y to -x.
+    points = oracle.footprint_points(receiver, oracle.STENCIL)[0] - [1.0, 2.0, 3.0]
+    expected = [[0, 0, 0], [0, 0.1, 0], [-0.2, 0, 0], [0, 0, 0.4], [0, -0.1, 0], [0.2, 0, 0], [0, 0, -0.4]]
+    assert points == pytest.approx(np.array(expected), abs=1e-6)
+    weights = oracle.stencil_weights()
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights[1:] / weights[0] == pytest.approx(math.exp(-0.5))
+
+
+def test_casters_come_in_any_number():
+    """Several sets absorb as one of all, and an instance without a placement as its set."""
+    parts = [one_gaussian((0.0, 0.0, 3.0)), one_gaussian((0.1, 0.0, 4.0), (0.1, 0.3, 0.2))]
+    point = np.array([0.05, 0.0, 6.0])
+    whole = oracle.transmittance(oracle.absorbers(joined(*parts)), LIGHT, point)
+    assert oracle.transmittance(oracle.absorbers([parts[0], SplatInstance(parts[1])]), LIGHT, point) == whole

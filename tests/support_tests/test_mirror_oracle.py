@@ -1,0 +1,263 @@
+"""The twin's triangles, mirrors and glass against mathematics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lumisplat.config import HitDistance, TraceStrategy
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene
+from support.oracles import raster_oracle as oracles
+from support.oracles import trace_oracle
+from support.oracles.mirror_oracle import MeshHit, Ray, Triangles, fresnel, nearest, refracted, schlick, triangles_of
+from support.oracles.trace_oracle import Traced, trace_one
+from support.scenes.raster_scenes import one_gaussian, quad, random_gaussians, similarity
+from support.scenes.trace_scenes import AXIS, GLASS, MIRROR, ball, random_ray, slab, trace_config
+
+
+def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: object) -> Traced:
+    """What a ray shows before a grey background; ``settings`` are those of ``trace_config``."""
+    return trace_one(scene, ray, trace_config((background,) * 3, **settings))  # type: ignore[arg-type]
+
+
+def test_nearest_triangle() -> None:
+    """The nearest of all instances, with its distance and barycentric weights, from either side."""
+    rng = np.random.default_rng(0)
+    meshes = [MeshInstance(quad(0.0), similarity(tuple(rng.normal(size=3)), i, 0.8, (0, 0, 3.0 + i))) for i in range(4)]
+    triangles = triangles_of(Scene([], meshes))
+    met = 0
+    for _ in range(200):
+        ray = random_ray(rng)
+        hit = nearest(triangles, ray)
+        distances = []
+        for a, b, c in triangles.corners:
+            matrix = np.stack([-ray.direction, b - a, c - a], axis=1)
+            t, u, v = np.linalg.solve(matrix, ray.origin - a)
+            if min(u, v, 1.0 - u - v) >= 0.0 and t > 0.0:
+                distances.append(t)
+        assert hit.t == pytest.approx(min(distances, default=np.inf), rel=1e-9)
+        if distances:
+            met += 1
+            np.testing.assert_allclose(hit.weights @ triangles.corners[hit.triangle], ray.at(hit.t), atol=1e-9)
+    assert met > 20
+
+
+def test_mesh_ends_the_ray() -> None:
+    """Gaussians count that peak before the mesh, also where they are hit before it."""
+    scene = Scene([one_gaussian((0.0, 0.0, 4.0), 0.2, 0.2), one_gaussian((0.0, 0.0, 5.0), 0.4, 0.2)], [quad(4.5)])
+    color = encode_srgb(np.full(3, 0.8))
+    one = traced(scene)
+    assert one.color == pytest.approx(0.2 * np.array([0.9, 0.5, 0.1]) + 0.8 * color, abs=1e-6)
+    assert (one.alpha, one.instance_index, one.gaussian_index) == (1.0, 2, -1)
+    assert one.depth == pytest.approx(4.5)
+    assert one.normal == pytest.approx([0.0, 0.0, -1.0])
+    hull = traced(scene, hit_distance=HitDistance.HULL)
+    assert hull.color == pytest.approx(one.color)
+    assert (hull.alpha, hull.instance_index, hull.depth) == (1.0, 2, pytest.approx(4.5))
+
+
+def test_fresnel_by_hand() -> None:
+    """Head on ((n - 1) / (n + 1))^2, half the s part at Brewster's angle, all of it at grazing and beyond critical."""
+    assert fresnel(1.0, 1.0 / 1.5)[0] == pytest.approx(0.04)
+    assert fresnel(1.0, 1.5)[0] == pytest.approx(0.04)
+    brewster = np.arctan(1.5)
+    assert fresnel(np.cos(brewster), 1.0 / 1.5)[0] == pytest.approx(0.5 * np.cos(2.0 * brewster) ** 2)
+    assert fresnel(1e-9, 1.0 / 1.5)[0] == pytest.approx(1.0, abs=1e-6)
+    critical = np.arcsin(1.0 / 1.5)
+    assert fresnel(np.cos(critical + 1e-6), 1.5) == (1.0, 0.0)
+    assert fresnel(np.cos(critical - 1e-6), 1.5)[0] < 1.0
+    assert fresnel(0.6, 1.0) == (pytest.approx(0.0), pytest.approx(0.6))
+    assert schlick(np.array([0.3, 0.6, 1.0]), 1.0) == pytest.approx([0.3, 0.6, 1.0])
+    assert schlick(np.array([0.3, 0.6, 1.0]), 0.0) == pytest.approx([1.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
+def test_snell(angle: float) -> None:
+    """Sines go as the indices, and the ray stays in the plane of incidence."""
+    direction, normal = np.array([np.sin(angle), 0.0, np.cos(angle)]), np.array([0.0, 0.0, -1.0])
+    through = refracted(direction, normal, 1.0 / 1.5, fresnel(np.cos(angle), 1.0 / 1.5)[1])
+    assert through == pytest.approx([np.sin(angle) / 1.5, 0.0, np.sqrt(1.0 - (np.sin(angle) / 1.5) ** 2)])
+
+
+def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: object) -> list[Ray]:
+    """All rays that a ray becomes, in the order in which they are followed."""
+    rays: list[Ray] = []
+
+    def watch(triangles: Triangles, ray: Ray) -> MeshHit:
+        rays.append(ray)
+        return nearest(triangles, ray)
+
+    monkeypatch.setattr(trace_oracle, "nearest", watch)
+    traced(scene, ray, **changes)  # type: ignore[arg-type]
+    return rays
+
+
+@pytest.mark.parametrize("angle", [0.2, 0.9])
+def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What leaves a slab is parallel to what came, d sin(a) (1 - cos a / (n cos b)) to the side."""
+    ray = Ray(np.zeros(3), np.array([np.sin(angle), 0.0, np.cos(angle)]))
+    rays = watched(Scene([], [slab(4.0, 0.5, GLASS)]), ray, monkeypatch)
+    out = [one for one in rays if one.origin[2] > 4.4 and one.direction[2] > 0.0]
+    cosine = np.sqrt(1.0 - (np.sin(angle) / 1.5) ** 2)
+    shift = 0.5 * np.sin(angle) * (1.0 - np.cos(angle) / (1.5 * cosine))
+    assert out[0].direction == pytest.approx(ray.direction)
+    assert np.linalg.norm(np.cross(out[0].origin, out[0].direction)) == pytest.approx(shift)
+    assert out[0].travelled == pytest.approx(4.0 / np.cos(angle) + 0.5 / cosine)
+
+
+@pytest.mark.parametrize("height", [0.2, 0.6, 0.9])
+def test_sphere_turns_the_ray(height: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ray through a glass ball is turned by 2 (a - b), with sin a = height / radius and sin b = sin a / n."""
+    scene = Scene([], [ball(GLASS, detail=5)])
+    rays = watched(scene, Ray(np.array([height, 0.01, 0.0]), AXIS.direction), monkeypatch)
+    out = rays[np.argmax([one.origin[2] * (one.direction[2] > 0.0) for one in rays])]
+    a = np.arcsin(np.hypot(height, 0.01))
+    turned = 2.0 * (a - np.arcsin(np.sin(a) / 1.5))
+    assert np.arccos(out.direction[2]) == pytest.approx(turned, abs=5e-3)
+    assert out.direction[0] < 0.0
+
+
+def test_total_reflection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From inside glass beyond the critical angle (41.8 degrees) nothing gets out, and nothing is lost."""
+    scene = Scene([], [slab(4.0, 0.5, replace(GLASS, specular=0.0))])
+    for angle, count in ((0.71, 2), (0.75, 2)):
+        ray = Ray(np.array([0.0, 0.0, 4.2]), np.array([np.sin(angle), 0.0, np.cos(angle)]))
+        rays = watched(scene, ray, monkeypatch, bounces=1)
+        assert len(rays) == count
+        assert (rays[1].direction[2] > 0.0) == (angle < np.arcsin(1.0 / 1.5))
+        assert traced(scene, ray, background=0.6, bounces=1).color == pytest.approx([0.6] * 3)
+
+
+def test_mirror_shows_the_mirrored_view() -> None:
+    """A mirror at 45 degrees shows what an eye behind it would see, colours by direction included."""
+    half = 9.0
+    tilted = Mesh(
+        np.array(
+            [[-half, -half, 4.0 - half], [half, -half, 4.0 + half], [half, half, 4.0 + half], [-half, half, 4.0 - half]]
+        ),
+        np.array([[0, 2, 1], [0, 3, 2]]),
+        material=MIRROR,
+    )
+    splats = random_gaussians(9, 200, degree=3, center=(4.0, 0.0, 4.0))
+    rng = np.random.default_rng(4)
+    normal = np.array([1.0, 0.0, -1.0]) / np.sqrt(2.0)
+    flip = np.eye(3) - 2.0 * np.outer(normal, normal)
+    centre = np.array([0.0, 0.0, 4.0])
+    seen = 0
+    for _ in range(20):
+        direction = oracles.normalized(np.array([0.3, 0.3, 4.0]) * rng.uniform(-1.0, 1.0, 3) * [1, 1, 0] + [0, 0, 4])
+        ray = Ray(np.zeros(3), direction)
+        distance = nearest(triangles_of(Scene([], [tilted])), ray).t
+        behind = Ray(flip @ -centre + centre, flip @ direction, t_min=distance)
+        expected = traced(Scene([splats]), behind, background=0.2)
+        actual = traced(Scene([splats], [tilted]), ray, background=0.2)
+        np.testing.assert_allclose(actual.color, expected.color, atol=1e-9)
+        assert (actual.alpha, actual.instance_index) == (1.0, 1)
+        assert actual.depth == pytest.approx(distance)
+        seen += expected.alpha > 0.1
+    assert seen > 10
+
+
+def test_tints() -> None:
+    """Metals reflect in their colour, glass lets through in its own, the rest of a dielectric is flat: all encoded."""
+    base = np.array([0.2, 0.5, 0.8])
+    metal = replace(MIRROR, base_color=tuple(base))
+    assert traced(Scene([], [quad(4.0, material=metal)]), background=0.5).color == pytest.approx(
+        0.5 * encode_srgb(base)
+    )
+    glass = replace(GLASS, base_color=tuple(base), transmission=0.7)
+    expected = 0.04 * 0.5 + 0.96 * (0.7 * 0.5 + 0.3) * encode_srgb(base)
+    assert traced(Scene([], [quad(4.0, material=glass)]), background=0.5).color == pytest.approx(expected)
+    half = replace(metal, metallic=0.5, specular=0.5)
+    expected = 0.5 * 0.5 * encode_srgb(base) + 0.5 * (0.02 * 0.5 + 0.98 * encode_srgb(base))
+    assert traced(Scene([], [quad(4.0, material=half)]), background=0.5).color == pytest.approx(expected)
+    rough = replace(metal, roughness=0.1)
+    assert traced(Scene([], [quad(4.0, material=rough)]), background=0.5).color == pytest.approx(encode_srgb(base))
+
+
+def test_bounces_end_in_the_background() -> None:
+    """Between two mirrors each bounce is one of ``max_bounces``; the last mirror shows the background."""
+    mirror = quad(4.0, 2.0, material=MIRROR)
+    scene = Scene([], [mirror, MeshInstance(mirror, similarity(offset=(0.0, 0.0, -8.0)))])
+    assert traced(Scene([], [mirror]), background=0.5).color == pytest.approx([0.5] * 3)
+    assert traced(Scene([], [mirror]), background=0.5, bounces=0).color == pytest.approx([0.5] * 3)
+    red = MeshInstance(
+        quad(4.0, 2.0, material=replace(MIRROR, roughness=1.0, metallic=0.0, base_color=(1.0, 0.0, 0.0)))
+    )
+    behind = Scene([], [mirror, replace(red, world_from_object=similarity(offset=(0.0, 0.0, -8.0)))])
+    for bounces, seen in ((0, (0.5, 0.5, 0.5)), (1, (1.0, 0.0, 0.0))):
+        assert traced(behind, background=0.5, bounces=bounces).color == pytest.approx(seen)
+    out = Ray(np.zeros(3), oracles.normalized(np.array([0.6, 0.0, 5.0])))
+    for bounces in (1, 2, 5):  # It leaves sideways after two.
+        assert traced(scene, out, background=0.5, bounces=bounces).color == pytest.approx([0.5] * 3)
+
+
+@pytest.mark.parametrize("material", [MIRROR, GLASS, replace(GLASS, metallic=0.3, specular=0.4, ior=2.0)])
+def test_furnace_with_a_ball(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A white mirror, or clear glass, in a uniform world cannot be seen: energy is neither lost nor made."""
+    monkeypatch.setattr(trace_oracle, "BOUNCE_WEIGHT_MIN", 1e-9)
+    scene = Scene([], [ball(material)])
+    rng = np.random.default_rng(0)
+    met = 0
+    for _ in range(12):
+        one = traced(
+            scene, Ray(np.array([*rng.uniform(-0.6, 0.6, 2), 0.0]), AXIS.direction), background=0.6, bounces=24
+        )
+        assert one.color == pytest.approx([0.6] * 3, abs=2e-4)
+        met += one.alpha == 1.0
+    assert met == 12
+
+
+def test_placement_may_mirror(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Glass keeps its inside where an instance turns its triangles over."""
+    ray = Ray(np.zeros(3), oracles.normalized(np.array([0.3, 0.1, 1.0])))
+    plain = slab(4.0, 0.5, GLASS)
+    flipped = MeshInstance(plain, similarity(offset=(0.0, 0.0, 8.5)) @ np.diag([1.0, 1.0, -1.0, 1.0]))
+    expected = watched(Scene([], [plain]), ray, monkeypatch)
+    actual = watched(Scene([], [flipped]), ray, monkeypatch)
+    assert len(actual) == len(expected) > 3
+    for one, other in zip(actual, expected, strict=True):
+        assert one.direction == pytest.approx(other.direction)
+        assert one.origin == pytest.approx(other.origin)
+
+
+@pytest.mark.parametrize("material", [MIRROR, GLASS])
+def test_shading_normals_send_no_ray_astray(material: MaterialPbr, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the shading normal would mirror a ray into the surface, the triangle's own normal is used."""
+    steep = np.tile(oracles.normalized(np.array([1.0, 0.0, -0.3])), (4, 1))
+    for normals, expected in ((steep, [0.0, 0.0, -1.0]), (-steep, [0.0, 0.0, -1.0]), (None, [0.0, 0.0, -1.0])):
+        mesh = replace(quad(4.0, material=material), normals=normals)
+        assert watched(Scene([], [mesh]), AXIS, monkeypatch)[1].direction == pytest.approx(expected)
+    gentle = np.tile(oracles.normalized(np.array([0.2, 0.0, -1.0])), (4, 1))
+    mirrored = watched(Scene([], [replace(quad(4.0, material=material), normals=gentle)]), AXIS, monkeypatch)[1]
+    assert mirrored.direction == pytest.approx(np.array([0.4, 0.0, -0.96]) / 1.04)
+
+
+def test_variance_behind_a_mirror() -> None:
+    """Three outcomes - a Gaussian before the mirror, one in it, the world - have the variance of any three numbers."""
+    before = one_gaussian((0.0, 0.0, 2.0), opacity=0.3)
+    dark = one_gaussian((0.0, 0.0, -2.0), opacity=0.6, color=(0.2, 0.3, 0.4))
+    # The mirrored ray meets the first Gaussian again, as it would any other.
+    grey = replace(MIRROR, base_color=(0.5, 0.5, 0.5))
+    scene = Scene([before, dark], [quad(4.0, 2.0, material=grey)])
+    chance = np.array([0.3, 0.7 * 0.3, 0.49 * 0.6, 0.49 * 0.4])
+    values = np.array([[0.9, 0.5, 0.1], [0.9, 0.5, 0.1], [0.2, 0.3, 0.4], [0.8, 0.8, 0.8]])
+    values[1:] *= encode_srgb(np.full(3, 0.5))
+    one = traced(scene, background=0.8, strategy=TraceStrategy.STOCHASTIC_HIT)
+    assert one.color == pytest.approx(chance @ values, rel=1e-6)
+    assert one.color_variance == pytest.approx(chance @ values**2 - (chance @ values) ** 2, rel=1e-5)
+    assert one.alpha == 1.0
+
+
+def test_grazing_rays_are_in_doubt() -> None:
+    """Which side of a mirror a ray comes from is not for float32 to say where it lies in its plane."""
+    scene = Scene([], [quad(4.0, material=MIRROR)])
+    for slope, slack in ((1e-5, np.inf), (1e-2, 0.0)):
+        ray = Ray(np.array([-1.5, 0.1, 4.0 - slope]), oracles.normalized(np.array([1.0, 0.0, slope])))
+        assert traced(scene, ray).alpha == 1.0
+        assert traced(scene, ray).slack == slack
