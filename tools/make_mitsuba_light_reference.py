@@ -1,8 +1,8 @@
 """Writes tests/reference/mitsuba_light_*.npz: lit meshes as Mitsuba's path tracer shows them.
 
 Only light that comes to a surface straight from a light: its integrator ``path`` of depth 2, on the scenes of
-tests/support/scenes/light_scenes.py. Its own materials carry rays over mirrors and through glass, every way that there is. Its shadow
-rays end at glass, where ours go on: pixels that this bears on are marked as not compared.
+tests/support/scenes/light_scenes.py. Its own materials carry rays over mirrors and through glass, every way that there
+is. Its shadow rays end at glass, where ours go on: pixels that this bears on are marked as not compared.
 
 Rays go through the centres of pixels where nothing is random; elsewhere pixels are means over their area. Needs the
 extra ``bench`` and no LLVM; a quarter of an hour on two cores::

@@ -337,7 +337,7 @@ OUTSIDE_CONNECTED = 0.25
 OUTSIDE_CONTRAST = 0.1
 """One side is outside where its share is larger than the other's by this: two or three of 26 directions."""
 
-# --- Gaussians from meshes (scene/sampling/mesh_sampling.py); lengths in spacings, the square root of the area a Gaussian has ---
+# --- Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has ---
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
 """Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.math.random import branch_stream, draw, stream_of
+from lumisplat.device.math.random import branch_key, draw, sample_key_of
 from lumisplat.device.structs.rays import LensData, Ray
 
 wp.set_module_options({"enable_backward": False})
@@ -15,16 +15,16 @@ def probe_random(
     samples: wp.array(dtype=int),
     seeds: wp.array(dtype=wp.uint32),
     dimensions: wp.array(dtype=wp.uint32),
-    streams: wp.array(dtype=wp.uint32),
+    sample_keys: wp.array(dtype=wp.uint32),
     branches: wp.array(dtype=wp.uint32),
     draws: wp.array(dtype=float),
 ):
     """Streams, the streams of their second branch, and draws."""
     i = wp.tid()
-    stream = stream_of(pixels[i], samples[i], seeds[i])
-    streams[i] = stream
-    branches[i] = branch_stream(stream, 1)
-    draws[i] = draw(stream, dimensions[i])
+    sample_key = sample_key_of(pixels[i], samples[i], seeds[i])
+    sample_keys[i] = sample_key
+    branches[i] = branch_key(sample_key, 1)
+    draws[i] = draw(sample_key, dimensions[i])
 
 
 @wp.kernel

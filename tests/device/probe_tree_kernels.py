@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.bvh.node_test import enter_children
-from lumisplat.device.bvh.ray_packet import bundle_of
+from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.particle import (
     alpha_of_degree,
     ellipsoid_normal,
@@ -11,14 +11,14 @@ from lumisplat.device.gaussian.particle import (
     particle_of,
     reach_squared,
 )
-from lumisplat.device.structs.bvh import Box, Children, KernelData, Node, Particle, Slabs, TreeInstance
+from lumisplat.device.structs.bvh import Box, BvhInstance, Children, KernelData, Node, Particle, Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 LANES = 16
-Floats, _, gather, slabs_of, *_ = bundle_of(LANES)
+Floats, _, gather, slabs_of, *_ = packet_of(LANES)
 
 
 @wp.kernel
@@ -56,7 +56,7 @@ def probe_particles(
 def probe_bundles(
     rays: RayData,
     limits: wp.array(dtype=Floats),
-    instances: wp.array(dtype=TreeInstance),
+    instances: wp.array(dtype=BvhInstance),
     nodes: wp.array(dtype=Node),
     begins: wp.array(dtype=float),
     origins: wp.array(dtype=wp.vec3),

@@ -25,16 +25,16 @@ ACROSS = np.cross(NORMAL, ALONG)
 
 
 def pbr(
-    width: float, diffuse: float = 0.8, specular: float = 0.04, grazing: float = 1.0, tint: bool = False
+    alpha: float, diffuse: float = 0.8, specular: float = 0.04, grazing: float = 1.0, tint: bool = False
 ) -> Material:
-    """Metallic-roughness, by the width of its highlight."""
+    """Metallic-roughness, by the alpha of its GGX distribution."""
     channels = np.array([1.0, 0.6, 0.3]) if tint else np.ones(3)
     return {
         "model": "pbr",
         "diffuse": diffuse * channels,
         "specular": specular * channels,
         "grazing": grazing,
-        "width": width,
+        "alpha": alpha,
         "shininess": 0.0,
     }
 
@@ -48,7 +48,7 @@ def rows(material: Material, count: int) -> npt.NDArray[Any]:
     """The material as kernels read it, ``count`` times."""
     table = np.zeros(count, dtype=np.dtype(Bsdf.numpy_dtype()))  # type: ignore[attr-defined]
     table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
-    for name in ("diffuse", "specular", "grazing", "width", "shininess"):
+    for name in ("diffuse", "specular", "grazing", "alpha", "shininess"):
         table[name] = material[name]
     return table
 
@@ -89,7 +89,7 @@ def direction(cos: npt.ArrayLike, turn: npt.ArrayLike) -> Array:
     return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(turn) * ALONG + np.sin(turn) * ACROSS)
 
 
-def pairs(count: int, width: float, seed: int) -> tuple[Array, Array, Array]:
+def pairs(count: int, alpha: float, seed: int) -> tuple[Array, Array, Array]:
     """Normals, views and lights of every kind: anywhere, grazing, in and near the highlight, straight on, equal."""
     rng = np.random.default_rng(seed)
     normals = unit(rng.normal(size=(count, 3)))
@@ -99,7 +99,7 @@ def pairs(count: int, width: float, seed: int) -> tuple[Array, Array, Array]:
         flat = unit(np.cross(normals, vectors))
         cos = 10.0 ** rng.uniform(-6.0, -1.0, count)[:, None]
         vectors[chosen] = unit(flat + cos * normals)[chosen]
-    near = unit(mirrored(normals, views) + width * rng.normal(size=(count, 3)))
+    near = unit(mirrored(normals, views) + alpha * rng.normal(size=(count, 3)))
     lights[kind == 3] = near[kind == 3]
     lights[kind == 4] = mirrored(normals, views)[kind == 4]
     lights[kind == 5] = views[kind == 5]
@@ -109,8 +109,8 @@ def pairs(count: int, width: float, seed: int) -> tuple[Array, Array, Array]:
 
 
 MATERIALS = [
-    *(pbr(width) for width in (0.0, 1e-30, 1e-6, 1e-4, 0.01, 0.09, 0.25, 0.6, 1.0)),
-    *(pbr(width, diffuse=0.0, specular=0.9, tint=True) for width in (1e-6, 0.01, 0.25, 1.0)),
+    *(pbr(alpha) for alpha in (0.0, 1e-30, 1e-6, 1e-4, 0.01, 0.09, 0.25, 0.6, 1.0)),
+    *(pbr(alpha, diffuse=0.0, specular=0.9, tint=True) for alpha in (1e-6, 0.01, 0.25, 1.0)),
     pbr(0.25, specular=0.0, grazing=0.0, tint=True),
     pbr(0.25, specular=0.3, grazing=0.5, tint=True),
     pbr(0.04, diffuse=0.0, specular=0.0),
@@ -129,7 +129,7 @@ MATERIALS = [
 def test_twin(number: int, device: str) -> None:
     """Values and densities are the books', as far as directions in float32 tell them."""
     material = MATERIALS[number]
-    normals, views, lights = pairs(3000, material["width"], number)
+    normals, views, lights = pairs(3000, material["alpha"], number)
     values, densities = on_device(material, normals, views, lights, device)
     expected = evaluate(material, normals, views, lights), density(material, normals, views, lights)
     spread = [np.zeros_like(part) for part in expected]
@@ -142,12 +142,12 @@ def test_twin(number: int, device: str) -> None:
         assert np.isfinite(found).all()
         bound = (2e-5 + 4e-7 * material["shininess"]) * wanted + 5.0 * rounding + 1e-9
         np.testing.assert_array_less(np.abs(found - wanted) / bound, 1.0)
-    if material["width"] > 1e-3:  # so that the comparison means something
+    if material["alpha"] > 1e-3:  # so that the comparison means something
         assert np.median((spread[0] / np.maximum(values, 1e-30))[values > 0.0]) < 1e-4
 
 
 def test_by_hand() -> None:
-    """Straight on: diffuse over pi; the GGX highlight F0 / (4 pi width^2); Phong's (n + 2) / (2 pi)."""
+    """Straight on: diffuse over pi; the GGX highlight F0 / (4 pi alpha^2); Phong's (n + 2) / (2 pi)."""
     straight = NORMAL[None]
     matte, _ = on_device(pbr(0.5, diffuse=0.6, specular=0.0, grazing=0.0), NORMAL, straight, straight)
     np.testing.assert_allclose(matte[0], 0.6 / math.pi, rtol=1e-6)
@@ -165,7 +165,7 @@ def test_by_hand() -> None:
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
 def test_reciprocity(number: int) -> None:
     """The same with view and light swapped."""
-    normals, views, lights = pairs(6000, MATERIALS[number]["width"], 7)
+    normals, views, lights = pairs(6000, MATERIALS[number]["alpha"], 7)
     there, _ = on_device(MATERIALS[number], normals, views, lights)
     back, _ = on_device(MATERIALS[number], normals, lights, views)
     np.testing.assert_allclose(there, back, rtol=1e-6, atol=0.0)
@@ -175,7 +175,7 @@ def test_reciprocity(number: int) -> None:
 def test_nothing_below_the_horizon(number: int) -> None:
     """Neither light nor view shines through, and no direction is picked there."""
     material = MATERIALS[number]
-    normals, views, lights = pairs(6000, material["width"], 8)
+    normals, views, lights = pairs(6000, material["alpha"], 8)
     values, densities = on_device(material, normals, views, lights)
     below = (np.sum(normals * views, axis=1) < -1e-6) | (np.sum(normals * lights, axis=1) < -1e-6)
     assert below.sum() > 1000
@@ -221,23 +221,23 @@ def reflected(material: Material, view: Array, steps: int = 96) -> float:
     cos, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
     lights = direction(cos, turn).reshape(-1, 3)
     values, _ = on_device(material, NORMAL, view[None], lights)
-    if material["width"] > 0.0:
+    if material["alpha"] > 0.0:
         values -= on_device(material | {"diffuse": np.zeros(3)}, NORMAL, view[None], lights)[0]
     return float((values[:, 1] * cos.ravel()).mean() * 2.0 * np.pi)
 
 
 def highlighted(material: Material, view: Array, steps: int = 96) -> float:
     """The same of a GGX highlight alone, by quadrature over the microfacets, however narrow."""
-    width = material["width"]
+    alpha = material["alpha"]
     centers = (np.arange(steps) + 0.5) / steps
     share, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
-    theta = np.arctan(width * np.sqrt(share / (1.0 - share)))
+    theta = np.arctan(alpha * np.sqrt(share / (1.0 - share)))
     half = direction(np.cos(theta), turn).reshape(-1, 3)
     to_half = half @ view
     lights = 2.0 * to_half[:, None] * half - view
     values, _ = on_device(material, NORMAL, view[None], lights)
     # As many square radians of light as the facets have times 4 cos; facets are spread with density D cos.
-    spread = ggx(theta.ravel(), width) * np.cos(theta.ravel())
+    spread = ggx(theta.ravel(), alpha) * np.cos(theta.ravel())
     shone = values[:, 1] * np.maximum(lights @ NORMAL, 0.0) * 4.0 * np.maximum(to_half, 0.0) / spread
     return float(shone.mean())
 
@@ -245,14 +245,14 @@ def highlighted(material: Material, view: Array, steps: int = 96) -> float:
 COSINES = (1.0, 0.9, 0.62, 0.4, 0.2, 0.1, 0.05)
 
 
-@pytest.mark.parametrize("width", [0.004, 0.01, 0.03, 0.09, 0.14, 0.25, 0.5, 1.0])
-def test_white_furnace(width: float) -> None:
+@pytest.mark.parametrize("alpha", [0.004, 0.01, 0.03, 0.09, 0.14, 0.25, 0.5, 1.0])
+def test_white_furnace(alpha: float) -> None:
     """No view gets more than there is, whatever the reflectances, and of common ones no view much less."""
     for specular, grazing in ((0.0, 1.0), (0.04, 1.0), (0.2, 1.0), (0.7, 1.0), (0.25, 0.25), (0.04, 0.5)):
         for cos in COSINES:
             view = direction(cos, 0.3)
-            total = highlighted(pbr(width, 0.0, specular, grazing), view)
-            total += reflected(pbr(width, 1.0, specular, grazing), view)
+            total = highlighted(pbr(alpha, 0.0, specular, grazing), view)
+            total += reflected(pbr(alpha, 1.0, specular, grazing), view)
             assert total <= 1.0003, (specular, grazing, cos)
             assert total >= (0.97 if specular <= 0.04 and cos >= 0.1 else 0.9), (specular, grazing, cos)
 
@@ -293,16 +293,16 @@ def test_simple_furnace(shininess: float) -> None:
 # --- Picked directions ---
 
 
-def bins(axis: Array, width: float, rings: int, sectors: int, fine: int) -> tuple[Array, Array]:
-    """Directions all around ``axis``, and the solid angle of each: closer together where a lobe of ``width`` is.
+def bins(axis: Array, alpha: float, rings: int, sectors: int, fine: int) -> tuple[Array, Array]:
+    """Directions all around ``axis``, and the solid angle of each: closer together where a lobe of ``alpha`` is.
 
     Shape (rings * sectors, fine^2, 3) and (rings * sectors, fine^2).
     """
     count = rings * fine
     s = ((np.arange(count) + 0.5) / count).reshape(rings, 1, fine, 1)
     turn = 2.0 * np.pi * ((np.arange(sectors * fine) + 0.5) / (sectors * fine)).reshape(1, sectors, 1, fine)
-    theta = 2.0 * np.arctan(width * s / (1.0 - s))
-    slope = 2.0 * width / ((1.0 - s) ** 2 + (width * s) ** 2)
+    theta = 2.0 * np.arctan(alpha * s / (1.0 - s))
+    slope = 2.0 * alpha / ((1.0 - s) ** 2 + (alpha * s) ** 2)
     size = np.sin(theta) * slope / count * 2.0 * np.pi / (sectors * fine) + 0.0 * turn
     first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
     second = np.cross(axis, first)
@@ -312,18 +312,18 @@ def bins(axis: Array, width: float, rings: int, sectors: int, fine: int) -> tupl
     return vectors.reshape(rings * sectors, fine * fine, 3), size.reshape(rings * sectors, fine * fine)
 
 
-def bin_of(directions: Array, axis: Array, width: float, rings: int, sectors: int) -> npt.NDArray[np.int64]:
+def bin_of(directions: Array, axis: Array, alpha: float, rings: int, sectors: int) -> npt.NDArray[np.int64]:
     """Which of the bins each direction falls into."""
     first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
     second = np.cross(axis, first)
     x, y, z = directions @ first, directions @ second, directions @ axis
-    tangent = np.tan(0.5 * np.arctan2(np.hypot(x, y), z)) / width
+    tangent = np.tan(0.5 * np.arctan2(np.hypot(x, y), z)) / alpha
     ring = np.minimum((tangent / (1.0 + tangent) * rings).astype(np.int64), rings - 1)
     sector = np.minimum((np.arctan2(y, x) % (2.0 * np.pi) / (2.0 * np.pi) * sectors).astype(np.int64), sectors - 1)
     return ring * sectors + sector
 
 
-def compared(material: Material, said: Material, cos: float, width: float) -> float:
+def compared(material: Material, said: Material, cos: float, alpha: float) -> float:
     """How far directions picked for one material are from the density of another, standard deviations."""
     view = direction(cos, 2.0)
     axis = unit(mirrored(NORMAL, view))
@@ -331,10 +331,10 @@ def compared(material: Material, said: Material, cos: float, width: float) -> fl
     samples = picks(material, view, np.random.default_rng(5).random((count, 3), dtype=np.float32))
     kept = samples["density"] > 0.0
     assert (samples["direction"][kept] @ NORMAL > -1e-6).all()
-    vectors, size = bins(axis, width, rings, sectors, fine)
+    vectors, size = bins(axis, alpha, rings, sectors, fine)
     _, densities = on_device(said, NORMAL, view[None], vectors.reshape(-1, 3))
     expected = count * (densities.reshape(size.shape) * size).sum(axis=1)
-    found = bin_of(samples["direction"][kept].astype(np.float64), axis, width, rings, sectors)
+    found = bin_of(samples["direction"][kept].astype(np.float64), axis, alpha, rings, sectors)
     counts = np.bincount(found, minlength=rings * sectors).astype(np.float64)
     # What would have gone below the horizon is missing from the density.
     assert expected.sum() < 1.002 * count
@@ -354,13 +354,13 @@ def compared(material: Material, said: Material, cos: float, width: float) -> fl
         simple(300.0, diffuse=0.2),
         simple(40.0, diffuse=0.0),
     ],
-    ids=lambda m: f"{m['model']}-{m['width']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
+    ids=lambda m: f"{m['model']}-{m['alpha']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
 )
 def test_directions_are_as_dense_as_said(material: Material, cos: float) -> None:
     """Chi-square over the whole sphere, what falls below the horizon included."""
-    narrow = material["width"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
-    width = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
-    assert abs(compared(material, material, cos, width)) < LIMIT
+    narrow = material["alpha"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
+    alpha = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
+    assert abs(compared(material, material, cos, alpha)) < LIMIT
 
 
 def test_the_comparison_can_fail() -> None:

@@ -11,7 +11,7 @@ import warp as wp
 
 from lumisplat.device.math import random
 from lumisplat.runtime.launcher import Launcher
-from support.oracles.random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, streams
+from support.oracles.random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, sample_keys
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 PIXELS = np.arange(1 << 18, dtype=np.uint32)
@@ -48,7 +48,7 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("pixel", "sample", "seed", "stream"),
+    ("pixel", "sample", "seed", "sample_key"),
     [
         (0, 0, 0, 0x89ED2DF0),
         (1, 0, 0, 0x23F4A3E5),
@@ -58,13 +58,13 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
         (2**31 - 1, 2**24 - 1, 12345, 0x8B5F3FF8),
     ],
 )
-def test_streams_are_known(pixel: int, sample: int, seed: int, stream: int) -> None:
+def test_streams_are_known(pixel: int, sample: int, seed: int, sample_key: int) -> None:
     """Images of a seed stay what they are: these were computed once, with integers of any size."""
-    assert int(random.stream_of(pixel, sample, wp.uint32(seed))) == stream
+    assert int(random.sample_key_of(pixel, sample, wp.uint32(seed))) == sample_key
 
 
 @pytest.mark.parametrize(
-    ("stream", "dimension", "value"),
+    ("sample_key", "dimension", "value"),
     [
         (0, 0, 0),
         (0, 1, 10_361_252),
@@ -73,9 +73,9 @@ def test_streams_are_known(pixel: int, sample: int, seed: int, stream: int) -> N
         (0x89ED2DF0, LAST - 1, 1_094_224),
     ],
 )
-def test_draws_are_known(stream: int, dimension: int, value: int) -> None:
+def test_draws_are_known(sample_key: int, dimension: int, value: int) -> None:
     """Multiples of 2^-24."""
-    assert random.draw(wp.uint32(stream), wp.uint32(dimension)) == value * 2.0**-24
+    assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
 def test_the_permutation_is_the_published_one() -> None:
@@ -99,16 +99,16 @@ def test_devices_agree_with_python(device: str) -> None:
     outputs = [wp.zeros(count, dtype=dtype, device=device) for dtype in (wp.uint32, wp.uint32, float)]
     Launcher(device, threads=1).run(probe_kernels.probe_random, count, *inputs, *outputs)
     keys, branches, drawn = (array.numpy() for array in outputs)
-    expected = streams(pixels, samples, seeds)
+    expected = sample_keys(pixels, samples, seeds)
     np.testing.assert_array_equal(keys, expected)
     np.testing.assert_array_equal(branches, absorbed(expected, BRANCH_LAST - 1))
     np.testing.assert_array_equal(drawn, draws(expected, dimensions))
     for i in range(50):
-        stream = random.stream_of(int(pixels[i]), int(samples[i]), wp.uint32(int(seeds[i])))
-        assert int(stream) == keys[i]
-        assert int(random.branch_stream(stream, 1)) == branches[i]
-        assert random.draw(stream, wp.uint32(int(dimensions[i]))) == drawn[i]
-        assert random.draw_mixed(stream, random.mix(wp.uint32(int(dimensions[i])))) == drawn[i]
+        sample_key = random.sample_key_of(int(pixels[i]), int(samples[i]), wp.uint32(int(seeds[i])))
+        assert int(sample_key) == keys[i]
+        assert int(random.branch_key(sample_key, 1)) == branches[i]
+        assert random.draw(sample_key, wp.uint32(int(dimensions[i]))) == drawn[i]
+        assert random.draw_mixed(sample_key, random.mix(wp.uint32(int(dimensions[i])))) == drawn[i]
 
 
 def test_draws_stay_below_one() -> None:
@@ -121,8 +121,8 @@ def test_draws_stay_below_one() -> None:
     word = word * inverse[1] % 2**32
     word ^= word >> 16
     assert int(random.mix(wp.uint32(word))) == LAST
-    stream = (word - int(random.mix(wp.uint32(9)))) % 2**32
-    assert random.draw(wp.uint32(stream), wp.uint32(9)) == 1.0 - 2.0**-24
+    sample_key = (word - int(random.mix(wp.uint32(9)))) % 2**32
+    assert random.draw(wp.uint32(sample_key), wp.uint32(9)) == 1.0 - 2.0**-24
 
 
 def test_dimensions_of_lenses_and_branches_are_no_gaussians() -> None:
@@ -137,7 +137,7 @@ def test_dimensions_of_lenses_and_branches_are_no_gaussians() -> None:
 @pytest.mark.parametrize("dimension", [0, 1, 7, 152_745, 2**31 - 1, LAST - 3, LAST - 1, LAST])
 def test_draws_are_uniform(dimension: int) -> None:
     """Over the pixels, over the samples of a pixel and over seeds, by the first 12 bits and by the 12 after them."""
-    for key in (streams(PIXELS), streams(77, PIXELS), streams(77, 5, PIXELS)):
+    for key in (sample_keys(PIXELS), sample_keys(77, PIXELS), sample_keys(77, 5, PIXELS)):
         words = absorbed(key, dimension)
         for bits in (words >> 20, (words >> 8) & 0xFFF):
             assert abs(chi_square_z(np.bincount(bits, minlength=4096))) < LIMIT
@@ -155,7 +155,7 @@ def test_the_dimensions_of_a_stream_are_uniform(key: int) -> None:
 @pytest.mark.parametrize("step", [1, 2, 3, 16, 255, 4096, 65_537, 1 << 20, 1 << 24, 1 << 28, 1 << 29, 1 << 30, 1 << 31])
 def test_gaussians_are_independent(step: int) -> None:
     """Whether one is accepted says nothing of another, however their indices differ."""
-    key = streams(PIXELS)
+    key = sample_keys(PIXELS)
     for index in (0, 1, 1000):
         assert np.abs(pair_z(absorbed(key, index), absorbed(key, (index + step) % 2**32))).max() < LIMIT
 
@@ -163,7 +163,7 @@ def test_gaussians_are_independent(step: int) -> None:
 @pytest.mark.parametrize("offset", [1, 2, 16, 640, 1920, 65_536])
 def test_pixels_are_independent(offset: int) -> None:
     """Neighbours along a row and across rows, for Gaussians and for the lens."""
-    key = streams(PIXELS)
+    key = sample_keys(PIXELS)
     for dimension in (0, 12345, LAST):
         words = absorbed(key, dimension)
         assert np.abs(pair_z(words[:-offset], words[offset:])).max() < LIMIT
@@ -172,32 +172,32 @@ def test_pixels_are_independent(offset: int) -> None:
 @pytest.mark.parametrize("step", [1, 2, 3, 255, 256, 65_536, 1 << 23])
 def test_samples_and_seeds_are_independent(step: int) -> None:
     """A pixel's next samples, and the same sample of other seeds."""
-    first = streams(PIXELS, seed=3)
-    for second in (streams(PIXELS, step, 3), streams(PIXELS, 0, 3 + step)):
+    first = sample_keys(PIXELS, seed=3)
+    for second in (sample_keys(PIXELS, step, 3), sample_keys(PIXELS, 0, 3 + step)):
         for dimension in (0, 12345, LAST):
             assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
 
 
 def test_lens_points_and_branches_are_independent() -> None:
     """The two numbers of a lens point; and what a ray draws for a Gaussian before and after a mirror or a pane."""
-    key = streams(PIXELS)
+    key = sample_keys(PIXELS)
     assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT
     reflected, refracted = absorbed(key, BRANCH_LAST), absorbed(key, BRANCH_LAST - 1)
     for index in (0, 1, 12345):
-        words = [absorbed(stream, index) for stream in (key, reflected, refracted)]
+        words = [absorbed(sample_key, index) for sample_key in (key, reflected, refracted)]
         for i, j in ((0, 1), (0, 2), (1, 2)):
             assert np.abs(pair_z(words[i], words[j])).max() < LIMIT
 
 
 def test_streams_are_not_shared() -> None:
     """The pixels of a sample, and the samples of a pixel, all have their own: mixing is one-to-one."""
-    assert np.unique(streams(PIXELS)).size == PIXELS.size
-    assert np.unique(streams(7, PIXELS)).size == PIXELS.size
+    assert np.unique(sample_keys(PIXELS)).size == PIXELS.size
+    assert np.unique(sample_keys(7, PIXELS)).size == PIXELS.size
 
 
 def test_the_statistics_can_fail() -> None:
     """They find what is wrong with a counter that is not mixed first, and with the lower bits of a multiplication."""
-    key = streams(PIXELS)
+    key = sample_keys(PIXELS)
     with np.errstate(over="ignore"):
         first, second = mix(key + np.uint32(5)), mix(key + np.uint32(5) + np.uint32(1 << 29))
         assert np.abs(pair_z(first, second)).max() > 2.0 * LIMIT
@@ -207,7 +207,7 @@ def test_the_statistics_can_fail() -> None:
 @pytest.mark.parametrize("key", [0, 0x9E3779B9])
 def test_spread_points_are_stratified(key: int) -> None:
     """Aligned runs of 2^n points have one point in each of the 2^n boxes of every shape, for any key."""
-    points = np.array([random.spread(wp.uint32(key), i) for i in range(128)])
+    points = np.array([random.sobol_2d(wp.uint32(key), i) for i in range(128)])
     assert (points >= 0.0).all() and (points < 1.0).all()
     for first, count in ((0, 64), (64, 64), (96, 32), (40, 8)):
         run = points[first : first + count]
@@ -219,7 +219,7 @@ def test_spread_points_are_stratified(key: int) -> None:
 def test_spread_points_of_different_keys_are_independent() -> None:
     """The same samples of many keys are uniform, in x and y, and not related to those of the key before."""
     count = 800
-    points = np.array([[random.spread(wp.uint32(key), i) for i in (0, 3)] for key in range(count)]).reshape(count, 4)
+    points = np.array([[random.sobol_2d(wp.uint32(key), i) for i in (0, 3)] for key in range(count)]).reshape(count, 4)
     assert np.abs(points.mean(axis=0) - 0.5).max() < 4.5 / np.sqrt(12 * count)
     related = np.corrcoef(points[1:].T, points[:-1].T)
     assert np.abs(related[:4, 4:]).max() < 4.5 / np.sqrt(count)

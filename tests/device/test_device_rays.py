@@ -75,7 +75,7 @@ def test_rays_agree_with_float64(model: ls.CameraModel, features: dict[str, obje
         np.testing.assert_allclose(rays["origin"][~missing], origins[~missing], atol=3e-6)
         np.testing.assert_allclose(rays["direction"][~missing], directions[~missing], atol=3e-6)
         np.testing.assert_allclose(rays["t_min"][~missing], near[~missing], rtol=1e-5)
-        np.testing.assert_array_equal(rays["travelled"], 0.0)
+        np.testing.assert_array_equal(rays["path_length"], 0.0)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lumisplat.device.gaussian.compositing import blend, pixel_ray
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle
-from lumisplat.device.structs.scene import CameraData, Pixel, Splat
+from lumisplat.device.structs.scene import BlendState, CameraData, Splat
 from lumisplat.math.color import encode_srgb as encode_srgb_host
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera
@@ -20,9 +20,9 @@ unit = st.floats(-1.0, 1.0)
 points = st.tuples(unit, unit, st.floats(0.5, 3.0))
 
 
-def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> Pixel:
+def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> BlendState:
     """A pixel after splats of those alphas, the i-th one of colour (i, 1, 0)."""
-    pixel = Pixel()
+    pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.splat = -1
     for i, alpha in enumerate(alphas):

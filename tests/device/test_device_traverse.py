@@ -13,7 +13,7 @@ import pytest
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs, TreeInstance
+from lumisplat.device.structs.bvh import FAR, BvhInstance, Children, Node, Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.bvh_scene import empty_node
 from lumisplat.runtime.buffers import Buffers
@@ -50,7 +50,7 @@ class Found:
 
 def placed(world_from_object: np.ndarray) -> np.ndarray:
     """Rows of TreeInstance as the scene writes them, (B,)."""
-    table = np.zeros(len(world_from_object), np.dtype(TreeInstance.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(len(world_from_object), np.dtype(BvhInstance.numpy_dtype()))  # type: ignore[attr-defined]
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
     table["object_from_world_offset"] = object_from_world[:, :3, 3]
@@ -126,7 +126,7 @@ def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
     limits = wp.array(np.where(bundles.alive, 1.0, -1.0), dtype=probe_tree_kernels.Floats, device=device)
     inputs = (
         limits,
-        wp.array(bundles.instances, dtype=TreeInstance, device=device),
+        wp.array(bundles.instances, dtype=BvhInstance, device=device),
         wp.array(nodes, dtype=Node, device=device),
         wp.array(bundles.begins, dtype=float, device=device),
     )

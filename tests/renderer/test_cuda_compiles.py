@@ -38,14 +38,14 @@ def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("hits", [4, 32])
 def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     """So do the kernels that are made for a number of hits, with as many rays a packet as CUDA uses."""
-    kernel = gaussian_trace_kernels.integrator(1, hits)
+    kernel = gaussian_trace_kernels.gaussian_trace_kernel(1, hits)
     check_compiles(kernel.module, [kernel], tmp_path)
 
 
 @pytest.mark.parametrize("hits", [0, 32])
 def test_occluder_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
     """So do those of shadow rays."""
-    kernel = gaussian_shadow_kernels.occluder(1, hits)
+    kernel = gaussian_shadow_kernels.shadow_kernel(1, hits)
     check_compiles(kernel.module, [kernel], tmp_path)
 
 

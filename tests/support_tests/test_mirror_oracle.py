@@ -107,7 +107,7 @@ def test_slab_shifts_the_ray(angle: float, monkeypatch: pytest.MonkeyPatch) -> N
     shift = 0.5 * np.sin(angle) * (1.0 - np.cos(angle) / (1.5 * cosine))
     assert out[0].direction == pytest.approx(ray.direction)
     assert np.linalg.norm(np.cross(out[0].origin, out[0].direction)) == pytest.approx(shift)
-    assert out[0].travelled == pytest.approx(4.0 / np.cos(angle) + 0.5 / cosine)
+    assert out[0].path_length == pytest.approx(4.0 / np.cos(angle) + 0.5 / cosine)
 
 
 @pytest.mark.parametrize("height", [0.2, 0.6, 0.9])

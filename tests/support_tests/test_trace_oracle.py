@@ -224,7 +224,7 @@ def test_colours_are_seen_from_the_unfolded_eye() -> None:
     scene = random_world()
     eye = np.array([0.4, -1.0, 0.3])
     direction = oracles.normalized(np.array([0.0, 0.1, 4.0]) - eye)
-    found = found_on(scene, Ray(eye + 0.5 * direction, direction, travelled=0.5))
+    found = found_on(scene, Ray(eye + 0.5 * direction, direction, path_length=0.5))
     expected = np.concatenate([oracles.sh_color(instance, eye, 3) for instance in scene.splats])
     np.testing.assert_allclose(found.color, expected[found.index], atol=1e-12)
     flat = np.concatenate([oracles.sh_color(instance, eye, 1) for instance in scene.splats])

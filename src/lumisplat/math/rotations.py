@@ -5,7 +5,29 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.errors import SceneError
+
 _Floats = npt.NDArray[np.floating]
+
+
+def rotation_matrix(wxyz: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The matrix of a quaternion of any length but zero, scalar first, shape (3, 3).
+
+    Raises:
+        SceneError: It has zero length, or is not finite.
+    """
+    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
+    length2 = w * w + x * x + y * y + z * z
+    if not 0.0 < length2 < np.inf:
+        raise SceneError("a rotation of zero length or not finite, expected a unit quaternion")
+    scaled = np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+    return scaled / length2
 
 
 def matrices_from_quaternions(wxyz: _Floats) -> npt.NDArray[np.float64]:

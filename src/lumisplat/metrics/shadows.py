@@ -133,9 +133,9 @@ def _grown(mask: _Mask, radius: float) -> _Mask:
     reach = math.floor(radius)
     height, width = mask.shape
     padded = np.pad(mask, reach)
-    grown = np.zeros_like(mask)
+    grown_capacity = np.zeros_like(mask)
     for down in range(-reach, reach + 1):
         for right in range(-reach, reach + 1):
             if down * down + right * right <= radius * radius:
-                grown |= padded[reach + down : reach + down + height, reach + right : reach + right + width]
-    return grown
+                grown_capacity |= padded[reach + down : reach + down + height, reach + right : reach + right + width]
+    return grown_capacity

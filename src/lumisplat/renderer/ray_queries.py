@@ -18,10 +18,10 @@ from lumisplat.device.structs.shading import RayColors
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
-from lumisplat.renderer.film.pixel_buffers import Surface
-from lumisplat.renderer.integrators.whitted import Transport
-from lumisplat.renderer.raster.binning import grown
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.integrators.whitted import WhittedIntegrator
+from lumisplat.renderer.raster.binning import grown_capacity
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.gaussian_trace import PACKET_RAYS, RayTracer
@@ -68,13 +68,18 @@ class RayQueries:
     """
 
     def __init__(
-        self, launcher: Launcher, buffers: Buffers, tracer: RayTracer, transport: Transport, config: RenderConfig
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        tracer: RayTracer,
+        transport: WhittedIntegrator,
+        config: RenderConfig,
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._tracer, self._transport = tracer, transport
 
     def look(
-        self, scene: DeviceScene, trees: TreeScene, origins: FloatArray, directions: FloatArray, *, lit: bool
+        self, scene: DeviceScene, trees: BvhScene, origins: FloatArray, directions: FloatArray, *, lit: bool
     ) -> RayHits:
         """What rays see; ``directions`` are unit vectors."""
         # Given rays do not spread over a pixel: without chance, all samples are the first.
@@ -83,7 +88,7 @@ class RayQueries:
         distances = np.full(len(origins), np.inf, np.float32)
         for first, given in _batches(origins, directions, distances):
             count, rays = len(given[0]), self._rays(len(given[0]))
-            surface = Surface.of_shape(self._buffers, (1, rays.t_max.shape[0]))
+            surface = PixelBuffers.of_shape(self._buffers, (1, rays.t_max.shape[0]))
             flags = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
             uploaded = self._uploaded(given)
             for sample in range(samples):
@@ -125,7 +130,7 @@ class RayQueries:
     def transmit(
         self,
         scene: DeviceScene,
-        trees: TreeScene,
+        trees: BvhScene,
         origins: FloatArray,
         directions: FloatArray,
         distances: FloatArray,
@@ -140,12 +145,12 @@ class RayQueries:
 
     def _rays(self, count: int) -> RayData:
         # A few sizes of arrays instead of one a call; what is not used is no ray.
-        return self._buffers.struct("rays.rays", RayData, whole_packets(grown(count)))
+        return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def _uploaded(self, given: list[FloatArray]) -> list[Any]:
         arrays = []
         for name, dtype, values in zip(_GIVEN, (wp.vec3, wp.vec3, wp.float32), given, strict=True):
-            array = self._buffers.get(f"rays.{name}", dtype, grown(len(values)))
+            array = self._buffers.get(f"rays.{name}", dtype, grown_capacity(len(values)))
             if len(values):
                 array[: len(values)].assign(values)
             arrays.append(array)

@@ -17,22 +17,22 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_camera, check_resumable, check_scene, checked_config
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.film import Film
-from lumisplat.renderer.film.pixel_buffers import Surface
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.integrators import specular_wave_kernels
-from lumisplat.renderer.integrators.whitted import Transport, light_modules
+from lumisplat.renderer.integrators.whitted import WhittedIntegrator, light_modules
 from lumisplat.renderer.raster import binning_kernels, mesh_raster_kernels, splat_raster_kernels
-from lumisplat.renderer.raster.binning import OrderChunked, OrderCounts, OrderParallel
+from lumisplat.renderer.raster.binning import BinningChunked, BinningCounts, BinningParallel
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterPrimary
 from lumisplat.renderer.raster.splat_raster import SplatRaster, refuse_lens
 from lumisplat.renderer.ray_queries import RayHits, RayQueries, checked_distances, checked_rays
 from lumisplat.renderer.scene import gaussian_bvh_kernels
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.gaussian_trace import RayTracer, ray_count, trace_modules, transmit_modules
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.camera import Camera
@@ -53,12 +53,12 @@ class Renderer:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self._scene = DeviceScene(launcher.device)
-        self._trees = TreeScene(launcher)
+        self._trees = BvhScene(launcher)
         self._tracer = RayTracer(launcher, self._buffers, config)
-        self._transport = Transport(launcher, self._buffers, config, self._tracer)
+        self._transport = WhittedIntegrator(launcher, self._buffers, config, self._tracer)
         self._film = Film(launcher, self._buffers, config)
         self._queries = RayQueries(launcher, self._buffers, self._tracer, self._transport, config)
-        self._order = (OrderParallel if launcher.is_parallel else OrderChunked)(launcher, self._buffers)
+        self._order = (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, self._buffers)
         self._meshes = MeshRaster(launcher, self._buffers, self._order)
         self._splats = SplatRaster(launcher, self._buffers, self._order)
         self._primary = RasterPrimary(
@@ -138,7 +138,7 @@ class Renderer:
         self._sync(scene, Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), lit, for_camera=False)
         return lit
 
-    def _sync(self, scene: Scene, camera: Camera, lit: bool, *, for_camera: bool = True) -> TreeScene | None:
+    def _sync(self, scene: Scene, camera: Camera, lit: bool, *, for_camera: bool = True) -> BvhScene | None:
         """Brings the device up to date; the trees, if any ray is traced."""
         with self._launcher.stage("sync"):
             self._scene.sync(scene, camera, self.config, lit=lit)
@@ -207,13 +207,13 @@ class Renderer:
             if progress:
                 progress("tracing", (sample - first + 1) / count)
         with self._launcher.stage("download"):
-            counts = OrderCounts(visible=0, nonfinite=0, pairs=0)
+            counts = BinningCounts(visible=0, nonfinite=0, pairs=0)
             if self.config.pipeline is not Pipeline.TRACE:
                 counts = self._order.counts
             counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count(camera))
             return self._frame(scene, camera, counts, samples=first + count, lit=lit)
 
-    def _add_sample(self, camera: Camera, trees: TreeScene | None, sample: int, *, lit: bool, last: bool) -> None:
+    def _add_sample(self, camera: Camera, trees: BvhScene | None, sample: int, *, lit: bool, last: bool) -> None:
         """One ray a pixel: what it meets, what it sees there, and onto the film."""
         film = self._film
         film.begin_sample(camera, sample)
@@ -230,7 +230,7 @@ class Renderer:
         else:
             film.add(self._scene, camera, met, colors)
 
-    def _met(self, camera: Camera, trees: TreeScene | None, sample: int) -> Met:
+    def _met(self, camera: Camera, trees: BvhScene | None, sample: int) -> PrimaryHits:
         """The rays of a sample, the meshes that they meet, and what the Gaussians before those give them."""
         if self.config.pipeline is not Pipeline.TRACE:
             self._scene.place_sample(camera, self.config, subpixel(sample if self.config.trace.jitter else 0))
@@ -277,9 +277,9 @@ class Renderer:
         with stage("composite"):
             self._splats.composite(self._scene, camera, splats, lists, hits)
 
-    def _frame(self, scene: Scene, camera: Camera, counts: OrderCounts, samples: int, lit: bool) -> Frame:
+    def _frame(self, scene: Scene, camera: Camera, counts: BinningCounts, samples: int, lit: bool) -> Frame:
         developed = self._film.developed(camera) if lit else {}
-        images = Surface.of(self._buffers, camera).download()
+        images = PixelBuffers.of(self._buffers, camera).download()
         light: dict[str, Any] = {} if samples == 0 else self._film.images(camera, 0, lit=False)
         if lit:
             names = self._transport.lit.light_names

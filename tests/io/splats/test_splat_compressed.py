@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.splats.compressed_ply import morton_order
-from lumisplat.math.quaternions import pack_smallest_three, unpack_smallest_three
+from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 
 RANGES = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 SCALES = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]

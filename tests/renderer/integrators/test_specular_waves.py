@@ -98,7 +98,7 @@ def test_a_mirror_at_45_degrees(rig: RayRig) -> None:
     reflected = rig.waves[1]
     np.testing.assert_allclose(reflected.direction, [[1.0, 0.0, 0.0]], atol=1e-6)
     np.testing.assert_allclose(reflected.origin, [[0.25, 0.1, 2.25]], atol=1e-5)
-    np.testing.assert_allclose(reflected.travelled, [2.25], rtol=1e-6)
+    np.testing.assert_allclose(reflected.path_length, [2.25], rtol=1e-6)
     base = np.array([1.0, 0.7, 0.3])
     head_on = base + (1.0 - base) * (1.0 - np.sqrt(0.5)) ** 5
     np.testing.assert_allclose(seen[0], 0.5 * encode_srgb(head_on), atol=1e-5)
@@ -111,7 +111,7 @@ def test_the_way_back_is_unfolded(rig: RayRig) -> None:
     rig.colors(scene, ORIGIN, along, bounces=5)
     lengths = np.array([2.0, 5.0, 8.0, 11.0, 14.0]) / along[0, 2]
     for wave, length in zip(rig.waves[1:], lengths, strict=True):
-        assert wave.travelled[0] == pytest.approx(length, rel=1e-5)
+        assert wave.path_length[0] == pytest.approx(length, rel=1e-5)
         np.testing.assert_allclose(wave.origin[0, :2], along[0, :2] * length, atol=3e-5)
 
 
@@ -204,8 +204,8 @@ def test_weights_multiply_along_the_path(rig: RayRig) -> None:
 def test_branches_draw_numbers_of_their_own(rig: RayRig) -> None:
     """No two rays of a tree share their random numbers."""
     rig.colors(ls.Scene([], [slab(1.0, 0.3, GLASS)]), ORIGIN, normalized(np.array([[0.5, 0.0, 1.0]])), bounces=4)
-    streams = np.concatenate([wave.stream for wave in rig.waves])
-    assert len(np.unique(streams)) == len(streams) > 4
+    sample_keys = np.concatenate([wave.sample_key for wave in rig.waves])
+    assert len(np.unique(sample_keys)) == len(sample_keys) > 4
 
 
 # --- Energy ---

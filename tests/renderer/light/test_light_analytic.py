@@ -171,7 +171,7 @@ def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
     return straight + (grazing - straight) * (1.0 - cosine) ** 5
 
 
-def masking(alpha: float, cosine: np.ndarray) -> np.ndarray:
+def smith_g1(alpha: float, cosine: np.ndarray) -> np.ndarray:
     """Smith's, of GGX: how many of the facets that face a direction are seen from there."""
     return 2.0 * cosine / (cosine + np.sqrt(alpha**2 + (1.0 - alpha**2) * cosine**2))
 
@@ -197,7 +197,7 @@ def highlight_share(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 
         facet /= np.linalg.norm(facet, axis=-1, keepdims=True)
         tilt = facet @ [sine, 0.0, cosine]
         light = 2.0 * tilt * facet[..., 2] - cosine
-        seen = np.where(light > 0.0, masking(alpha, np.maximum(light, 1e-9)), 0.0)
+        seen = np.where(light > 0.0, smith_g1(alpha, np.maximum(light, 1e-9)), 0.0)
         shares.append((schlick(material, tilt) * seen[..., None]).mean(axis=(0, 1)))
     return np.reshape(shares, (*np.shape(cosines), 3))
 
@@ -212,7 +212,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     facing, shone, tilt = ((normal * b).sum(-1) for b in (view, light, half))
     spread = alpha**2 / (np.pi * (tilt**2 * (alpha**2 - 1.0) + 1.0) ** 2)
-    value = spread * masking(alpha, facing) * masking(alpha, shone) / (4.0 * facing * shone)
+    value = spread * smith_g1(alpha, facing) * smith_g1(alpha, shone) / (4.0 * facing * shone)
     value = schlick(material, (view * half).sum(-1)) * value[..., None]
     nodes = (np.arange(64) + 0.5) / 64
     left = 1.0 - highlight_share(material, nodes, 96)

@@ -9,9 +9,9 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.scene import Rect
+from lumisplat.device.structs.scene import TileRect
 from lumisplat.errors import DeviceError
-from lumisplat.renderer.raster.binning import OrderChunked, OrderParallel, grown
+from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
@@ -20,10 +20,10 @@ from support.scenes import raster_scenes as scenes
 CULLED, NONFINITE = 0xFFFFFFFF, 0xFFFFFFFE
 
 
-def make_order(parallel: bool, threads: int = 3) -> OrderChunked | OrderParallel:
+def make_order(parallel: bool, threads: int = 3) -> BinningChunked | BinningParallel:
     """An order of either schedule on the CPU."""
     launcher = Launcher("cpu", threads=threads, parallel=parallel)
-    order = (OrderParallel if parallel else OrderChunked)(launcher, Buffers("cpu"))
+    order = (BinningParallel if parallel else BinningChunked)(launcher, Buffers("cpu"))
     order.begin()
     return order
 
@@ -85,14 +85,14 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
     """Every tile lists exactly its items, in depth order; in the parallel schedule also after its lists overflowed."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
-    table = np.zeros(count, dtype=np.dtype(Rect.numpy_dtype()))
+    table = np.zeros(count, dtype=np.dtype(TileRect.numpy_dtype()))
     for axis, tiles in (("x", tiles_x), ("y", tiles_y)):
         first = random.integers(0, tiles, count)
         table[axis + "0"] = first
         table[axis + "1"] = np.minimum(first + random.integers(0, 6, count), tiles)
     keys = random_keys(count, 1)
     table[keys >= NONFINITE] = 0
-    rects = wp.array(table, dtype=Rect, device="cpu")
+    rects = wp.array(table, dtype=TileRect, device="cpu")
     order = make_order(parallel)
     depth_order = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
@@ -111,9 +111,9 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
 def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
     """Pairs that 32 bits cannot count end in one line, not in a wrapped sum, a cut list or a write out of bounds."""
     tiles_x, tiles_y, count = 4096, 3, 180_000
-    table = np.zeros(count, dtype=np.dtype(Rect.numpy_dtype()))
+    table = np.zeros(count, dtype=np.dtype(TileRect.numpy_dtype()))
     table["x1"], table["y1"] = tiles_x, tiles_y
-    rects = wp.array(table, dtype=Rect, device="cpu")
+    rects = wp.array(table, dtype=TileRect, device="cpu")
     order = make_order(parallel)
     with pytest.raises(DeviceError, match=r"needs 2,211,840,000 \(tile, item\) pairs"):
         order.bin("raster", order.unsorted(count), rects, tiles_x, tiles_x * tiles_y)
@@ -123,7 +123,7 @@ def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
 def test_grown_leaves_room_without_doubling() -> None:
     """Capacities hold the count and waste at most a quarter, or 1024 elements."""
     for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
-        assert count <= grown(count) <= max(1.25 * count + 1, count + 1024)
+        assert count <= grown_capacity(count) <= max(1.25 * count + 1, count + 1024)
 
 
 def test_overflow_draws_the_frame_again_with_more_room() -> None:

@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import ALPHA_MIN, BOX_MARGIN, NODE_WIDTH, TRAVERSE_STACK, TREE_SURFACE_LEVELS
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
 from lumisplat.renderer.scene.bvh_scene import kernel_data
-from lumisplat.renderer.scene.gaussian_bvh import GaussianTree
+from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
 from support.compare.ways import renderer_of
@@ -33,9 +33,9 @@ def launcher(request: pytest.FixtureRequest) -> Launcher:
     return Launcher(request.param)
 
 
-def tree_of(launcher: Launcher, gaussians: ls.Gaussians) -> GaussianTree:
+def tree_of(launcher: Launcher, gaussians: ls.Gaussians) -> GaussianBvh:
     """A new tree."""
-    return GaussianTree(launcher, upload_gaussians(gaussians, launcher.device), kernel_data(gaussians, TRACE))
+    return GaussianBvh(launcher, upload_gaussians(gaussians, launcher.device), kernel_data(gaussians, TRACE))
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Walked:
     depth: int  # levels
 
 
-def walked(tree: GaussianTree, count: int) -> Walked:
+def walked(tree: GaussianBvh, count: int) -> Walked:
     """Follows all links; asserts that each Gaussian has one leaf and that every box is that of what lies below it."""
     nodes, particles = tree.nodes.numpy(), tree.particles.numpy()
     low = np.stack([nodes[f"low_{axis}"] for axis in "xyz"], axis=-1)

@@ -33,34 +33,34 @@ def schlick(normal_incidence: npt.ArrayLike, grazing: float, cos: Array) -> Arra
     return head_on + (grazing - head_on) * ((1.0 - cos) ** 5)[..., None]
 
 
-def ggx(theta: Array, width: float) -> Array:
+def ggx(theta: Array, alpha: float) -> Array:
     """D of Walter et al. 2007, equation 33."""
-    below = np.cos(theta) ** 4 * (width**2 + np.tan(theta) ** 2) ** 2
-    return np.where(theta < 0.5 * np.pi, width**2 / (np.pi * below), 0.0)
+    below = np.cos(theta) ** 4 * (alpha**2 + np.tan(theta) ** 2) ** 2
+    return np.where(theta < 0.5 * np.pi, alpha**2 / (np.pi * below), 0.0)
 
 
-def smith(theta: Array, width: float) -> Array:
+def smith(theta: Array, alpha: float) -> Array:
     """G1 of Walter et al. 2007, equation 34."""
-    return 2.0 / (1.0 + np.sqrt(1.0 + width**2 * np.tan(theta) ** 2))
+    return 2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * np.tan(theta) ** 2))
 
 
 def _above(normal: Array, view: Array, light: Array) -> npt.NDArray[np.bool_]:
     return (cosine(normal, view) > 0.0) & (cosine(normal, light) > 0.0)
 
 
-def highlight_albedo(material: Material, cos: Array | None) -> Array:
+def directional_albedo(material: Material, cos: Array | None) -> Array:
     """Share of a white sky that a view at ``cos`` gets by the highlight, as fitted; None: the mean over all views.
 
     With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (1 - lost - rising) + F90 rising``.
     """
-    width = material["width"]
+    alpha = material["alpha"]
     if cos is None:
-        rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * width + 17.0 * width**2))
-        lost = np.asarray(width**2 / (0.26 + 1.05 * width + 0.3 * width**2))
+        rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * alpha + 17.0 * alpha**2))
+        lost = np.asarray(alpha**2 / (0.26 + 1.05 * alpha + 0.3 * alpha**2))
     else:
-        rough = cos + 2.48 * width + 38.2 * width**2 + 24.7 * width**3
-        rising = (1.0 - cos) ** 5 * cos / rough + (1.0 - cos) ** 3 * 2.3 * width / rough
-        lost = width**2 * (0.53 + 0.79 * cos) / (cos**2 + 1.15 * width - 0.91 * width * cos + 0.74 * width**2)
+        rough = cos + 2.48 * alpha + 38.2 * alpha**2 + 24.7 * alpha**3
+        rising = (1.0 - cos) ** 5 * cos / rough + (1.0 - cos) ** 3 * 2.3 * alpha / rough
+        lost = alpha**2 * (0.53 + 0.79 * cos) / (cos**2 + 1.15 * alpha - 0.91 * alpha * cos + 0.74 * alpha**2)
     head_on = np.asarray(material["specular"], dtype=np.float64)
     return head_on * (1.0 - lost - rising)[..., None] + material["grazing"] * rising[..., None]
 
@@ -69,22 +69,22 @@ def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) ->
     """Kelemen and Szirmay-Kalos 2001: what the highlight leaves at both ends, over what it leaves on average."""
     if material["grazing"] == 0.0:
         return np.broadcast_to(np.asarray(material["diffuse"]) / np.pi, np.broadcast_shapes(view.shape, light.shape))
-    let_in = 1.0 - highlight_albedo(material, cosine(normal, light))
-    let_out = 1.0 - highlight_albedo(material, cosine(normal, view))
-    mean = 1.0 - highlight_albedo(material, None)
+    let_in = 1.0 - directional_albedo(material, cosine(normal, light))
+    let_out = 1.0 - directional_albedo(material, cosine(normal, view))
+    mean = 1.0 - directional_albedo(material, None)
     return np.asarray(material["diffuse"]) / np.pi * let_in * let_out / mean
 
 
 def pbr_specular(material: Material, normal: Array, view: Array, light: Array) -> Array:
     """Cook and Torrance's ``D G F / (4 cos cos)``."""
-    if material["width"] <= 0.0:
+    if material["alpha"] <= 0.0:
         return np.zeros(np.broadcast_shapes(view.shape, light.shape))
-    width = max(material["width"], WIDTH_MIN)
+    alpha = max(material["alpha"], WIDTH_MIN)
     half = view + light
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
-    masks = smith(angle(normal, view), width) * smith(angle(normal, light), width)
+    masks = smith(angle(normal, view), alpha) * smith(angle(normal, light), alpha)
     cosines = 4.0 * cosine(normal, view) * cosine(normal, light)
-    facets = ggx(angle(normal, half), width) * masks / cosines
+    facets = ggx(angle(normal, half), alpha) * masks / cosines
     return facets[..., None] * schlick(material["specular"], material["grazing"], cosine(view, half))
 
 
@@ -124,15 +124,15 @@ def density(material: Material, normal: Array, view: Array, light: Array) -> Arr
             lobe = np.where(cos > 0.0, (exponent + 1.0) / (2.0 * np.pi) * np.maximum(cos, 0.0) ** exponent, 0.0)
             parts = specular.mean(), diffuse.mean()
         else:
-            width = max(material["width"], WIDTH_MIN)
+            alpha = max(material["alpha"], WIDTH_MIN)
             half = view + light
             half = half / np.linalg.norm(half, axis=-1, keepdims=True)
             to_half = cosine(view, half)
-            seen = smith(angle(normal, view), width) * ggx(angle(normal, half), width) * to_half
+            seen = smith(angle(normal, view), alpha) * ggx(angle(normal, half), alpha) * to_half
             lobe = seen / cosine(normal, view) / (4.0 * to_half)
-            mirror = highlight_albedo(material, cosine(normal, view))
+            mirror = directional_albedo(material, cosine(normal, view))
             parts = mirror.mean(axis=-1), (diffuse * (1.0 - mirror)).mean(axis=-1)
-            if material["width"] <= 0.0 or material["grazing"] <= 0.0:
+            if material["alpha"] <= 0.0 or material["grazing"] <= 0.0:
                 parts = 0.0, 1.0
     total = np.asarray(parts[0] + parts[1])
     share = np.where(total > 0.0, parts[0] / np.where(total > 0.0, total, 1.0), float(material["model"] == "pbr"))

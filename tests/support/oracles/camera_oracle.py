@@ -66,7 +66,7 @@ def lens_draw(camera: Camera, sample: int, seed: int, which: int) -> np.ndarray:
     """The numbers that choose points of the lens, (H, W): 0 for the distance from its centre, 1 for the angle."""
     pixels = np.arange(camera.height * camera.width).reshape(camera.height, camera.width)
     dimension = (random_oracle.LENS_RADIUS, random_oracle.LENS_ANGLE)[which]
-    return random_oracle.draws(random_oracle.streams(pixels, sample, seed), dimension)
+    return random_oracle.draws(random_oracle.sample_keys(pixels, sample, seed), dimension)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ class Ray:
     origin: np.ndarray  # (3,)
     direction: np.ndarray  # (3,), unit
     t_min: float = 0.0  # What is hit no farther than this does not count.
-    travelled: float = 0.0  # Length of the path before the origin.
+    path_length: float = 0.0  # Length of the path before the origin.
     left: int = -1  # The triangle that it starts on, and does not meet again.
     blur: float = 0.0  # How far float32 may have the origin from here,
     turn: float = ROUNDING  # and by how many radians the direction.
@@ -34,7 +34,7 @@ class Ray:
     @property
     def eye(self) -> np.ndarray:
         """Where the path would have started had it been straight, shape (3,)."""
-        return self.origin - self.travelled * self.direction
+        return self.origin - self.path_length * self.direction
 
     def at(self, t: float) -> np.ndarray:
         """The point at distance ``t``, shape (3,)."""
@@ -242,7 +242,7 @@ def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[B
     turn = ray.turn + ROUNDING + 2.0 * surface.curvature * blur
 
     def onward(direction: np.ndarray, turn: float) -> Ray:
-        return Ray(ray.at(hit.t), direction, 0.0, ray.travelled + hit.t, hit.triangle, blur, turn)
+        return Ray(ray.at(hit.t), direction, 0.0, ray.path_length + hit.t, hit.triangle, blur, turn)
 
     out = [Branch(mirrored, onward(reflected(ray.direction, normal), turn))]
     if beyond > 0.0:

@@ -178,7 +178,7 @@ def hits(world: World, ray: Ray) -> Hits:
         seen_from = closest - (half / speed)[:, None] * direction
         moved = world.sharpest[rows] * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
     else:
-        seen_from = origin - ray.travelled * direction
+        seen_from = origin - ray.path_length * direction
         moved = np.linalg.norm(whiten.transpose(0, 2, 1) @ whiten, axis=(1, 2)) * off
     normal, normal_error = gradient_normal(whiten, seen_from, moved, ray)
     t = peak

@@ -17,17 +17,17 @@ def mix(word: np.ndarray) -> np.ndarray:
     return word ^ (word >> 15)
 
 
-def absorbed(stream: np.ndarray, counter: np.ndarray | int) -> np.ndarray:
+def absorbed(sample_key: np.ndarray, counter: np.ndarray | int) -> np.ndarray:
     """One step: the mixed counter is added, and the sum mixed."""
     with np.errstate(over="ignore"):
-        return mix(stream + mix(np.asarray(counter, np.uint32)))
+        return mix(sample_key + mix(np.asarray(counter, np.uint32)))
 
 
-def streams(pixels: np.ndarray | int, sample: np.ndarray | int = 0, seed: np.ndarray | int = 0) -> np.ndarray:
+def sample_keys(pixels: np.ndarray | int, sample: np.ndarray | int = 0, seed: np.ndarray | int = 0) -> np.ndarray:
     """Keys of samples of pixels."""
     return absorbed(absorbed(absorbed(np.uint32(0x6C756D69), seed), pixels), sample)
 
 
-def draws(stream: np.ndarray, dimension: np.ndarray | int) -> np.ndarray:
+def draws(sample_key: np.ndarray, dimension: np.ndarray | int) -> np.ndarray:
     """Numbers in [0, 1), float64."""
-    return (absorbed(stream, dimension) >> 8) * 2.0**-24
+    return (absorbed(sample_key, dimension) >> 8) * 2.0**-24

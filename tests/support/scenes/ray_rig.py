@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.device.structs.rays import RayData, RayRadiance
-from lumisplat.renderer.integrators.specular_waves import Bounces
+from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.renderer.integrators.specular_waves import SpecularWaves
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace.mesh_trace import MeshHitFinder
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
@@ -49,8 +49,8 @@ class RayRig:
         launcher = Launcher(device, threads)
         self.buffers = Buffers(device)
         self.scene = DeviceScene(device)
-        self.mesh_hits = MeshHitFinder(launcher, self.buffers)
-        self.bounces = Bounces(launcher, self.buffers, self.mesh_hits)
+        self.mesh_hits = MeshTracer(launcher, self.buffers)
+        self.bounces = SpecularWaves(launcher, self.buffers, self.mesh_hits)
         self.color, self.transmittance = color, transmittance
         self.waves: list[SimpleNamespace] = []
         """The rays of each wave of the last call: the fields of ``RayData`` as NumPy arrays."""
@@ -83,7 +83,10 @@ class RayRig:
         hits = self.mesh_hits.find(self.scene, rays, "test.hits")
         radiance = self._radiance(rays, "test.radiance")
         colors = self.bounces.resolve(
-            self.scene, Met(rays, hits, radiance), trace=lambda wave: self._radiance(wave, "test.wave"), bounces=bounces
+            self.scene,
+            PrimaryHits(rays, hits, radiance),
+            trace=lambda wave: self._radiance(wave, "test.wave"),
+            bounces=bounces,
         )
         return colors.numpy().copy()
 
@@ -104,19 +107,19 @@ class RayRig:
         rays.direction.assign(np.asarray(directions, np.float32))
         rays.t_min.assign(np.full(count, t_min, np.float32))
         rays.t_max.assign(np.full(count, t_max, np.float32))
-        rays.travelled.zero_()
-        rays.stream.assign(np.arange(count, dtype=np.uint32))
-        rays.strand.assign(np.arange(count, dtype=np.uint32))
+        rays.path_length.zero_()
+        rays.sample_key.assign(np.arange(count, dtype=np.uint32))
+        rays.pixel_key.assign(np.arange(count, dtype=np.uint32))
         return rays
 
-    def _radiance(self, rays: RayData, name: str) -> RayRadiance:
+    def _radiance(self, rays: RayData, name: str) -> GaussianHits:
         self._record(rays)
-        radiance = self.buffers.struct(name, RayRadiance, rays.t_max.shape[0])
+        radiance = self.buffers.struct(name, GaussianHits, rays.t_max.shape[0])
         radiance.color.fill_(self.color)
         radiance.transmittance.fill_(self.transmittance)
         return radiance
 
     def _record(self, rays: RayData) -> None:
         there = rays.t_max.numpy() > rays.t_min.numpy()
-        fields = ("origin", "direction", "t_max", "travelled", "stream")
+        fields = ("origin", "direction", "t_max", "path_length", "sample_key")
         self.waves.append(SimpleNamespace(**{name: getattr(rays, name).numpy()[there] for name in fields}))

@@ -12,7 +12,7 @@ from lumisplat.config import RenderConfig, ShadowConfig
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.ray_queries import whole_packets
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.runtime.buffers import Buffers
@@ -39,7 +39,7 @@ class ShadowRig:
         self._buffers = Buffers(device)
         self._shadows: dict[RenderConfig, ShadowRays] = {}
         self._scene = DeviceScene(device)
-        self._trees: dict[RenderConfig, TreeScene] = {}
+        self._trees: dict[RenderConfig, BvhScene] = {}
         """By the settings that their bounds depend on."""
 
     def light(
@@ -59,7 +59,7 @@ class ShadowRig:
         """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
         config = replace(config or RenderConfig(), shadow=ShadowConfig(**shadow))
         # Shadow settings and the seed have no part in what is on the device.
-        trees = self._trees.setdefault(replace(config, shadow=ShadowConfig(), seed=0), TreeScene(self._launcher))
+        trees = self._trees.setdefault(replace(config, shadow=ShadowConfig(), seed=0), BvhScene(self._launcher))
         self._scene.sync(scene, front_camera(), config)
         self._scene.sync_rays(scene)
         trees.sync(scene, self._scene, config)
@@ -84,8 +84,8 @@ class ShadowRig:
         rays.t_min.assign(_padded(np.broadcast_to(t_min, count), places))
         # What is not used is no ray.
         rays.t_max.assign(_padded(np.broadcast_to(t_max, count), places, fill=-np.inf))
-        rays.travelled.zero_()
-        rays.stream.zero_()
+        rays.path_length.zero_()
+        rays.sample_key.zero_()
         skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(np.int32))
         return rays, skipping
 

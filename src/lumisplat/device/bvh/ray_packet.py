@@ -15,7 +15,7 @@ from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-BUNDLE_OPTIONS = {
+PACKET_OPTIONS = {
     "enable_backward": False,
     # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds are to be fused.
     "max_unroll": 4,
@@ -27,7 +27,7 @@ BUNDLE_OPTIONS = {
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
 
-class Bundle(NamedTuple):
+class RayPacket(NamedTuple):
     """Types and functions for a number of rays."""
 
     floats: Any
@@ -40,7 +40,7 @@ class Bundle(NamedTuple):
 
 
 @functools.cache
-def bundle_of(lanes: int) -> Bundle:
+def packet_of(lanes: int) -> RayPacket:
     """What ``lanes`` rays side by side need."""
     LANES = lanes
     Floats = wp.types.vector(length=lanes, dtype=wp.float32)
@@ -177,4 +177,4 @@ def bundle_of(lanes: int) -> Bundle:
             along2[lane] = e2
         return met, across2, along2
 
-    return Bundle(Floats, Ints, gather, slabs_of, meet_particle, pass_particle)
+    return RayPacket(Floats, Ints, gather, slabs_of, meet_particle, pass_particle)

@@ -4,7 +4,7 @@ import math
 
 import warp as wp
 
-from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, stream_of
+from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
 from lumisplat.device.structs.rays import LensData, Ray
 
 wp.set_module_options({"enable_backward": False})
@@ -61,8 +61,8 @@ def camera_ray(lens: LensData, x: int, y: int) -> Ray:
         direction = wp.normalize(wp.vec3(u, v, 1.0))
 
     if lens.aperture > 0.0:
-        stream = stream_of(y * lens.width + x, lens.sample, lens.seed)
-        point = lens.aperture * disk_point(draw(stream, LENS_RADIUS), draw(stream, LENS_ANGLE))
+        sample_key = sample_key_of(y * lens.width + x, lens.sample, lens.seed)
+        point = lens.aperture * disk_point(draw(sample_key, LENS_RADIUS), draw(sample_key, LENS_ANGLE))
         shift = point[0] * right + point[1] * down
         sharp = lens.focus_distance
         if lens.model != FISHEYE:

@@ -7,8 +7,8 @@ import warp as wp
 from lumisplat.constants import NORMAL_DEGENERATE
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.math.color import over
-from lumisplat.device.structs.rays import RayRadiance
-from lumisplat.device.structs.scene import CameraData, InstanceData, MeshHits, Pixel, Splat, SurfaceData
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import BlendState, CameraData, InstanceData, MeshHits, PixelData, Splat
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,7 +26,7 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 
 @wp.func
-def lay_behind(pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> Pixel:
+def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
     """Adds what lies behind all that is there already."""
     before = pixel.transmittance
     weight = before * alpha
@@ -43,7 +43,9 @@ def lay_behind(pixel: Pixel, color: wp.vec3, normal: wp.vec3, index: int, alpha:
 
 
 @wp.func
-def blend(pixel: Pixel, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float) -> Pixel:
+def blend(
+    pixel: BlendState, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float
+) -> BlendState:
     """Adds one splat behind those already there; finishes the pixel instead where T would fall to its minimum."""
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
@@ -67,7 +69,9 @@ def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
 
 
 @wp.func
-def store_radiance(camera: CameraData, splats: wp.array(dtype=Splat), pixel: Pixel, x: int, y: int, out: RayRadiance):
+def store_radiance(
+    camera: CameraData, splats: wp.array(dtype=Splat), pixel: BlendState, x: int, y: int, out: GaussianHits
+):
     """Writes what a pixel's splats give its ray, for what goes on from there."""
     ray = ray_of_pixel(camera.width, x, y)
     out.color[ray] = pixel.color
@@ -86,10 +90,10 @@ def store_surface(
     instances: wp.array(dtype=InstanceData),
     splats: wp.array(dtype=Splat),
     hits: MeshHits,
-    pixel: Pixel,
+    pixel: BlendState,
     x: int,
     y: int,
-    surface: SurfaceData,
+    surface: PixelData,
 ):
     """Ends a pixel on the mesh or the background, and writes it."""
     i = y * camera.width + x

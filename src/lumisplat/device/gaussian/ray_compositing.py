@@ -6,26 +6,26 @@ from lumisplat.device.gaussian.compositing import instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.random import draw
-from lumisplat.device.structs.bvh import TraceData, TreeAsset, TreeInstance
-from lumisplat.device.structs.rays import Ray, RayRadiance
-from lumisplat.device.structs.scene import Pixel
+from lumisplat.device.structs.bvh import AssetBvh, BvhInstance, TraceData
+from lumisplat.device.structs.rays import GaussianHits, Ray
+from lumisplat.device.structs.scene import BlendState
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def empty_pixel() -> Pixel:
+def empty_pixel() -> BlendState:
     """Nothing blended yet."""
-    pixel = Pixel()
+    pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.splat = -1
     return pixel
 
 
 @wp.func
-def load_pixel(radiance: RayRadiance, ray: int) -> Pixel:
+def load_pixel(radiance: GaussianHits, ray: int) -> BlendState:
     """What a ray has blended so far."""
-    pixel = Pixel()
+    pixel = BlendState()
     pixel.color = radiance.color[ray]
     pixel.normal = radiance.normal[ray]
     pixel.transmittance = radiance.transmittance[ray]
@@ -35,7 +35,7 @@ def load_pixel(radiance: RayRadiance, ray: int) -> Pixel:
 
 
 @wp.func
-def store_pixel(radiance: RayRadiance, ray: int, pixel: Pixel):
+def store_pixel(radiance: GaussianHits, ray: int, pixel: BlendState):
     """Keeps what a ray has blended so far."""
     radiance.color[ray] = pixel.color
     radiance.normal[ray] = pixel.normal
@@ -46,14 +46,14 @@ def store_pixel(radiance: RayRadiance, ray: int, pixel: Pixel):
 
 @wp.func
 def blend_hit(
-    pixel: Pixel,
+    pixel: BlendState,
     view: TraceData,
-    instances: wp.array(dtype=TreeInstance),
-    assets: wp.array(dtype=TreeAsset),
+    instances: wp.array(dtype=BvhInstance),
+    assets: wp.array(dtype=AssetBvh),
     ray: Ray,
     index: int,
     alpha: float,
-) -> Pixel:
+) -> BlendState:
     """Adds the Gaussian ``index`` of the scene behind those already there.
 
     Its colour and plane are those that the unfolded eye sees: a plane mirror shows what a mirrored camera would.
@@ -64,7 +64,7 @@ def blend_hit(
     gaussians = assets[instance.asset].gaussians
     origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     direction = instance.object_from_world * ray.direction
-    eye = origin - ray.travelled * direction
+    eye = origin - ray.path_length * direction
     color = wp.vec3()
     if instance.own_colors != 0:
         color = gaussians.albedo[i]
@@ -82,7 +82,7 @@ def blend_hit(
 
 
 @wp.func
-def end_pass(pixel: Pixel, stream: wp.uint32, last: int) -> Pixel:
+def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
     """Decides about a stochastic pass whose farthest Gaussian is ``last``, by what its own Gaussians hide.
 
     Chosen, it is shown for all passes: its transmittance is 0, its surface ``last`` unless it has one. Otherwise the
@@ -90,7 +90,7 @@ def end_pass(pixel: Pixel, stream: wp.uint32, last: int) -> Pixel:
     what lies before lets through, chosen with that of what it hides, and shown divided by that.
     """
     opacity = 1.0 - pixel.transmittance
-    if draw(stream, wp.uint32(last)) >= opacity:
+    if draw(sample_key, wp.uint32(last)) >= opacity:
         return empty_pixel()
     pixel.color = pixel.color / opacity
     pixel.normal = pixel.normal / opacity

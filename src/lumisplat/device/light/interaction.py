@@ -11,14 +11,14 @@ from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import decode_srgb_color, is_black, over, sample_texture
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.structs.light import BSDF_PBR, Bsdf
-from lumisplat.device.structs.rays import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits
 from lumisplat.device.structs.scene import MeshData
 from lumisplat.device.structs.shading import (
     SEES_BACKGROUND,
+    Interaction,
     MaterialData,
-    ShadeScene,
-    ShadingPoint,
-    SplatLook,
+    ShadingScene,
+    SplatSurface,
     TextureData,
 )
 
@@ -43,7 +43,7 @@ def has_ray(rays: RayData, i: int) -> bool:
 
 
 @wp.func
-def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> bool:
+def is_over_light(i: int, from_camera: bool, hits: RayMeshHits, scene: wp.array(dtype=ShadingScene)) -> bool:
     """Whether what is behind the Gaussians is not the background, but light: a mesh, or the environment; or nothing."""
     if hits.face[i] >= 0:
         return True
@@ -59,9 +59,9 @@ def texel(meshes: MeshData, values: wp.array(dtype=float), texture: TextureData,
 
 
 @wp.func
-def splat_look(
-    i: int, hits: RayMeshHits, radiance: RayRadiance, scene: wp.array(dtype=ShadeScene), over_light: bool
-) -> SplatLook:
+def splat_surface(
+    i: int, hits: RayMeshHits, radiance: GaussianHits, scene: wp.array(dtype=ShadingScene), over_light: bool
+) -> SplatSurface:
     """What the Gaussians before the nearest mesh show ray ``i``.
 
     Where their material needs a surface and they reach none, they are left out (seeds/000 section 1.1).
@@ -73,7 +73,7 @@ def splat_look(
         scene: The lit scene.
         over_light: What is behind is light, not the background that colours were captured over.
     """
-    look = SplatLook()
+    look = SplatSurface()
     look.instance = -1
     look.gaussian = -1
     look.transmittance = radiance.transmittance[i]
@@ -116,7 +116,7 @@ def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def has_splats(look: SplatLook, scene: wp.array(dtype=ShadeScene)) -> bool:
+def has_splats(look: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> bool:
     """Whether light may change what Gaussians show: there is a surface, and not one that shines as captured."""
     if look.gaussian < 0:
         return False
@@ -124,17 +124,17 @@ def has_splats(look: SplatLook, scene: wp.array(dtype=ShadeScene)) -> bool:
 
 
 @wp.func
-def has_mesh(i: int, look: SplatLook, hits: RayMeshHits) -> bool:
+def has_mesh(i: int, look: SplatSurface, hits: RayMeshHits) -> bool:
     """Whether enough of ray ``i`` reaches a mesh for light to be looked for there."""
     return hits.face[i] >= 0 and look.transmittance >= WEIGHT_MIN
 
 
 @wp.func
 def splat_point(
-    i: int, look: SplatLook, rays: RayData, radiance: RayRadiance, scene: wp.array(dtype=ShadeScene)
-) -> ShadingPoint:
+    i: int, look: SplatSurface, rays: RayData, radiance: GaussianHits, scene: wp.array(dtype=ShadingScene)
+) -> Interaction:
     """The surface of the Gaussians on ray ``i``, if ``has_splats``."""
-    point = ShadingPoint()
+    point = Interaction()
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[look.instance].asset
     point.exists = 1
@@ -161,7 +161,7 @@ def splat_point(
 
 
 @wp.func
-def shadow_offset(look: SplatLook, scene: wp.array(dtype=ShadeScene)) -> float:
+def shadow_offset(look: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> float:
     """Distance from the Gaussians' surface within which others do not shadow it, scene units."""
     asset = scene[0].splats[look.instance].asset
     largest = scene[0].splats[look.instance].scale * wp.max(scene[0].attributes[asset].scales[look.gaussian])
@@ -182,12 +182,12 @@ def bsdf_of(
     bsdf.model = materials[number].model
     if bsdf.model == BSDF_PBR:
         ior = materials[number].ior
-        reflection = materials[number].reflection
+        specular_strength = materials[number].specular_strength
         ratio = (ior - 1.0) / (ior + 1.0)
         bsdf.diffuse = (1.0 - metallic) * (1.0 - transmission) * color
-        bsdf.specular = (1.0 - metallic) * wp.vec3(reflection * ratio * ratio) + metallic * color
-        bsdf.grazing = (1.0 - metallic) * wp.where(ior > 1.0, reflection, 0.0) + metallic
-        bsdf.width = roughness * roughness
+        bsdf.specular = (1.0 - metallic) * wp.vec3(specular_strength * ratio * ratio) + metallic * color
+        bsdf.grazing = (1.0 - metallic) * wp.where(ior > 1.0, specular_strength, 0.0) + metallic
+        bsdf.alpha = roughness * roughness
     else:
         bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
         bsdf.specular = materials[number].specular
@@ -240,10 +240,15 @@ def mapped_normal(
 
 @wp.func
 def mesh_point(
-    i: int, transmittance: float, rays: RayData, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene), splat_count: int
-) -> ShadingPoint:
+    i: int,
+    transmittance: float,
+    rays: RayData,
+    hits: RayMeshHits,
+    scene: wp.array(dtype=ShadingScene),
+    splat_count: int,
+) -> Interaction:
     """The mesh that ray ``i`` ends on, as far as the Gaussians before it let through, if it ``has_mesh``."""
-    point = ShadingPoint()
+    point = Interaction()
     face = hits.face[i]
     number = hits.instance[i]
     material = scene[0].materials[splat_count + number]
@@ -288,7 +293,7 @@ def mesh_point(
 
 
 @wp.func
-def mesh_start(i: int, side: wp.vec3, hits: RayMeshHits, scene: wp.array(dtype=ShadeScene)) -> wp.vec3:
+def mesh_start(i: int, side: wp.vec3, hits: RayMeshHits, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
     """Where rays start that leave the mesh on which ray ``i`` ends, on the side to which ``side`` points."""
     corners = scene[0].meshes.indices[hits.face[i]]
     placement = scene[0].placements[hits.instance[i]]
@@ -296,7 +301,7 @@ def mesh_start(i: int, side: wp.vec3, hits: RayMeshHits, scene: wp.array(dtype=S
 
 
 @wp.func
-def mesh_shine(hits: RayMeshHits, i: int, scene: wp.array(dtype=ShadeScene), splat_count: int) -> wp.vec3:
+def mesh_shine(hits: RayMeshHits, i: int, scene: wp.array(dtype=ShadingScene), splat_count: int) -> wp.vec3:
     """What the mesh that ray ``i`` ends on shows without lights: emission and ambient light, linear."""
     number = hits.instance[i]
     material = scene[0].materials[splat_count + number]

@@ -5,7 +5,7 @@ import warp as wp
 from lumisplat.device.math.color import captured_color
 from lumisplat.device.mesh.first_surface import store_sample
 from lumisplat.device.structs.rays import RaySurface
-from lumisplat.device.structs.scene import SurfaceData, struct
+from lumisplat.device.structs.scene import PixelData, struct
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,7 +32,7 @@ def store_lit_sample(
     alpha: float,
     last: bool,
     found: RaySurface,
-    surface: SurfaceData,
+    surface: PixelData,
     lit: LitPixels,
     nonfinite: wp.array(dtype=int),
     kept: wp.vec3,

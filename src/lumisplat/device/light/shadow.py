@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.device.material.fresnel import fresnel
 from lumisplat.device.math.color import decode_srgb_color
-from lumisplat.device.math.random import stream_of
+from lumisplat.device.math.random import sample_key_of
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.bvh import ShadowData
 from lumisplat.device.structs.rays import SmoothData
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
     """Of what a stochastic sample draws; no pixel's."""
-    return stream_of(-1, settings.sample // 16, settings.seed)
+    return sample_key_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.func

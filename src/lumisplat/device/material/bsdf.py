@@ -9,15 +9,15 @@ import math
 import warp as wp
 
 from lumisplat.device.material.ggx import (
+    ALPHA_GGX_MIN,
     HALF_MIN2,
-    WIDTH_MIN,
-    facet_density,
+    ggx_d,
     lost_share,
-    masking,
     mean_lost_share,
     mean_rising_share,
     rising_share,
-    visible_facet,
+    sample_ggx_vndf,
+    smith_g1,
 )
 from lumisplat.device.math.directions import around
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, BsdfSample
@@ -88,7 +88,7 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 
 @wp.func
-def highlight_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
+def directional_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
     """Share of a white sky that the highlight reflects."""
     return (1.0 - lost - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
 
@@ -96,7 +96,7 @@ def highlight_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
 @wp.func
 def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
     """The same for a view at that cosine."""
-    return highlight_albedo(bsdf, rising_share(cosine, bsdf.width), lost_share(cosine, bsdf.width))
+    return directional_albedo(bsdf, rising_share(cosine, bsdf.alpha), lost_share(cosine, bsdf.alpha))
 
 
 @wp.func
@@ -107,7 +107,7 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
     white = wp.vec3(1.0)
     enters = white - view_albedo(bsdf, cos_light)
     leaves = white - view_albedo(bsdf, cos_view)
-    mean = white - highlight_albedo(bsdf, mean_rising_share(bsdf.width), mean_lost_share(bsdf.width))
+    mean = white - directional_albedo(bsdf, mean_rising_share(bsdf.alpha), mean_lost_share(bsdf.alpha))
     mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
     return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
 
@@ -122,10 +122,10 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
         value = pbr_diffuse(bsdf, cos_view, cos_light)
     half = view + light
     length2 = wp.dot(half, half)
-    if bsdf.width > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
-        width = wp.max(bsdf.width, WIDTH_MIN)
+    if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
+        alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
         # Cook and Torrance's D G / (4 cos cos), of which the cosines cancel with Smith's.
-        facets = facet_density(normal, half, width) * (masking(cos_view, width) * masking(cos_light, width))
+        facets = ggx_d(normal, half, alpha) * (smith_g1(cos_view, alpha) * smith_g1(cos_light, alpha))
         value += facets * reflectance(bsdf, 0.5 * wp.sqrt(length2))
     return value
 
@@ -133,7 +133,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     """Probability of the highlight: its share of what all of the material would reflect of a white sky."""
-    if bsdf.width <= 0.0 or bsdf.grazing <= 0.0:
+    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
     mirrored = view_albedo(bsdf, cos_view)
     specular = mean_of(mirrored)
@@ -177,8 +177,8 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
     half = view + light
     if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
         return (1.0 - share) * diffuse
-    width = wp.max(bsdf.width, WIDTH_MIN)
-    specular = 0.5 * facet_density(normal, half, width) * masking(cos_view, width)
+    alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
+    specular = 0.5 * ggx_d(normal, half, alpha) * smith_g1(cos_view, alpha)
     return share * specular + (1.0 - share) * diffuse
 
 
@@ -218,7 +218,7 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
             along = along / sine
         else:
             along = around(normal, 0.0, 1.0, 0.0)
-        facet = visible_facet(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.width, WIDTH_MIN), u)
+        facet = sample_ggx_vndf(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
         half = facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
         sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
     density = bsdf_pdf(bsdf, normal, view, sample.direction)

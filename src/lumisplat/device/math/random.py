@@ -40,7 +40,7 @@ LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
 LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
 """Dimension of the direction from it."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
-"""Dimension of the first stream that ``branch_stream`` starts; the others follow downwards."""
+"""Dimension of the first stream that ``branch_key`` starts; the others follow downwards."""
 
 
 @wp.func
@@ -52,36 +52,36 @@ def mix(word: wp.uint32) -> wp.uint32:
 
 
 @wp.func
-def strand_of(pixel: int, seed: wp.uint32) -> wp.uint32:
+def pixel_key_of(pixel: int, seed: wp.uint32) -> wp.uint32:
     """Key of what the samples of a pixel share, with ``pixel = y * width + x``."""
     return mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
 
 
 @wp.func
-def stream_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
+def sample_key_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
     """Key of the random numbers of one sample of a pixel."""
-    return mix(strand_of(pixel, seed) + mix(wp.uint32(sample)))
+    return mix(pixel_key_of(pixel, seed) + mix(wp.uint32(sample)))
 
 
 @wp.func
-def branch_stream(stream: wp.uint32, branch: int) -> wp.uint32:
+def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
     """Key of the random numbers of the ray that continues another one, by ``branch`` (0: reflected, 1: refracted).
 
     The numbers that decided what the first ray met must not decide it again.
     """
-    return mix(stream + mix(BRANCH_LAST - wp.uint32(branch)))
+    return mix(sample_key + mix(BRANCH_LAST - wp.uint32(branch)))
 
 
 @wp.func
-def draw_mixed(stream: wp.uint32, mixed: wp.uint32) -> float:
+def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
     """As ``draw``, of a dimension that went through ``mix`` already: for many streams that share it."""
-    return float(int(wp.rshift(mix(stream + mixed), BITS_8))) * UNIT
+    return float(int(wp.rshift(mix(sample_key + mixed), BITS_8))) * UNIT
 
 
 @wp.func
-def draw(stream: wp.uint32, dimension: wp.uint32) -> float:
+def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
     """A number of a stream, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
-    return draw_mixed(stream, mix(dimension))
+    return draw_mixed(sample_key, mix(dimension))
 
 
 @wp.func
@@ -140,7 +140,7 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 
 
 @wp.func
-def spread(key: wp.uint32, sample: int) -> wp.vec2:
+def sobol_2d(key: wp.uint32, sample: int) -> wp.vec2:
     """Point ``sample`` of a sequence that fills the unit square evenly, another one for each key, 0..1 each.
 
     The first two dimensions of Sobol's, shuffled and scrambled (Burley 2020, Practical Hash-based Owen Scrambling):

@@ -7,8 +7,8 @@ import warp as wp
 from lumisplat.constants import NORMAL_DEGENERATE
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_normal
-from lumisplat.device.structs.rays import RayData, RayMeshHits, RayRadiance, RaySurface
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SurfaceData
+from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits, RaySurface
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData, PixelData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,7 +19,7 @@ NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 def surface_of_ray(
     i: int,
     rays: RayData,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     hits: RayMeshHits,
     instances: wp.array(dtype=Any),
     mesh_instances: wp.array(dtype=MeshInstanceData),
@@ -67,7 +67,7 @@ def store_sample(
     color: wp.vec3,
     alpha: float,
     found: RaySurface,
-    surface: SurfaceData,
+    surface: PixelData,
     nonfinite: wp.array(dtype=int),
 ):
     """Sample n moves the means of element ``i`` by 1 / (n + 1) of the way; the first one's surface stays.

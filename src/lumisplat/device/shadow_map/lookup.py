@@ -5,7 +5,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import SHADOW_FOOTPRINT, SHADOW_STENCIL_WEIGHT, SHADOW_TEXEL_ANGLE
-from lumisplat.device.math.random import mix, spread, strand_of
+from lumisplat.device.math.random import mix, pixel_key_of, sobol_2d
 from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, place_of_point, texel_number
 from lumisplat.device.structs.shadow_map import Look, Receivers, Shade, Table
 
@@ -36,9 +36,9 @@ def look_offset(look: Look, receiver: int, sample: int) -> wp.vec3:
     if look.pattern == STENCIL and sample > 0:
         offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
     if look.pattern == RANDOM:
-        key = strand_of(receiver, look.seed)
-        u = spread(key, sample)
-        w = spread(mix(key), sample)
+        key = pixel_key_of(receiver, look.seed)
+        u = sobol_2d(key, sample)
+        w = sobol_2d(mix(key), sample)
         offset = wp.vec3(normal_from_unit(u[0]), normal_from_unit(u[1]), normal_from_unit(w[0]))
         # Cut at the footprint's end, as an ellipsoid: what is taken to be out of reach must be.
         offset = offset * (FOOTPRINT / wp.max(wp.length(offset), FOOTPRINT))

@@ -68,7 +68,7 @@ class Node:
 
 
 @struct
-class TreeAsset:
+class AssetBvh:
     """A Gaussian set as rays meet it."""
 
     nodes: wp.array(dtype=Node)
@@ -79,7 +79,7 @@ class TreeAsset:
 
 
 @struct
-class TreeInstance:
+class BvhInstance:
     """One placement of a TreeAsset."""
 
     object_from_world: wp.mat33

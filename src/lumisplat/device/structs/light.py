@@ -88,7 +88,7 @@ class Bsdf:
     """BSDF_SIMPLE: albedo of the highlight. BSDF_PBR: reflectance at normal incidence."""
     grazing: float
     """BSDF_PBR: reflectance at grazing incidence."""
-    width: float
+    alpha: float
     """BSDF_PBR: alpha of the GGX distribution, roughness squared; 0: smooth, the highlight is left to mirrors."""
     shininess: float
     """BSDF_SIMPLE: exponent of the highlight."""

@@ -14,7 +14,7 @@ class Ray:
     """Unit."""
     t_min: float
     """What is hit no farther than this does not count."""
-    travelled: float
+    path_length: float
     """Length of the path before the origin: the eye, unfolded, is this far behind it."""
 
 
@@ -25,12 +25,12 @@ class RayData:
     origin: wp.array(dtype=wp.vec3)
     direction: wp.array(dtype=wp.vec3)
     t_min: wp.array(dtype=float)
-    travelled: wp.array(dtype=float)
+    path_length: wp.array(dtype=float)
     t_max: wp.array(dtype=float)
     """Distance of the nearest mesh; inf: none; not above ``t_min``: there is no ray."""
-    stream: wp.array(dtype=wp.uint32)
+    sample_key: wp.array(dtype=wp.uint32)
     """Key of the ray's random numbers."""
-    strand: wp.array(dtype=wp.uint32)
+    pixel_key: wp.array(dtype=wp.uint32)
     """The same for what is spread evenly over the samples of a pixel, which share it."""
 
 
@@ -140,7 +140,7 @@ class RaySurface:
 
 
 @struct
-class RayRadiance:
+class GaussianHits:
     """What the Gaussians before the nearest mesh give each ray."""
 
     color: wp.array(dtype=wp.vec3)

@@ -117,7 +117,7 @@ class Splat:
 
 
 @struct
-class Rect:
+class TileRect:
     """Half-open rectangle of tiles, 8 bytes; empty for what is culled."""
 
     x0: wp.int16
@@ -137,7 +137,7 @@ class ChunkData:
 
 
 @struct
-class SurfaceData:
+class PixelData:
     """What primary visibility finds, one element a pixel: the seam between it and everything that shades."""
 
     color: wp.array(dtype=wp.vec3)
@@ -169,7 +169,7 @@ class MeshHits:
 
 
 @struct
-class Pixel:
+class BlendState:
     """Front-to-back blending of one pixel."""
 
     color: wp.vec3

@@ -40,7 +40,7 @@ class MaterialData:
     shininess: float
     metallic: float
     roughness: float
-    reflection: float
+    specular_strength: float
     """Strength of the dielectric reflection."""
     ior: float
     transmission: float
@@ -74,7 +74,7 @@ class SplatPlacement:
 
 
 @struct
-class ShadeData:
+class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
     background: wp.vec3
@@ -95,10 +95,10 @@ class ShadeData:
 
 
 @struct
-class ShadeScene:
+class ShadingScene:
     """A lit scene: all that shading reads."""
 
-    settings: wp.array(dtype=ShadeData)
+    settings: wp.array(dtype=ShadingSettings)
     splats: wp.array(dtype=SplatPlacement)
     attributes: wp.array(dtype=SplatAttributes)
     mesh_instances: wp.array(dtype=MeshInstanceData)
@@ -110,7 +110,7 @@ class ShadeScene:
 
 
 @struct
-class SplatLook:
+class SplatSurface:
     """What the Gaussians before the nearest mesh show a ray."""
 
     instance: int
@@ -127,7 +127,7 @@ class SplatLook:
 
 
 @struct
-class ShadingPoint:
+class Interaction:
     """A surface where light meets it."""
 
     exists: int

@@ -14,7 +14,8 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.materials import GltfMaterials, texture_uvs
 from lumisplat.io.gltf.skins import Influences, read_influences
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, unit_normals, without_loose_textures
-from lumisplat.scene.animation.skinning import blended, mirrors, moved_normals, moved_points
+from lumisplat.math.transforms import is_mirroring, transform_normals, transform_points
+from lumisplat.scene.animation.skinning import blended
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
@@ -98,9 +99,9 @@ def read_primitives(
             normals = None if normals is None else (normals + weights[target] * offsets).astype(np.float32)
         if raw.influences is not None and world_from_bind is not None:
             matrices = blended(world_from_bind, raw.influences.joints, raw.influences.weights)
-            positions = moved_points(matrices, positions).astype(np.float32)
-            normals = None if normals is None else moved_normals(matrices, normals)
-            triangles = triangles[:, ::-1] if mirrors(matrices) else triangles
+            positions = transform_points(matrices, positions).astype(np.float32)
+            normals = None if normals is None else transform_normals(matrices, normals)
+            triangles = triangles[:, ::-1] if is_mirroring(matrices) else triangles
         indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
         if indices.size:
             textured = Mesh(

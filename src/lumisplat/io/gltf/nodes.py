@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf.container import GltfFile
-from lumisplat.math.quaternions import rotation_matrix
+from lumisplat.math.rotations import rotation_matrix
 
 Matrix = npt.NDArray[np.float64]
 

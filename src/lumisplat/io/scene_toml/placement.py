@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import NUMBER, QUATERNION, VECTOR, TomlTable
-from lumisplat.math.quaternions import rotation_matrix
+from lumisplat.math.rotations import rotation_matrix
 
 PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
 """Keys of an entry that is placed."""

@@ -21,8 +21,8 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.ply_rows import PlyHeader, ply_header_bytes, read_ply_element, read_ply_rows
 from lumisplat.io.splats.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
+from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
-from lumisplat.math.quaternions import pack_smallest_three, unpack_smallest_three
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")

@@ -27,7 +27,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import check_expansion, check_gaussian_count
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
 from lumisplat.io.splats.columns import Floats, SplatColumns
-from lumisplat.math.quaternions import unpack_smallest_three
+from lumisplat.io.splats.smallest_three import unpack_smallest_three
 
 Bytes = npt.NDArray[np.uint8]
 Meta = dict[str, Any]

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.splats.columns import Floats, SplatColumns
+from lumisplat.io.splats.smallest_three import unpack_smallest_three
 from lumisplat.io.splats.spz_header import HEADER, SpzHeader, parse_spz_header
-from lumisplat.math.quaternions import unpack_smallest_three
 
 COLOR_SCALE = 0.15
 """Colour byte = 255 (0.5 + 0.15 DC): wider than 0..1, so that no coefficient is clipped."""

@@ -11,13 +11,13 @@ from lumisplat.config import RenderConfig
 from lumisplat.device.structs.rays import LensData
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import film_kernels
-from lumisplat.renderer.film.pixel_buffers import Surface
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.light.direct_light import LightImages
 from lumisplat.renderer.scene.camera_table import lens_table
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.light_scene import LitScene
+from lumisplat.renderer.scene.light_scene import LightScene
 from lumisplat.renderer.trace import camera_ray_kernels
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -45,7 +45,7 @@ class Film:
         """Before a sample's rays start; number 0 starts the frame anew."""
         self.lens.assign(lens_table(camera, self._config, sample))
 
-    def add(self, scene: DeviceScene, camera: Camera, met: Met, colors: Any) -> None:
+    def add(self, scene: DeviceScene, camera: Camera, met: PrimaryHits, colors: Any) -> None:
         """Adds one ray a pixel, with display-referred colours."""
         with self._launcher.stage("store"):
             self._launcher.run_banded(
@@ -60,15 +60,15 @@ class Film:
                     colors,
                 ),
                 *(scene.instances, scene.mesh_instances, scene.mesh_data),
-                *(Surface.of(self._buffers, camera).data, self._nonfinite(camera)),
+                *(PixelBuffers.of(self._buffers, camera).data, self._nonfinite(camera)),
             )
         self._count(camera, met)
 
     def add_lit(
         self,
-        lit: LitScene,
+        lit: LightScene,
         camera: Camera,
-        met: Met,
+        met: PrimaryHits,
         colors: Any,
         *,
         last: bool,
@@ -93,7 +93,7 @@ class Film:
                     met.radiance,
                     met.hits,
                     colors,
-                    Surface.of(self._buffers, camera).data,
+                    PixelBuffers.of(self._buffers, camera).data,
                 ),
                 *(self._lit(camera).data, self._nonfinite(camera), kept),
             )
@@ -101,7 +101,7 @@ class Film:
         if {"albedo", "emission"} & set(self._config.aovs):
             images = {name: self._buffers.get(f"film.ray.{name}", wp.vec3, count) for name in ("albedo", "emission")}
             self._launcher.run_banded(
-                film_kernels.look_at_surfaces, count, lit.data, met.rays, met.hits, met.radiance, *images.values()
+                film_kernels.write_surface_layers, count, lit.data, met.rays, met.hits, met.radiance, *images.values()
             )
         images = {name: image for name, image in images.items() if name in self._config.aovs}
         if reflection is not None:
@@ -133,7 +133,7 @@ class Film:
 
     def resume(self, camera: Camera, images: dict[str, np.ndarray]) -> None:
         """Puts back the images of a frame, and of a lit one what it keeps beside them."""
-        Surface.of(self._buffers, camera).upload(images)
+        PixelBuffers.of(self._buffers, camera).upload(images)
         if "light" in images:
             lit = self._lit(camera)
             lit.upload(images | {"color": images["linear"]})
@@ -142,7 +142,7 @@ class Film:
         """Samples since ``begin`` whose colour was NaN or infinite."""
         return int(self._nonfinite(camera).numpy().sum())
 
-    def _count(self, camera: Camera, met: Met) -> None:
+    def _count(self, camera: Camera, met: PrimaryHits) -> None:
         if "hits" in self._config.aovs:
             counts = self._buffers.get("film.ray.hits", wp.vec3, met.count)
             self._launcher.run_banded(film_kernels.count_hits, met.count, met.rays, met.radiance, counts)
@@ -159,8 +159,8 @@ class Film:
     def _image(self, camera: Camera, name: str) -> Any:
         return self._buffers.get(f"film.{name}", wp.vec3, camera.width * camera.height)
 
-    def _lit(self, camera: Camera) -> Surface:
-        return Surface.of_light(self._buffers, (camera.height, camera.width))
+    def _lit(self, camera: Camera) -> PixelBuffers:
+        return PixelBuffers.of_light(self._buffers, (camera.height, camera.width))
 
     def _nonfinite(self, camera: Camera) -> Any:
         return self._buffers.get("film.nonfinite", wp.int32, camera.width * camera.height)

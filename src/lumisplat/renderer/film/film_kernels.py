@@ -3,14 +3,14 @@
 import warp as wp
 
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
-from lumisplat.device.light.interaction import has_ray, is_over_light, mesh_shine, splat_look
+from lumisplat.device.light.interaction import has_ray, is_over_light, mesh_shine, splat_surface
 from lumisplat.device.light.lit_film import LitPixels, store_lit_sample
 from lumisplat.device.math.color import captured_color, decode_srgb_color
 from lumisplat.device.mesh.first_surface import surface_of_ray
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color
-from lumisplat.device.structs.rays import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
-from lumisplat.device.structs.scene import SurfaceData
-from lumisplat.device.structs.shading import RayColors, ShadeScene
+from lumisplat.device.structs.rays import GaussianHits, LensData, RayData, RayMeshHits, RaySurface
+from lumisplat.device.structs.scene import PixelData
+from lumisplat.device.structs.shading import RayColors, ShadingScene
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,12 +29,12 @@ def store_lit_rays(
     start: int,
     last: bool,
     lenses: wp.array(dtype=LensData),
-    scene: wp.array(dtype=ShadeScene),
+    scene: wp.array(dtype=ShadingScene),
     rays: RayData,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     hits: RayMeshHits,
     colors: RayColors,
-    surface_inout: SurfaceData,
+    surface_inout: PixelData,
     lit_inout: LitPixels,
     nonfinite_inout: wp.array(dtype=int),
     kept_inout: wp.array(dtype=wp.vec3),
@@ -98,12 +98,12 @@ def store_image(
 
 
 @wp.kernel
-def look_at_surfaces(
+def write_surface_layers(
     start: int,
-    scene: wp.array(dtype=ShadeScene),
+    scene: wp.array(dtype=ShadingScene),
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     albedo_out: wp.array(dtype=wp.vec3),
     emission_out: wp.array(dtype=wp.vec3),
 ):
@@ -114,7 +114,7 @@ def look_at_surfaces(
     if not has_ray(rays, i):
         return
     over_light = is_over_light(i, True, hits, scene)
-    look = splat_look(i, hits, radiance, scene, over_light)
+    look = splat_surface(i, hits, radiance, scene, over_light)
     own = (1.0 - look.transmittance) * look.albedo
     if look.instance >= 0 and scene[0].materials[look.instance].untouched != 0:
         own = captured_color(look.captured, look.weight)
@@ -136,7 +136,7 @@ def look_at_surfaces(
 
 
 @wp.kernel
-def count_hits(start: int, rays: RayData, radiance: RayRadiance, count_out: wp.array(dtype=wp.vec3)):
+def count_hits(start: int, rays: RayData, radiance: GaussianHits, count_out: wp.array(dtype=wp.vec3)):
     """How many Gaussians each ray blended, in all channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.device.light.lit_film import LitPixels
-from lumisplat.device.structs.scene import SurfaceData
+from lumisplat.device.structs.scene import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.camera import Camera
 
@@ -21,7 +21,7 @@ FIELDS = (
     ("gaussian", wp.int32, 1),
     ("instance", wp.int32, 1),
 )
-"""Arrays of ``SurfaceData``: name, element, 32-bit words an element."""
+"""Arrays of ``PixelData``: name, element, 32-bit words an element."""
 
 
 LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
@@ -29,7 +29,7 @@ LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class PixelBuffers:
     """Arrays of a frame's pixels, one after another in one block of device memory."""
 
     data: Any
@@ -42,24 +42,24 @@ class Surface:
     """What the block holds."""
 
     @classmethod
-    def of(cls, buffers: Buffers, camera: Camera) -> Surface:
+    def of(cls, buffers: Buffers, camera: Camera) -> PixelBuffers:
         """The surface buffers of a camera's image; the same memory for every camera of that size."""
         return cls.of_shape(buffers, (camera.height, camera.width))
 
     @classmethod
-    def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+    def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
         """The same for any image, or a row of rays."""
-        return cls._of(buffers, "surface", SurfaceData(), FIELDS, shape)
+        return cls._of(buffers, "surface", PixelData(), FIELDS, shape)
 
     @classmethod
-    def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> Surface:
+    def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
         """What a lit image keeps beside them."""
         return cls._of(buffers, "lit", LitPixels(), LIT_FIELDS, shape)
 
     @classmethod
     def _of(
         cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], shape: tuple[int, int]
-    ) -> Surface:
+    ) -> PixelBuffers:
         block, arrays = buffers.split(name, fields, shape[0] * shape[1])
         for field, array in arrays.items():
             setattr(data, field, array)

@@ -11,9 +11,9 @@ from lumisplat.constants import BOUNCE_WEIGHT_MIN
 from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
 from lumisplat.device.math.color import over
-from lumisplat.device.math.random import branch_stream
+from lumisplat.device.math.random import branch_key
 from lumisplat.device.mesh.mesh_surface import hit_weights
-from lumisplat.device.structs.rays import MeshPlacement, RayData, RayMeshHits, RayRadiance
+from lumisplat.device.structs.rays import GaussianHits, MeshPlacement, RayData, RayMeshHits
 from lumisplat.device.structs.scene import CameraData, MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -31,7 +31,7 @@ def scatter_rays(
     meshes: MeshData,
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     path_weights: wp.array(dtype=float),
     color_out: wp.array(dtype=wp.vec3),
     branches_out: wp.array(dtype=int),
@@ -72,7 +72,7 @@ def spawn_rays(
     meshes: MeshData,
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     path_weights: wp.array(dtype=float),
     branches: wp.array(dtype=int),
     branch_ends: wp.array(dtype=int),
@@ -103,9 +103,9 @@ def spawn_rays(
     rays_out.direction[child] = direction
     rays_out.t_min[child] = 0.0
     rays_out.t_max[child] = wp.inf
-    rays_out.travelled[child] = rays.travelled[i] + rays.t_max[i]
-    rays_out.stream[child] = branch_stream(rays.stream[i], refracted)
-    rays_out.strand[child] = branch_stream(rays.strand[i], refracted)
+    rays_out.path_length[child] = rays.path_length[i] + rays.t_max[i]
+    rays_out.sample_key[child] = branch_key(rays.sample_key[i], refracted)
+    rays_out.pixel_key[child] = branch_key(rays.pixel_key[i], refracted)
     weights_out[child] = weight
     path_weights_out[child] = path_weights[i] * wp.max(weight)
 

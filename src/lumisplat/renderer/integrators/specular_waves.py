@@ -8,53 +8,31 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
-from lumisplat.device.structs.rays import RayData, RayRadiance
+from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.device.structs.shading import RayColors
 from lumisplat.renderer.integrators import specular_wave_kernels as kernels
 from lumisplat.renderer.light import direct_light_kernels
-from lumisplat.renderer.raster.binning import grown
+from lumisplat.renderer.raster.binning import grown_capacity
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace.mesh_trace import MeshHitFinder
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
-Trace = Callable[[RayData], RayRadiance]
+Trace = Callable[[RayData], GaussianHits]
 """What the Gaussians before their meshes give rays. The arrays may be the same at each call."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wave:
-    """Rays that have been reflected or refracted equally often. Later waves overwrite the first two fields."""
-
-    met: Met
-    path_weights: Any
-    """Largest share of a ray's colour in its pixel."""
-    weights: Any
-    """Share of a ray's colour in that of the ray it branches off; none in the first wave."""
-    colors: Any
-    """What each ray sees, first without its branches, then with them: display-referred sRGB, or RayColors if lit."""
-    branches: Any
-    """How many rays go on in each branch, 0 or 1."""
-    branch_ends: Any
-    """Inclusive sum of these: one more than where the branch's ray is in the next wave."""
-
-    @property
-    def count(self) -> int:
-        """Rays, and places for rays."""
-        return self.met.count
-
-
-Light = Callable[[Wave, int, bool], None]
+Light = Callable[[RayWave, int, bool], None]
 """Writes the colours of a wave, by its number, and, where it may branch, its branches."""
 
 
-class Bounces:
+class SpecularWaves:
     """Follows rays from mesh to mesh.
 
     Args:
@@ -63,13 +41,13 @@ class Bounces:
         mesh_hits: Finds what reflected and refracted rays meet.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, mesh_hits: MeshHitFinder) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, mesh_hits: MeshTracer) -> None:
         self._launcher, self._buffers, self._mesh_hits = launcher, buffers, mesh_hits
 
     def resolve(
         self,
         scene: DeviceScene,
-        met: Met,
+        met: PrimaryHits,
         *,
         trace: Trace,
         bounces: int,
@@ -109,7 +87,7 @@ class Bounces:
                 )
         return waves[0].colors
 
-    def _scatter(self, scene: DeviceScene, wave: Wave, number: int, light: Light | None, *, may_branch: bool) -> int:
+    def _scatter(self, scene: DeviceScene, wave: RayWave, number: int, light: Light | None, *, may_branch: bool) -> int:
         """Colours without branches; how many rays go on."""
         may_branch = may_branch and scene.has_smooth_meshes and wave.count > 0
         if light is not None:
@@ -127,9 +105,9 @@ class Bounces:
         return int(wave.branch_ends[-1:].numpy()[0])
 
     def _next_wave(
-        self, scene: DeviceScene, wave: Wave, number: int, count: int, *, trace: Trace, light: Light | None
-    ) -> Wave:
-        capacity = grown(count)  # a few sizes of arrays instead of one a frame; what is not used is no ray
+        self, scene: DeviceScene, wave: RayWave, number: int, count: int, *, trace: Trace, light: Light | None
+    ) -> RayWave:
+        capacity = grown_capacity(count)  # a few sizes of arrays instead of one a frame; what is not used is no ray
         rays = self._buffers.struct(f"bounce.rays{number % 2}", RayData, capacity)
         rays.t_max.fill_(float("-inf"))
         weights = self._buffers.get(f"bounce.{number}.weights", wp.vec3, capacity)
@@ -149,16 +127,16 @@ class Bounces:
             *(wave.path_weights, wave.branches, wave.branch_ends, rays, weights, path_weights),
         )
         hits = self._mesh_hits.find(scene, rays, "bounce.hits")
-        return self._wave(number, Met(rays, hits, trace(rays)), light)
+        return self._wave(number, PrimaryHits(rays, hits, trace(rays)), light)
 
-    def _wave(self, number: int, met: Met, light: Light | None) -> Wave:
+    def _wave(self, number: int, met: PrimaryHits, light: Light | None) -> RayWave:
         count, get = met.count, self._buffers.get
         colors: Any = (
             get(f"bounce.{number}.colors", wp.vec3, count)
             if light is None
             else self._buffers.struct(f"bounce.{number}.lit", RayColors, count)
         )
-        return Wave(
+        return RayWave(
             met,
             path_weights=get(f"bounce.path_weights{number % 2}", wp.float32, count),
             weights=get(f"bounce.{number}.weights", wp.vec3, count if number else 0),

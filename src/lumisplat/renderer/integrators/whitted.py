@@ -7,20 +7,20 @@ from typing import Any
 from lumisplat.config import Pipeline, RenderConfig, Shadows
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
-from lumisplat.renderer.integrators.specular_waves import Bounces, Wave
+from lumisplat.renderer.integrators.specular_waves import RayWave, SpecularWaves
 from lumisplat.renderer.light import direct_light_kernels, unshadowed_light_kernels
-from lumisplat.renderer.light.direct_light import LightImages, Shader
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.light.direct_light import DirectLight, LightImages
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.light_scene import LitScene
+from lumisplat.renderer.scene.light_scene import LightScene
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays, shadow_modules
 from lumisplat.renderer.trace.gaussian_trace import RayTracer
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 
-class Transport:
+class WhittedIntegrator:
     """Colours rays: with lights and shadows if the scene is lit, and with what mirrors and glass bring.
 
     Args:
@@ -32,11 +32,11 @@ class Transport:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
         self._config, self._buffers, self._tracer = config, buffers, tracer
-        self.lit = LitScene(launcher, buffers, config)
+        self.lit = LightScene(launcher, buffers, config)
         """Lights and materials; synchronised before lit frames."""
-        self._bounces = Bounces(launcher, buffers, tracer.mesh_hits)
+        self._bounces = SpecularWaves(launcher, buffers, tracer.mesh_hits)
         self._shadows = None if config.shadows is Shadows.OFF else ShadowRays(launcher, buffers, config)
-        self._shader = Shader(launcher, buffers, config, self.lit, self._shadows)
+        self._shader = DirectLight(launcher, buffers, config, self.lit, self._shadows)
 
     def begin_sample(self, sample: int) -> None:
         """Before the rays of a sample."""
@@ -46,8 +46,8 @@ class Transport:
     def colors(
         self,
         scene: DeviceScene,
-        trees: TreeScene | None,
-        met: Met,
+        trees: BvhScene | None,
+        met: PrimaryHits,
         *,
         lit: bool,
         sample: int,
@@ -64,7 +64,7 @@ class Transport:
             reflection: If lit, receives what reflected and refracted rays bring.
         """
 
-        def light(wave: Wave, number: int, may_branch: bool) -> None:
+        def light(wave: RayWave, number: int, may_branch: bool) -> None:
             direct = reflection if number == 0 else None
             self._shader.shade(scene, trees, wave, number, may_branch=may_branch, reflection=direct)
 

@@ -10,13 +10,13 @@ import warp as wp
 from lumisplat.config import RenderConfig, Shadows
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals
-from lumisplat.renderer.integrators.specular_waves import Wave
 from lumisplat.renderer.light import direct_light_kernels as kernels
 from lumisplat.renderer.light import unshadowed_light_kernels
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.light_scene import LitScene
+from lumisplat.renderer.scene.light_scene import LightScene
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import LightEnvironment
@@ -31,7 +31,7 @@ class LightImages:
     arrived: list[Any]
 
 
-class Shader:
+class DirectLight:
     """Lights what rays meet.
 
     Args:
@@ -43,7 +43,7 @@ class Shader:
     """
 
     def __init__(
-        self, launcher: Launcher, buffers: Buffers, config: RenderConfig, lit: LitScene, shadows: ShadowRays | None
+        self, launcher: Launcher, buffers: Buffers, config: RenderConfig, lit: LightScene, shadows: ShadowRays | None
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lit, self._shadows = lit, shadows
@@ -51,8 +51,8 @@ class Shader:
     def shade(
         self,
         scene: DeviceScene,
-        trees: TreeScene | None,
-        wave: Wave,
+        trees: BvhScene | None,
+        wave: RayWave,
         number: int,
         *,
         may_branch: bool,
@@ -111,8 +111,8 @@ class Shader:
     def _add_lights(
         self,
         scene: DeviceScene,
-        trees: TreeScene | None,
-        wave: Wave,
+        trees: BvhScene | None,
+        wave: RayWave,
         *,
         from_camera: bool,
         images: LightImages | None,

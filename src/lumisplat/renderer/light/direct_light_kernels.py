@@ -21,23 +21,23 @@ from lumisplat.device.light.interaction import (
     mesh_shine,
     mesh_start,
     shadow_offset,
-    splat_look,
     splat_point,
+    splat_surface,
 )
 from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
-from lumisplat.device.math.random import branch_stream
+from lumisplat.device.math.random import branch_key
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
-from lumisplat.device.structs.rays import RayData, RayMeshHits, RayRadiance
+from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits
 from lumisplat.device.structs.shading import (
     SEES_ENVIRONMENT,
     SEES_NOTHING,
     Arrivals,
     Contribution,
+    Interaction,
     RayColors,
-    ShadeScene,
-    ShadingPoint,
+    ShadingScene,
 )
 
 wp.set_module_options(SHADE_OPTIONS)
@@ -46,7 +46,7 @@ WEIGHT_MIN = wp.constant(wp.float32(BOUNCE_WEIGHT_MIN))
 
 
 @wp.func
-def far_radiance(direction: wp.vec3, scene: wp.array(dtype=ShadeScene)) -> wp.vec3:
+def far_radiance(direction: wp.vec3, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
     """What a ray that is not followed sees, linear."""
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
@@ -58,10 +58,10 @@ def start_shading(
     start: int,
     from_camera: bool,
     may_branch: bool,
-    scene: wp.array(dtype=ShadeScene),
+    scene: wp.array(dtype=ShadingScene),
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     path_weights: wp.array(dtype=float),
     colors_out: RayColors,
     branches_out: wp.array(dtype=int),
@@ -85,7 +85,7 @@ def start_shading(
             colors_out.kept[i] = wp.vec3(1.0)
         return
     over_light = is_over_light(i, from_camera, hits, scene)
-    look = splat_look(i, hits, radiance, scene, over_light)
+    look = splat_surface(i, hits, radiance, scene, over_light)
     splat_count = scene[0].splats.shape[0]
     light = wp.vec3(0.0)
     beyond = wp.vec3(0.0)
@@ -134,10 +134,10 @@ def spawn_shadow_rays(
     number: int,
     picks_bsdf: bool,
     from_camera: bool,
-    scene: wp.array(dtype=ShadeScene),
+    scene: wp.array(dtype=ShadingScene),
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     rays_out: RayData,
     skips_out: wp.array(dtype=int),
     contributions_out: wp.array(dtype=wp.vec3),
@@ -151,9 +151,9 @@ def spawn_shadow_rays(
     contributions_out[stride + i] = wp.vec3(0.0)
     if not has_ray(rays, i):
         return
-    look = splat_look(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
+    look = splat_surface(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
     for slot in range(2):
-        point = ShadingPoint()
+        point = Interaction()
         if slot == 0 and has_splats(look, scene):
             point = splat_point(i, look, rays, radiance, scene)
         elif slot == 1 and has_mesh(i, look, hits):
@@ -162,9 +162,9 @@ def spawn_shadow_rays(
             j = slot * stride + i
             contribution = Contribution()
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                contribution = from_environment(number, picks_bsdf, point, rays.strand[i], scene)
+                contribution = from_environment(number, picks_bsdf, point, rays.pixel_key[i], scene)
             elif scene[0].settings[0].soft != 0:
-                contribution = from_extent(number, point, rays.strand[i], scene)
+                contribution = from_extent(number, point, rays.pixel_key[i], scene)
             else:
                 contribution = from_center(number, point, scene)
             if not is_black(contribution.color):
@@ -177,9 +177,9 @@ def spawn_shadow_rays(
                 else:
                     rays_out.origin[j] = mesh_start(i, point.side, hits, scene)
                 rays_out.t_max[j] = contribution.distance
-                rays_out.travelled[j] = 0.0
-                rays_out.strand[j] = rays.strand[i]
-                rays_out.stream[j] = branch_stream(light_key(rays.stream[i], number), slot)
+                rays_out.path_length[j] = 0.0
+                rays_out.pixel_key[j] = rays.pixel_key[i]
+                rays_out.sample_key[j] = branch_key(light_key(rays.sample_key[i], number), slot)
                 skips_out[j] = point.shadow_only
 
 
@@ -222,10 +222,10 @@ def add_light(
 def darken_captured(
     start: int,
     from_camera: bool,
-    scene: wp.array(dtype=ShadeScene),
+    scene: wp.array(dtype=ShadingScene),
     rays: RayData,
     hits: RayMeshHits,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     arrivals: Arrivals,
     kept_out: wp.array(dtype=wp.vec3),
 ):
@@ -235,7 +235,7 @@ def darken_captured(
     if is_black(sent) or not has_ray(rays, i):
         return
     over_light = is_over_light(i, from_camera, hits, scene)
-    look = splat_look(i, hits, radiance, scene, over_light)
+    look = splat_surface(i, hits, radiance, scene, over_light)
     besides = wp.PI * scene[0].materials[look.instance].ambient
     missing = sent - arrivals.arrived[i]
     shown = captured_color(look.captured, look.weight)

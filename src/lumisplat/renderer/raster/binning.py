@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import warp as wp
 
 from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
-from lumisplat.device.structs.scene import ChunkData, Rect
+from lumisplat.device.structs.scene import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
 from lumisplat.runtime.buffers import Buffers
@@ -26,7 +26,7 @@ class DepthOrder:
 
 
 @dataclass(frozen=True, slots=True)
-class OrderCounts:
+class BinningCounts:
     """What the last frame's order held."""
 
     visible: int = 0
@@ -46,7 +46,7 @@ class TileLists:
     items: Any
 
 
-class Order:
+class Binning:
     """What both schedules share.
 
     Args:
@@ -56,13 +56,13 @@ class Order:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self.counts = OrderCounts()
+        self.counts = BinningCounts()
         """Of the last finished frame."""
         self.growth = 0
         """How often a list was cut and given more room: a graph captured before is stale."""
 
 
-class OrderChunked(Order):
+class BinningChunked(Binning):
     """CPU schedule: counting sorts over one chunk a thread."""
 
     def begin(self) -> None:
@@ -71,7 +71,7 @@ class OrderChunked(Order):
 
     def finish(self) -> bool:
         """Ends a frame; its lists are complete, as counts are known in time."""
-        self.counts = OrderCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
+        self.counts = BinningCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
         return True
 
     def sort(self, keys: Any) -> DepthOrder:
@@ -120,16 +120,16 @@ class OrderChunked(Order):
         counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
         pairs = buffers.get("order.pairs", wp.int64, chunks)
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
-        ordered = buffers.get("order.rects", Rect, grown(count))
+        ordered = buffers.get("order.rects", TileRect, grown_capacity(count))
         run(kernels.count_tiles, chunks, chunks, count, tiles_x, depth_order.order, rects, counts, ordered, pairs)
         self._pairs[name] = total = check_pairs(int(pairs.numpy().sum()))
         self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
-        items = buffers.get(f"{name}.items", wp.int32, grown(total))
+        items = buffers.get(f"{name}.items", wp.int32, grown_capacity(total))
         run(kernels.scatter_tiles, chunks, chunks, count, tiles_x, depth_order.order, ordered, counts, items)
         return TileLists(starts, items)
 
 
-class OrderParallel(Order):
+class BinningParallel(Binning):
     """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
@@ -151,11 +151,11 @@ class OrderParallel(Order):
             DeviceError: A list is longer than 32-bit indices reach.
         """
         totals = [int(total) for total in self._totals.numpy()]
-        self.counts = OrderCounts(*totals[:3])
+        self.counts = BinningCounts(*totals[:3])
         complete = True
         for name, slot in self._SLOTS.items():
             if check_pairs(totals[slot]) > self._capacity.get(name, 0):
-                self._capacity[name] = grown(totals[slot])
+                self._capacity[name] = grown_capacity(totals[slot])
                 self.growth += 1
                 complete = False
         return complete
@@ -180,7 +180,7 @@ class OrderParallel(Order):
     def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: (tile, item) pairs in depth order, sorted stably by tile."""
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
-        capacity = self._capacity.setdefault(name, grown(2 * count))
+        capacity = self._capacity.setdefault(name, grown_capacity(2 * count))
         counts = buffers.get(f"{name}.counts", wp.int32, count + 1)
         offsets = buffers.get(f"{name}.offsets", wp.int32, count + 1)
         tiles = buffers.get(f"{name}.tiles", wp.int32, 2 * capacity)
@@ -207,7 +207,7 @@ def check_pairs(count: int) -> int:
     return count
 
 
-def grown(count: int) -> int:
+def grown_capacity(count: int) -> int:
     """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
     step = 1 << max(10, count.bit_length() - 3)
     return -(-count // step) * step

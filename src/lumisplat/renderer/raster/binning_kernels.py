@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, PAIR_SUM_THREADS
-from lumisplat.device.structs.scene import ChunkData, Rect
+from lumisplat.device.structs.scene import ChunkData, TileRect
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,7 +46,7 @@ def first_not_below(values: wp.array(dtype=Any), count: int, limit: Any) -> int:
 
 
 @wp.func
-def rect_area(rect: Rect) -> int:
+def rect_area(rect: TileRect) -> int:
     """Tiles in a rectangle."""
     return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
@@ -140,9 +140,9 @@ def count_tiles(
     count: int,
     tiles_x: int,
     order: wp.array(dtype=int),
-    rects: wp.array(dtype=Rect),
+    rects: wp.array(dtype=TileRect),
     counts_out: wp.array2d(dtype=int),
-    ordered_rects_out: wp.array(dtype=Rect),
+    ordered_rects_out: wp.array(dtype=TileRect),
     pairs_out: wp.array(dtype=wp.int64),
 ):
     """How many of a chunk's items touch each tile, and their sum, which may be more than 32 bits hold.
@@ -171,7 +171,7 @@ def scatter_tiles(
     count: int,
     tiles_x: int,
     order: wp.array(dtype=int),
-    ordered_rects: wp.array(dtype=Rect),
+    ordered_rects: wp.array(dtype=TileRect),
     positions: wp.array2d(dtype=int),
     items_out: wp.array(dtype=int),
 ):
@@ -215,7 +215,9 @@ def sum_pairs(start: int, counts: wp.array(dtype=int), slot: int, totals_inout: 
 
 
 @wp.kernel
-def count_pairs(start: int, order: wp.array(dtype=int), rects: wp.array(dtype=Rect), counts_out: wp.array(dtype=int)):
+def count_pairs(
+    start: int, order: wp.array(dtype=int), rects: wp.array(dtype=TileRect), counts_out: wp.array(dtype=int)
+):
     """Tiles that the i-th item in order touches; one more element than items, so that the scan ends on the total."""
     i = start + wp.tid()
     counts_out[i] = 0
@@ -236,7 +238,7 @@ def emit_pairs(
     tiles_x: int,
     capacity: int,
     order: wp.array(dtype=int),
-    rects: wp.array(dtype=Rect),
+    rects: wp.array(dtype=TileRect),
     offsets: wp.array(dtype=int),
     tiles_out: wp.array(dtype=int),
     items_out: wp.array(dtype=int),

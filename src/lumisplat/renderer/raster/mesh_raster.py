@@ -8,9 +8,9 @@ import warp as wp
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.rays import RayData, RayMeshHits
-from lumisplat.device.structs.scene import MeshHits, Rect, Triangle
+from lumisplat.device.structs.scene import MeshHits, TileRect, Triangle
 from lumisplat.renderer.raster import mesh_raster_kernels as kernels
-from lumisplat.renderer.raster.binning import OrderChunked, OrderParallel
+from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel
 from lumisplat.renderer.scene.device_scene import DeviceScene, tile_grid
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -26,7 +26,7 @@ class MeshRaster:
         order: Lists triangles per tile.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, order: BinningChunked | BinningParallel) -> None:
         self._launcher, self._buffers, self._order = launcher, buffers, order
 
     def draw(self, scene: DeviceScene, camera: Camera) -> MeshHits:
@@ -84,7 +84,7 @@ class MeshRaster:
 
     def _project(self, scene: DeviceScene) -> tuple[Any, Any]:
         triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)
-        rects = self._buffers.get("mesh.rects", Rect, scene.triangle_count)
+        rects = self._buffers.get("mesh.rects", TileRect, scene.triangle_count)
         self._launcher.run_banded(
             kernels.project_triangles,
             scene.triangle_count,

@@ -14,7 +14,7 @@ from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle, triangle_box
 from lumisplat.device.structs.rays import RayData, RayMeshHits
-from lumisplat.device.structs.scene import CameraData, MeshData, MeshHits, MeshInstanceData, Rect, Triangle
+from lumisplat.device.structs.scene import CameraData, MeshData, MeshHits, MeshInstanceData, TileRect, Triangle
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
 
@@ -27,7 +27,7 @@ def project_triangles(
     instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
     triangles_out: wp.array(dtype=Triangle),
-    rects_out: wp.array(dtype=Rect),
+    rects_out: wp.array(dtype=TileRect),
 ):
     """Sets up the triangles of all mesh instances, which the scene counts after its splat instances."""
     i = start + wp.tid()
@@ -42,7 +42,7 @@ def project_triangles(
     triangle = setup_triangle(v0, v1, v2)
     triangle.face = instance.face_first + face
     triangle.instance = splat_instance_count + which
-    rect = Rect()
+    rect = TileRect()
     area = wp.length_sq(triangle.normal)
     if area > 0.0 and area < wp.inf:
         box = triangle_box(view, v0, v1, v2)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from lumisplat.config import RasterStrategy, RenderConfig
-from lumisplat.device.structs.rays import RayData, RayMeshHits, RayRadiance
-from lumisplat.renderer.raster.binning import OrderChunked, OrderParallel
+from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits
+from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.gaussian_trace import ray_count
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -36,14 +36,14 @@ class RasterPrimary:
         buffers: Buffers,
         config: RenderConfig,
         *,
-        order: OrderChunked | OrderParallel,
+        order: BinningChunked | BinningParallel,
         meshes: MeshRaster,
         splats: SplatRaster,
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._order, self._meshes, self._splats = order, meshes, splats
 
-    def look(self, scene: DeviceScene, camera: Camera, lens: Any) -> Met:
+    def look(self, scene: DeviceScene, camera: Camera, lens: Any) -> PrimaryHits:
         """Rays of all pixels for one sample, and what they meet.
 
         Args:
@@ -53,13 +53,15 @@ class RasterPrimary:
         """
         count = ray_count(camera)
         rays = self._buffers.struct("primary.rays", RayData, count)
-        radiance = self._buffers.struct("primary.radiance", RayRadiance, count)
+        radiance = self._buffers.struct("primary.radiance", GaussianHits, count)
         hits = self._draw(scene, camera, lens, rays, radiance)
         while not self._order.finish():
             hits = self._draw(scene, camera, lens, rays, radiance)
-        return Met(rays, hits, radiance)
+        return PrimaryHits(rays, hits, radiance)
 
-    def _draw(self, scene: DeviceScene, camera: Camera, lens: Any, rays: RayData, radiance: RayRadiance) -> RayMeshHits:
+    def _draw(
+        self, scene: DeviceScene, camera: Camera, lens: Any, rays: RayData, radiance: GaussianHits
+    ) -> RayMeshHits:
         stage = self._launcher.stage
         sorts = self._config.raster.strategy is RasterStrategy.SORTED
         self._order.begin()

@@ -8,12 +8,12 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import KERNEL_DEGREE, TILE_BANDS_PER_THREAD, TILE_PX
-from lumisplat.device.structs.rays import RayRadiance
-from lumisplat.device.structs.scene import MeshHits, Rect, Splat
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import MeshHits, Splat, TileRect
 from lumisplat.errors import SceneError
-from lumisplat.renderer.film.pixel_buffers import Surface
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.raster import splat_raster_kernels as kernels
-from lumisplat.renderer.raster.binning import DepthOrder, OrderChunked, OrderParallel, TileLists
+from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, DepthOrder, TileLists
 from lumisplat.renderer.scene.device_scene import DeviceScene, tile_grid
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -46,7 +46,7 @@ class SplatRaster:
         order: Sorts splats and lists them per tile.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, order: OrderChunked | OrderParallel) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, order: BinningChunked | BinningParallel) -> None:
         self._launcher, self._buffers, self._order = launcher, buffers, order
         self._warned_of_degrees: set[int] = set()
         self._warned_of_mirrors = False
@@ -78,7 +78,7 @@ class SplatRaster:
         """Splats, depth keys and tile rectangles of all Gaussians of the scene."""
         splats = self._buffers.get("raster.splats", Splat, scene.gaussian_count)
         keys = self._buffers.get("raster.keys", wp.uint32, scene.gaussian_count)
-        rects = self._buffers.get("raster.rects", Rect, scene.gaussian_count)
+        rects = self._buffers.get("raster.rects", TileRect, scene.gaussian_count)
         for asset in scene.assets:
             self._launcher.run_banded(
                 kernels.project_splats,
@@ -94,7 +94,10 @@ class SplatRaster:
 
     def composite(self, scene: DeviceScene, camera: Camera, splats: Any, lists: TileLists, hits: MeshHits) -> None:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
-        surface, nothing = Surface.of(self._buffers, camera), self._buffers.struct("raster.no_rays", RayRadiance, 0)
+        surface, nothing = (
+            PixelBuffers.of(self._buffers, camera),
+            self._buffers.struct("raster.no_rays", GaussianHits, 0),
+        )
         self._composite(
             scene, camera, (scene.instances, splats, lists.starts, lists.items, hits, False, surface.data, nothing)
         )
@@ -107,18 +110,18 @@ class SplatRaster:
         lists: TileLists,
         hits: MeshHits,
         *,
-        radiance: RayRadiance,
+        radiance: GaussianHits,
         counts: bool,
     ) -> None:
         """The same, but writes what the splats before the mesh give the rays of the pixels.
 
         Tiles do not count how many are blended: where it ``counts``, pixels are worked on one by one for that.
         """
-        nothing = Surface.of_shape(self._buffers, (0, 0))
+        nothing = PixelBuffers.of_shape(self._buffers, (0, 0))
         arguments = (scene.instances, splats, lists.starts, lists.items, hits, True, nothing.data)
         self._composite(scene, camera, (*arguments, radiance))
         if counts and not self._launcher.is_parallel:
-            counted = self._buffers.struct("raster.counted", RayRadiance, radiance.hits.shape[0])
+            counted = self._buffers.struct("raster.counted", GaussianHits, radiance.hits.shape[0])
             self._composite(scene, camera, (*arguments, counted), by_pixel=True)
             radiance.hits = counted.hits
 
@@ -131,7 +134,7 @@ class SplatRaster:
         hits: MeshHits,
         *,
         lens: Any,
-        radiance: RayRadiance,
+        radiance: GaussianHits,
     ) -> None:
         """One splat a pixel, by chance, as the radiance of its ray; lists need no order.
 

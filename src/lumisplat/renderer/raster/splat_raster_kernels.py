@@ -13,17 +13,17 @@ from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_
 from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
 from lumisplat.device.gaussian.compositing import blend, store_radiance, store_surface
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
-from lumisplat.device.math.random import draw, draw_mixed, mix, stream_of
-from lumisplat.device.structs.rays import LensData, RayRadiance
+from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
+from lumisplat.device.structs.rays import GaussianHits, LensData
 from lumisplat.device.structs.scene import (
+    BlendState,
     CameraData,
     GaussianData,
     InstanceData,
     MeshHits,
-    Pixel,
-    Rect,
+    PixelData,
     Splat,
-    SurfaceData,
+    TileRect,
 )
 
 wp.set_module_options(
@@ -52,9 +52,9 @@ def is_finite(splat: Splat) -> bool:
 
 
 @wp.func
-def tile_range(camera: CameraData, splat: Splat) -> Rect:
+def tile_range(camera: CameraData, splat: Splat) -> TileRect:
     """Tiles whose pixel centres the splat's box covers."""
-    rect = Rect()
+    rect = TileRect()
     low = splat.center - splat.extent - wp.vec2(0.5)
     high = splat.center + splat.extent - wp.vec2(0.5)
     last_x = float(camera.width - 1)
@@ -80,7 +80,7 @@ def project_splats(
     gaussians: GaussianData,
     splats_out: wp.array(dtype=Splat),
     keys_out: wp.array(dtype=wp.uint32),
-    rects_out: wp.array(dtype=Rect),
+    rects_out: wp.array(dtype=TileRect),
 ):
     """Projects the instances of one asset; the bits of a positive float sort as the float does."""
     i = start + wp.tid()
@@ -88,7 +88,7 @@ def project_splats(
     count = gaussians.means.shape[0]
     splat = project_gaussian(view, instances[instance_ids[i // count]], gaussians, i % count)
     key = KEY_CULLED
-    rect = Rect()
+    rect = TileRect()
     if splat.log_opacity > -wp.inf:
         if is_finite(splat):
             rect = tile_range(view, splat)
@@ -111,9 +111,9 @@ def log_alpha_at(splat: Splat, x: int, y: int) -> float:
 
 
 @wp.func
-def picked(splats: wp.array(dtype=Splat), index: int) -> Pixel:
+def select_splat(splats: wp.array(dtype=Splat), index: int) -> BlendState:
     """A pixel that shows one splat, as if it were opaque; index -1: none."""
-    pixel = Pixel()
+    pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.splat = index
     if index >= 0:
@@ -128,7 +128,7 @@ def picked(splats: wp.array(dtype=Splat), index: int) -> Pixel:
 def first_touching(
     splats: wp.array(dtype=Splat), tile_splats: wp.array(dtype=int), begin: int, end: int, x: int, y: int
 ) -> int:
-    """As ``Pixel.splat`` says it for a pixel that reaches no surface: -2 - its first splat; -1 if it has none."""
+    """As ``BlendState.splat`` says it for a pixel that reaches no surface: -2 - its first splat; -1 if it has none."""
     for j in range(begin, end):
         index = tile_splats[j]
         if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
@@ -146,8 +146,8 @@ def composite_pixels(
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
     keeps_rays: bool,
-    surface_out: SurfaceData,
-    radiance_out: RayRadiance,
+    surface_out: PixelData,
+    radiance_out: GaussianHits,
 ):
     """Item = tile * 256 + pixel of the tile. Pixels end on the surface, or, if it ``keeps_rays``, as rays' radiance."""
     i = start + wp.tid()
@@ -159,7 +159,7 @@ def composite_pixels(
     if x >= view.width or y >= view.height:
         return
     mesh_z = hits.depth_z[y * view.width + x]
-    pixel = Pixel()
+    pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.splat = -1
     j = int(tile_starts[tile])
@@ -193,8 +193,8 @@ def composite_tiles(
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
     keeps_rays: bool,
-    surface_out: SurfaceData,
-    radiance_out: RayRadiance,
+    surface_out: PixelData,
+    radiance_out: GaussianHits,
 ):
     """The arithmetic of ``blend``, written as selections over rows of pixels."""
     tile = start + wp.tid()
@@ -268,7 +268,7 @@ def composite_tiles(
     for y in range(rows):
         for x in range(columns):
             i = y * TILE + x
-            pixel = Pixel()
+            pixel = BlendState()
             pixel.color = wp.vec3(red[i], green[i], blue[i])
             pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
             pixel.transmittance = transmittance[i]
@@ -290,7 +290,7 @@ def pick_pixels(
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
-    radiance_out: RayRadiance,
+    radiance_out: GaussianHits,
 ):
     """Item = tile * 256 + pixel of the tile: the nearest of the splats that chance accepts, in any order."""
     i = start + wp.tid()
@@ -302,7 +302,7 @@ def pick_pixels(
     y = position[1]
     if x >= view.width or y >= view.height:
         return
-    stream = stream_of(y * view.width + x, lens.sample, lens.seed)
+    sample_key = sample_key_of(y * view.width + x, lens.sample, lens.seed)
     nearest = hits.depth_z[y * view.width + x]
     winner = int(-1)
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
@@ -310,10 +310,10 @@ def pick_pixels(
         splat = splats[index]
         if splat.depth < nearest or (splat.depth == nearest and index < winner):
             log_alpha = log_alpha_at(splat, x, y)
-            if log_alpha >= LOG_ALPHA_MIN and draw(stream, wp.uint32(index)) < alpha_from_log(log_alpha):
+            if log_alpha >= LOG_ALPHA_MIN and draw(sample_key, wp.uint32(index)) < alpha_from_log(log_alpha):
                 nearest = splat.depth
                 winner = index
-    store_radiance(view, splats, picked(splats, winner), x, y, radiance_out)
+    store_radiance(view, splats, select_splat(splats, winner), x, y, radiance_out)
 
 
 @wp.kernel
@@ -325,7 +325,7 @@ def pick_tiles(
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
     hits: MeshHits,
-    radiance_out: RayRadiance,
+    radiance_out: GaussianHits,
 ):
     """The same, written as selections over rows of pixels."""
     tile = start + wp.tid()
@@ -338,12 +338,12 @@ def pick_tiles(
     columns = wp.min(TILE, view.width - left)
     nearest = TileFloats(-1.0)  # nothing is nearer than what is outside the image
     winner = TileInts(-1)
-    streams = TileWords()
+    sample_keys = TileWords()
     for y in range(rows):
         for x in range(columns):
             i = y * TILE + x
             nearest[i] = hits.depth_z[(top + y) * view.width + left + x]
-            streams[i] = stream_of((top + y) * view.width + left + x, lens.sample, lens.seed)
+            sample_keys[i] = sample_key_of((top + y) * view.width + left + x, lens.sample, lens.seed)
 
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]
@@ -364,7 +364,7 @@ def pick_tiles(
                 log_alpha = row_log_alpha - splat.along * dx * dx
                 alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
                 alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
-                alpha = wp.where(draw_mixed(streams[i], dimension) < alpha, 1.0, 0.0)
+                alpha = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, 1.0, 0.0)
                 ahead = wp.where(splat.depth < nearest[i], 1, 0) | (
                     wp.where(splat.depth == nearest[i], 1, 0) & wp.where(index < winner[i], 1, 0)
                 )
@@ -374,5 +374,5 @@ def pick_tiles(
 
     for y in range(rows):
         for x in range(columns):
-            pixel = picked(splats, winner[y * TILE + x])
+            pixel = select_splat(splats, winner[y * TILE + x])
             store_radiance(view, splats, pixel, left + x, top + y, radiance_out)

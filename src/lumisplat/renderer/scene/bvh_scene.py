@@ -10,12 +10,12 @@ import numpy as np
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, KERNEL_LINEAR_SLOPE, NODE_WIDTH
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, KernelData, Node, TreeAsset, TreeInstance
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, BvhInstance, KernelData, Node
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.device_scene import DeviceScene, SplatAsset, table_dtype
-from lumisplat.renderer.scene.gaussian_bvh import GaussianTree
-from lumisplat.renderer.scene.materials import own_looks
+from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
+from lumisplat.renderer.scene.materials import shading_overrides
 from lumisplat.renderer.scene.upload import upload_structs
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -24,17 +24,17 @@ from lumisplat.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
-class HeldTree:
+class HeldBvh:
     """The tree of an asset."""
 
     gaussians: Gaussians
     data: GaussianData
     """Its arrays on the device, which may be others when it is uploaded again."""
     kernel: KernelData
-    tree: GaussianTree
+    tree: GaussianBvh
 
 
-class TreeScene:
+class BvhScene:
     """Trees of a scene's Gaussians, built when rays first meet them, and refitted when their Gaussians move.
 
     Args:
@@ -44,16 +44,16 @@ class TreeScene:
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
-        self._held: list[HeldTree] = []
+        self._held: list[HeldBvh] = []
         self.assets: Any = None
         """What the instances place, as TreeAsset."""
         self.instances: Any = None
         """In scene order, as TreeInstance."""
-        self.top_nodes: Any = None
+        self.tlas_nodes: Any = None
         """Tree of the instances' world boxes; its leaves are ~instance."""
 
         self._placed: bytes | None = None
-        self.bundle_radius = 0.0
+        self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
     @property
@@ -62,7 +62,7 @@ class TreeScene:
         return self._buffers.bytes + sum(held.tree.bytes for held in self._held)
 
     @property
-    def held(self) -> list[HeldTree]:
+    def held(self) -> list[HeldBvh]:
         """The trees, in the order of the device scene's assets."""
         return self._held
 
@@ -81,8 +81,8 @@ class TreeScene:
             self._placed = None
             try:
                 self._held = [self._tree_of(place, assets, before, config) for place in range(len(assets))]
-                rows = self._asset_rows() or [TreeAsset()]  # an array without elements has no address
-                self.assets = upload_structs(rows, TreeAsset, self._launcher.device)
+                rows = self._asset_rows() or [AssetBvh()]  # an array without elements has no address
+                self.assets = upload_structs(rows, AssetBvh, self._launcher.device)
             except DeviceError:
                 raise
             except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate
@@ -93,17 +93,17 @@ class TreeScene:
         if table.tobytes() == self._placed:
             return  # nothing has moved
         self._placed = None  # until all of it is there
-        self.instances = self._buffers.get("instances", TreeInstance, len(places))
+        self.instances = self._buffers.get("instances", BvhInstance, len(places))
         if places:
             self.instances.assign(table)
         extents = (self._held[p].tree.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
-        self.bundle_radius = COHERENT_RADIUS * max(extents, default=0.0)
+        self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
-        self.top_nodes = self._buffers.get("top_nodes", Node, len(nodes))
-        self.top_nodes.assign(nodes)
+        self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
+        self.tlas_nodes.assign(nodes)
         self._placed = table.tobytes()
 
-    def _tree_of(self, place: int, assets: list[SplatAsset], before: list[HeldTree], config: RenderConfig) -> HeldTree:
+    def _tree_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
         """The tree that there is; that of the asset whose place this one took, refitted; or a new one."""
         gaussians, data = assets[place].gaussians, assets[place].data
         held = next((held for held in before if held.gaussians is gaussians), None)
@@ -119,13 +119,13 @@ class TreeScene:
             and there.kernel.degree == kernel.degree
         ):
             there.tree.refit(data)
-            return HeldTree(gaussians, data, kernel, there.tree)
-        return HeldTree(gaussians, data, kernel, GaussianTree(self._launcher, data, kernel))
+            return HeldBvh(gaussians, data, kernel, there.tree)
+        return HeldBvh(gaussians, data, kernel, GaussianBvh(self._launcher, data, kernel))
 
-    def _asset_rows(self) -> list[TreeAsset]:
+    def _asset_rows(self) -> list[AssetBvh]:
         rows = []
         for held in self._held:
-            row = TreeAsset()
+            row = AssetBvh()
             row.nodes, row.particles, row.gaussians = held.tree.nodes, held.tree.particles, held.data
             rows.append(row)
         return rows
@@ -134,7 +134,7 @@ class TreeScene:
         world_from_object = np.array([instance.transform for instance in scene.splats])
         object_from_world = np.linalg.inv(world_from_object)
         scales = np.array([instance.scale for instance in scene.splats])
-        table = np.zeros(len(places), dtype=table_dtype(TreeInstance))
+        table = np.zeros(len(places), dtype=table_dtype(BvhInstance))
         table["object_from_world"] = object_from_world[:, :3, :3]
         table["object_from_world_offset"] = object_from_world[:, :3, 3]
         table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
@@ -142,7 +142,7 @@ class TreeScene:
         table["asset"] = places
         table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
         table["sh_degree"] = [min(config.trace.sh_degree, instance.sh_degree) for instance in scene.splats]
-        for name, values in own_looks(scene, lit).items():
+        for name, values in shading_overrides(scene, lit).items():
             table[name] = values
         for row, place in zip(table, places, strict=True):
             kernel = self._held[place].kernel

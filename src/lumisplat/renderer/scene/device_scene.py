@@ -14,7 +14,7 @@ from lumisplat.constants import INSTANCE_BOX_MARGIN, JACOBIAN_CLAMP, RAY_START_B
 from lumisplat.device.structs.rays import MeshPlacement
 from lumisplat.device.structs.scene import CameraData, GaussianData, InstanceData, MeshData, MeshInstanceData
 from lumisplat.errors import DeviceError
-from lumisplat.renderer.scene.materials import own_looks
+from lumisplat.renderer.scene.materials import shading_overrides
 from lumisplat.renderer.scene.upload import (
     TextureKey,
     build_triangle_tree,
@@ -46,7 +46,7 @@ class SplatAsset:
 
 
 @dataclass(frozen=True, slots=True)
-class TriangleTree:
+class TriangleBvh:
     """Where rays look for the triangles of a mesh."""
 
     mesh: Mesh
@@ -55,7 +55,7 @@ class TriangleTree:
     """Of its bounding box, object space, shape (8, 3)."""
 
     @classmethod
-    def of(cls, mesh: Mesh, device: str) -> TriangleTree:
+    def of(cls, mesh: Mesh, device: str) -> TriangleBvh:
         """A tree, built on the device."""
         corners = list(itertools.product(*zip(*mesh.bounds(), strict=True)))
         return cls(mesh, build_triangle_tree(mesh, device), np.array(corners, dtype=np.float64))
@@ -79,7 +79,7 @@ class DeviceScene:
         self._device = device
         self._structure: tuple[list[int], list[int]] | None = None
         self._meshes: dict[int, Mesh] = {}
-        self._trees: dict[int, TriangleTree] = {}
+        self._trees: dict[int, TriangleBvh] = {}
         self._face_first: dict[int, int] = {}
         self.texture_first: dict[TextureKey, int] = {}
         """First texel of each texture."""
@@ -148,7 +148,7 @@ class DeviceScene:
                 self._trees[id(mesh)] = held[id(mesh)]
                 continue
             try:
-                self._trees[id(mesh)] = TriangleTree.of(mesh, self._device)
+                self._trees[id(mesh)] = TriangleBvh.of(mesh, self._device)
             except RuntimeError as error:
                 raise DeviceError(f"{self._device} has no room for the scene: {error}") from None
             self.version += 1
@@ -245,7 +245,7 @@ def splat_table(scene: Scene, camera: Camera, config: RenderConfig, lit: bool) -
     table["eye"] = (np.linalg.inv(transforms) @ [*camera.eye, 1.0])[:, :3]
     table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
     table["sh_degree"] = [min(config.raster.sh_degree, instance.sh_degree) for instance in scene.splats]
-    for name, values in own_looks(scene, lit).items():
+    for name, values in shading_overrides(scene, lit).items():
         table[name] = values
     forced = config.raster.antialiasing is Antialiasing.ON
     by_file = config.raster.antialiasing is Antialiasing.AUTO

@@ -23,7 +23,7 @@ BOUNDS_SAMPLES = 65536
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 
 
-class GaussianTree:
+class GaussianBvh:
     """A bounding volume hierarchy over one Gaussian set, in its own space.
 
     Args:

@@ -13,15 +13,15 @@ from lumisplat.device.structs.shading import (
     SEES_ENVIRONMENT,
     SEES_NOTHING,
     MaterialData,
-    ShadeData,
-    ShadeScene,
+    ShadingScene,
+    ShadingSettings,
     SplatAttributes,
     SplatPlacement,
 )
 from lumisplat.renderer.scene.device_scene import DeviceScene, table_dtype
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import material_table
-from lumisplat.renderer.scene.upload import shared, upload_structs
+from lumisplat.renderer.scene.upload import as_device_array, upload_structs
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -29,7 +29,7 @@ from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import Scene
 
 
-class LitScene:
+class LightScene:
     """Device tables of what light meets, and of the lights.
 
     Args:
@@ -42,7 +42,7 @@ class LitScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lights = LightTable()
         self._version = -1
-        self._row = ShadeScene()
+        self._row = ShadingScene()
         self._table: Any = None
         self.data: Any = None
         """What kernels take: a 1-element ShadeScene array."""
@@ -80,7 +80,7 @@ class LitScene:
         self._row.materials = table("shade.materials", MaterialData, len(materials))
         placements = placement_table(scene, device_scene)
         self._row.splats = table("shade.splats", SplatPlacement, len(placements))
-        self._row.settings = table("shade.settings", ShadeData, 1)
+        self._row.settings = table("shade.settings", ShadingSettings, 1)
         self.has_shadow_only = any(instance.shadow_only for instance in scene.splats)
         self._table = self._settings(for_camera)
         for array, rows in (
@@ -95,7 +95,7 @@ class LitScene:
         self._row.meshes = device_scene.mesh_data
         self._row.lights = self._lights.lights
         self._row.environment = self._lights.environment
-        self.data = upload_structs([self._row], ShadeScene, self._launcher.device)
+        self.data = upload_structs([self._row], ShadingScene, self._launcher.device)
 
     def begin_sample(self, sample: int) -> None:
         """Before a sample is shaded."""
@@ -104,7 +104,7 @@ class LitScene:
 
     def _settings(self, for_camera: bool) -> np.ndarray:
         config = self._config
-        row = table = np.zeros(1, dtype=table_dtype(ShadeData))
+        row = table = np.zeros(1, dtype=table_dtype(ShadingSettings))
         row["background"] = config.background or (0.0, 0.0, 0.0)
         row["camera_sees"] = SEES_BACKGROUND
         if not for_camera or config.background is None:
@@ -128,7 +128,7 @@ def attribute_rows(device_scene: DeviceScene, device: str) -> list[SplatAttribut
         for name in ("roughness", "metallic"):
             values = getattr(asset.gaussians, name)
             if values is not None:
-                setattr(row, name, shared(values, wp.float32, device))
+                setattr(row, name, as_device_array(values, wp.float32, device))
         rows.append(row)
     return rows or [SplatAttributes()]  # an array without elements has no address
 

@@ -29,7 +29,7 @@ def material_of(instance: SplatInstance) -> Material:
     return instance.material or MaterialSimple()
 
 
-def own_looks(scene: Scene, lit: bool) -> dict[str, list[bool]]:
+def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     """Which splat instances show the albedo, and which the normals, that their Gaussians carry.
 
     Normals: those that reflect light. Albedo: those of them that do not shine by themselves, too.
@@ -79,7 +79,7 @@ def _fill(row: Any, material: Material) -> None:
         row["roughness"] = 1.0  # rough, for what asks whether it is smooth
         return
     row["model"] = BSDF_PBR
-    row["reflection"] = material.specular
+    row["specular_strength"] = material.specular
     for name in ("metallic", "roughness", "ior", "transmission", "normal_scale", "occlusion_strength"):
         row[name] = getattr(material, name)
 

@@ -22,14 +22,14 @@ TextureKey = tuple[int, tuple[int, ...]]
 def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
     """Copies an asset to the device; on the CPU its arrays are shared where their layout allows."""
     data = GaussianData()
-    data.means = shared(gaussians.means, wp.vec3, device)
+    data.means = as_device_array(gaussians.means, wp.vec3, device)
     data.rotations = wp.array(gaussians.rotations_wxyz[:, [1, 2, 3, 0]], dtype=wp.quat, device=device)
-    data.scales = shared(gaussians.scales, wp.vec3, device)
-    data.opacities = shared(gaussians.opacities, wp.float32, device)
-    data.sh = shared(gaussians.sh.reshape(-1, 3), wp.vec3, device)
+    data.scales = as_device_array(gaussians.scales, wp.vec3, device)
+    data.opacities = as_device_array(gaussians.opacities, wp.float32, device)
+    data.sh = as_device_array(gaussians.sh.reshape(-1, 3), wp.vec3, device)
     data.sh_count = gaussians.sh.shape[1]
     if gaussians.normals is not None:
-        data.normals = shared(gaussians.normals, wp.vec3, device)
+        data.normals = as_device_array(gaussians.normals, wp.vec3, device)
     if gaussians.albedo is not None:
         data.albedo = wp.array(encode_srgb(gaussians.albedo), dtype=wp.vec3, device=device)
     return data
@@ -108,7 +108,7 @@ def first_of(counts: dict[Key, int]) -> dict[Key, int]:
     return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
-def shared(values: np.ndarray, dtype: Any, device: str) -> Any:
+def as_device_array(values: np.ndarray, dtype: Any, device: str) -> Any:
     """An asset's array on the device; on the CPU the same memory."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if device != "cpu":

@@ -13,16 +13,16 @@ import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.bvh.node_test import enter_children, larger, lesser
-from lumisplat.device.bvh.ray_packet import BUNDLE_OPTIONS, bundle_of
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
 from lumisplat.device.light.shadow import shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, Node, ShadowData, Slabs, TreeAsset, TreeInstance
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, BvhInstance, Node, ShadowData, Slabs
 from lumisplat.device.structs.rays import RayData
 
-wp.set_module_options(BUNDLE_OPTIONS)
+wp.set_module_options(PACKET_OPTIONS)
 
 WIDTH = wp.constant(NODE_WIDTH)
 
@@ -32,23 +32,23 @@ Picks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
 
 
 @functools.cache
-def occluder(lanes: int, hits: int) -> Any:
+def shadow_kernel(lanes: int, hits: int) -> Any:
     """The kernel for packets of ``lanes`` rays, of whose hits the nearest ``hits`` count; 0: all."""
     LANES = lanes
     HITS = max(hits, 1)
     FIRST = hits > 0
     ORDER = 1.0 if hits > 0 else -1.0  # of the distances at which nodes are entered
-    Floats, Ints, gather, slabs_of, meet_particle, pass_particle = bundle_of(lanes)
+    Floats, Ints, gather, slabs_of, meet_particle, pass_particle = packet_of(lanes)
     HitFloats = wp.types.vector(length=LANES * HITS, dtype=wp.float32)
     HitInts = wp.types.vector(length=LANES * HITS, dtype=wp.int32)
 
-    @wp.kernel(module="unique", module_options=BUNDLE_OPTIONS)
+    @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def shade_by_gaussians(
         start: int,
         settings: wp.array(dtype=ShadowData),
-        instances: wp.array(dtype=TreeInstance),
-        assets: wp.array(dtype=TreeAsset),
-        top_nodes: wp.array(dtype=Node),
+        instances: wp.array(dtype=BvhInstance),
+        assets: wp.array(dtype=AssetBvh),
+        tlas_nodes: wp.array(dtype=Node),
         radius_max: float,
         rays: RayData,
         limits: wp.array(dtype=float),
@@ -101,7 +101,7 @@ def occluder(lanes: int, hits: int) -> Any:
             owner[0] = -1
             top = int(1)
             current = int(-2)
-            instance = TreeInstance()
+            instance = BvhInstance()
             slabs = Slabs()
             end = Floats()
             ox = Floats()
@@ -139,7 +139,7 @@ def occluder(lanes: int, hits: int) -> Any:
                     slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
                 node = Node()
                 if current < 0:
-                    node = top_nodes[link[top]]
+                    node = tlas_nodes[link[top]]
                 else:
                     node = assets[instance.asset].nodes[link[top]]
                 links = node.link

@@ -11,10 +11,10 @@ from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
 from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.bvh import ShadowData
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene, table_dtype
 from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels, stochastic_bvh_kernels
-from lumisplat.renderer.shadow.stochastic_bvh import ShrunkTrees
+from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
@@ -32,9 +32,9 @@ class ShadowRays:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "shadow") -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._shade = occluder_of(launcher, config)
+        self._shade = shadow_kernel_of(launcher, config)
         self._is_stochastic = config.shadow.method is ShadowMethod.STOCHASTIC
-        self._shrunk = ShrunkTrees(launcher, buffers, name)
+        self._shrunk = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
         self._settings.assign(self._table)
@@ -47,7 +47,7 @@ class ShadowRays:
             self._shrunk.forget()
 
     def trace(
-        self, scene: DeviceScene, trees: TreeScene, rays: RayData, skips: Any, name: str, *, opaque: bool = False
+        self, scene: DeviceScene, trees: BvhScene, rays: RayData, skips: Any, name: str, *, opaque: bool = False
     ) -> Any:
         """What of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
@@ -73,7 +73,7 @@ class ShadowRays:
         run(
             self._shade,
             count // self._lanes,
-            *(self._settings, trees.instances, assets, trees.top_nodes, trees.bundle_radius),
+            *(self._settings, trees.instances, assets, trees.tlas_nodes, trees.packet_radius),
             *(rays, limits, skips, light),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
@@ -97,13 +97,13 @@ class ShadowRays:
 
 def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     """The kernel modules that shadow rays need."""
-    return [mesh_shadow_kernels, stochastic_bvh_kernels, occluder_of(launcher, config).module]
+    return [mesh_shadow_kernels, stochastic_bvh_kernels, shadow_kernel_of(launcher, config).module]
 
 
-def occluder_of(launcher: Launcher, config: RenderConfig) -> Any:
+def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that takes shadow rays through Gaussians on a device."""
     hits = config.shadow.hits if config.shadow.method is ShadowMethod.FIRST_HITS else 0
-    return gaussian_shadow_kernels.occluder(1 if launcher.is_parallel else PACKET_RAYS, hits)
+    return gaussian_shadow_kernels.shadow_kernel(1 if launcher.is_parallel else PACKET_RAYS, hits)
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:

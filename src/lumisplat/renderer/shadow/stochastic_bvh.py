@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from lumisplat.constants import SHRINK_INSTANCES_MAX, SHRINK_RAYS_PER_GAUSSIAN
-from lumisplat.device.structs.bvh import Node, TreeAsset
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.device.structs.bvh import AssetBvh, Node
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.upload import upload_structs
 from lumisplat.renderer.shadow import stochastic_bvh_kernels
@@ -19,7 +19,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 
-class ShrunkTrees:
+class StochasticBvh:
     """Keeps the trees of the last sample.
 
     Args:
@@ -42,7 +42,7 @@ class ShrunkTrees:
         """Another sample begins."""
         self._is_fresh, self._rays = False, 0
 
-    def assets(self, scene: DeviceScene, trees: TreeScene, settings: Any, *, ray_count: int) -> Any:
+    def assets(self, scene: DeviceScene, trees: BvhScene, settings: Any, *, ray_count: int) -> Any:
         """The scene's assets with trees for the sample that ``settings`` tell; the whole trees while few rays came."""
         if trees.assets is self._whole and self._is_fresh:
             return self._assets
@@ -68,10 +68,10 @@ class ShrunkTrees:
         self._is_fresh = True
         return self._assets
 
-    def _upload(self, trees: TreeScene, nodes: list[Any]) -> Any:
+    def _upload(self, trees: BvhScene, nodes: list[Any]) -> Any:
         rows = []
         for held, shrunk in zip(trees.held, nodes, strict=True):
-            row = TreeAsset()
+            row = AssetBvh()
             row.nodes, row.particles, row.gaussians = shrunk, held.tree.particles, held.data
             rows.append(row)
-        return upload_structs(rows or [TreeAsset()], TreeAsset, self._launcher.device)
+        return upload_structs(rows or [AssetBvh()], AssetBvh, self._launcher.device)

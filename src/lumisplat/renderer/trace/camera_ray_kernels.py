@@ -8,10 +8,10 @@ import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
-from lumisplat.device.math.random import strand_of, stream_of
+from lumisplat.device.math.random import pixel_key_of, sample_key_of
 from lumisplat.device.mesh.first_surface import store_sample, surface_of_ray
-from lumisplat.device.structs.rays import LensData, RayData, RayMeshHits, RayRadiance, RaySurface
-from lumisplat.device.structs.scene import InstanceData, MeshData, MeshInstanceData, SurfaceData
+from lumisplat.device.structs.rays import GaussianHits, LensData, RayData, RayMeshHits, RaySurface
+from lumisplat.device.structs.scene import InstanceData, MeshData, MeshInstanceData, PixelData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,9 +31,9 @@ def start_rays(start: int, lenses: wp.array(dtype=LensData), rays_out: RayData):
     rays_out.origin[i] = ray.origin
     rays_out.direction[i] = ray.direction
     rays_out.t_min[i] = ray.t_min
-    rays_out.travelled[i] = 0.0
-    rays_out.stream[i] = stream_of(y * lens.width + x, lens.sample, lens.seed)
-    rays_out.strand[i] = strand_of(y * lens.width + x, lens.seed)
+    rays_out.path_length[i] = 0.0
+    rays_out.sample_key[i] = sample_key_of(y * lens.width + x, lens.sample, lens.seed)
+    rays_out.pixel_key[i] = pixel_key_of(y * lens.width + x, lens.seed)
     if wp.length_sq(ray.direction) > 0.0:
         rays_out.t_max[i] = wp.inf
 
@@ -44,13 +44,13 @@ def store_rays(
     lenses: wp.array(dtype=LensData),
     background: wp.vec3,
     rays: RayData,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     hits: RayMeshHits,
     colors: wp.array(dtype=wp.vec3),
     instances: wp.array(dtype=InstanceData),
     mesh_instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
-    surface_inout: SurfaceData,
+    surface_inout: PixelData,
     nonfinite_inout: wp.array(dtype=int),
 ):
     """Over the background where there is no ray."""
@@ -96,9 +96,9 @@ def load_rays(
     rays_out.direction[i] = directions[i]
     rays_out.t_min[i] = 0.0
     rays_out.t_max[i] = distances[i]
-    rays_out.travelled[i] = 0.0
-    rays_out.stream[i] = stream_of(first + i, sample, seed)
-    rays_out.strand[i] = strand_of(first + i, seed)
+    rays_out.path_length[i] = 0.0
+    rays_out.sample_key[i] = sample_key_of(first + i, sample, seed)
+    rays_out.pixel_key[i] = pixel_key_of(first + i, seed)
 
 
 @wp.kernel
@@ -107,13 +107,13 @@ def store_hits(
     sample: int,
     lit: bool,
     rays: RayData,
-    radiance: RayRadiance,
+    radiance: GaussianHits,
     hits: RayMeshHits,
     colors: wp.array(dtype=wp.vec3),
     instances: wp.array(dtype=InstanceData),
     mesh_instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
-    surface_inout: SurfaceData,
+    surface_inout: PixelData,
     nonfinite_inout: wp.array(dtype=int),
 ):
     """As ``store_rays``, without a background; ``lit`` colours have none."""

@@ -10,15 +10,14 @@ import numpy as np
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, ShadowConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, RAY_BLOCK_PX
 from lumisplat.device.structs.bvh import TraceData
-from lumisplat.device.structs.rays import RayData, RayRadiance
-from lumisplat.renderer.integrators import specular_wave_kernels
+from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene import gaussian_bvh_kernels
-from lumisplat.renderer.scene.bvh_scene import TreeScene
+from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene, table_dtype
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays, shadow_modules
 from lumisplat.renderer.trace import camera_ray_kernels, gaussian_trace_kernels, mesh_trace_kernels
-from lumisplat.renderer.trace.mesh_trace import MeshHitFinder
-from lumisplat.renderer.trace.primary_hits import Met
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -42,14 +41,14 @@ class RayTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._integrate = integrator_of(launcher, config)
-        self.mesh_hits = MeshHitFinder(launcher, buffers)
+        self._integrate = trace_kernel_of(launcher, config)
+        self.mesh_hits = MeshTracer(launcher, buffers)
         """Looks for meshes alone."""
         self._settings = buffers.get("trace.settings", TraceData, 1)
         self._settings.assign(trace_table(config.trace))
         self._transmit = ShadowRays(launcher, buffers, replace(config, shadow=ShadowConfig()), "transmit")
 
-    def look(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> Met:
+    def look(self, scene: DeviceScene, trees: BvhScene, rays: RayData) -> PrimaryHits:
         """What rays meet.
 
         Args:
@@ -61,9 +60,9 @@ class RayTracer:
             hits = self.mesh_hits.find(scene, rays, "trace.hits")
         with self._launcher.stage("gaussians"):
             radiance = self.integrate(trees, rays, "trace.radiance")
-        return Met(rays, hits, radiance)
+        return PrimaryHits(rays, hits, radiance)
 
-    def transmit(self, scene: DeviceScene, trees: TreeScene, rays: RayData) -> Any:
+    def transmit(self, scene: DeviceScene, trees: BvhScene, rays: RayData) -> Any:
         """What of the light from ``t_max`` arrives at the origins of rays, an array of wp.vec3; behind meshes nothing.
 
         Args:
@@ -73,26 +72,26 @@ class RayTracer:
         """
         return self._transmit.trace(scene, trees, rays, None, "trace.transmittance", opaque=True)
 
-    def integrate(self, trees: TreeScene, rays: RayData, name: str) -> RayRadiance:
+    def integrate(self, trees: BvhScene, rays: RayData, name: str) -> GaussianHits:
         """What the Gaussians up to ``t_max`` give rays, in buffers of that name."""
         count = rays.t_max.shape[0]
-        radiance = self._buffers.struct(name, RayRadiance, count)
+        radiance = self._buffers.struct(name, GaussianHits, count)
         self._launcher.run_banded(
             self._integrate,
             count // self._lanes,
-            *(self._settings, trees.instances, trees.assets, trees.top_nodes, trees.bundle_radius),
+            *(self._settings, trees.instances, trees.assets, trees.tlas_nodes, trees.packet_radius),
             *(rays, radiance),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return radiance
 
 
-def integrator_of(launcher: Launcher, config: RenderConfig) -> Any:
+def trace_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that follows rays on a device, for these settings."""
     hits = config.trace.hits_per_pass
     if launcher.is_parallel:
-        return gaussian_trace_kernels.integrator(1, hits)
-    return gaussian_trace_kernels.integrator(PACKET_RAYS, max(hits, HITS_HELD_CPU))
+        return gaussian_trace_kernels.gaussian_trace_kernel(1, hits)
+    return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS, max(hits, HITS_HELD_CPU))
 
 
 def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
@@ -100,9 +99,8 @@ def trace_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
     return [
         gaussian_bvh_kernels,
         mesh_trace_kernels,
-        specular_wave_kernels,
         camera_ray_kernels,
-        integrator_of(launcher, config).module,
+        trace_kernel_of(launcher, config).module,
     ]
 
 

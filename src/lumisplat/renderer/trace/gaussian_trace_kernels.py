@@ -17,15 +17,15 @@ import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
 from lumisplat.device.bvh.node_test import enter_children, larger, lesser
-from lumisplat.device.bvh.ray_packet import BUNDLE_OPTIONS, bundle_of
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
 from lumisplat.device.gaussian.ray_compositing import blend_hit, empty_pixel, end_pass, load_pixel, store_pixel
 from lumisplat.device.math.random import draw_mixed, mix
-from lumisplat.device.structs.bvh import FAR, Node, Slabs, TraceData, TreeAsset, TreeInstance
-from lumisplat.device.structs.rays import Ray, RayData, RayRadiance
+from lumisplat.device.structs.bvh import FAR, AssetBvh, BvhInstance, Node, Slabs, TraceData
+from lumisplat.device.structs.rays import GaussianHits, Ray, RayData
 
-wp.set_module_options(BUNDLE_OPTIONS)
+wp.set_module_options(PACKET_OPTIONS)
 
 SORTED = 0
 HIT = 1
@@ -42,24 +42,24 @@ StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
 
 
 @functools.cache
-def integrator(lanes: int, hits: int) -> Any:
+def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
     """The kernel for packets of ``lanes`` rays that keep ``hits`` hits each."""
     LANES = lanes
     HITS = hits
-    Floats, Ints, gather, slabs_of, meet_particle, _ = bundle_of(lanes)
+    Floats, Ints, gather, slabs_of, meet_particle, _ = packet_of(lanes)
     HitFloats = wp.types.vector(length=lanes * hits, dtype=wp.float32)
     HitInts = wp.types.vector(length=lanes * hits, dtype=wp.int32)
 
-    @wp.kernel(module="unique", module_options=BUNDLE_OPTIONS)
+    @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def integrate_gaussians(
         start: int,
         settings: wp.array(dtype=TraceData),
-        instances: wp.array(dtype=TreeInstance),
-        assets: wp.array(dtype=TreeAsset),
-        top_nodes: wp.array(dtype=Node),
+        instances: wp.array(dtype=BvhInstance),
+        assets: wp.array(dtype=AssetBvh),
+        tlas_nodes: wp.array(dtype=Node),
         radius_max: float,
         rays: RayData,
-        radiance_out: RayRadiance,
+        radiance_out: GaussianHits,
     ):
         """Longer than a kernel should be: its lists live on the stack, and Warp passes vectors by value."""
         first = (start + wp.tid()) * LANES
@@ -128,7 +128,7 @@ def integrator(lanes: int, hits: int) -> Any:
                 owner[0] = -1
                 top = int(1)
                 current = int(-2)
-                instance = TreeInstance()
+                instance = BvhInstance()
                 slabs = Slabs()
                 ox = Floats()
                 oy = Floats()
@@ -160,7 +160,7 @@ def integrator(lanes: int, hits: int) -> Any:
                             slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
                         node = Node()
                         if current < 0:
-                            node = top_nodes[link[top]]
+                            node = tlas_nodes[link[top]]
                         else:
                             node = assets[instance.asset].nodes[link[top]]
                         links = node.link
@@ -208,7 +208,7 @@ def integrator(lanes: int, hits: int) -> Any:
                                     if found > 0 and view.strategy == STRATEGY_HIT:
                                         dimension = mix(wp.uint32(index))
                                         for lane in range(LANES):
-                                            number = draw_mixed(rays.stream[first + lane], dimension)
+                                            number = draw_mixed(rays.sample_key[first + lane], dimension)
                                             t[lane] = wp.where(
                                                 number * view.acceptance_scale < alpha[lane], t[lane], FAR
                                             )
@@ -288,7 +288,7 @@ def integrator(lanes: int, hits: int) -> Any:
                                 ray = Ray()
                                 ray.origin = rays.origin[first + lane]
                                 ray.direction = rays.direction[first + lane]
-                                ray.travelled = rays.travelled[first + lane]
+                                ray.path_length = rays.path_length[first + lane]
                                 pixel = load_pixel(radiance_out, first + lane)
                                 low = head[lane]
                                 end = tail[lane]
@@ -310,7 +310,7 @@ def integrator(lanes: int, hits: int) -> Any:
                                         taken[lane] = taken[lane] + 1
                                         if taken[lane] == view.hits_per_pass:
                                             taken[lane] = 0
-                                            pixel = end_pass(pixel, rays.stream[first + lane], index)
+                                            pixel = end_pass(pixel, rays.sample_key[first + lane], index)
                                             if pixel.splat < 0:
                                                 radiance_out.depth[first + lane] = wp.inf
                                             elif pixel.splat == index:
@@ -340,7 +340,7 @@ def integrator(lanes: int, hits: int) -> Any:
                 if taken[lane] > 0 and limit[lane] > 0.0:
                     # The last pass of the ray, with fewer hits.
                     pixel = load_pixel(radiance_out, first + lane)
-                    pixel = end_pass(pixel, rays.stream[first + lane], last_index[lane])
+                    pixel = end_pass(pixel, rays.sample_key[first + lane], last_index[lane])
                     store_pixel(radiance_out, first + lane, pixel)
                     if pixel.splat < 0:
                         radiance_out.depth[first + lane] = wp.inf

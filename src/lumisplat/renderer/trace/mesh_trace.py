@@ -10,7 +10,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 
-class MeshHitFinder:
+class MeshTracer:
     """Looks for the meshes that rays meet.
 
     Args:

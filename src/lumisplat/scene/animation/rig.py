@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray, handed_over
+from lumisplat.math.transforms import is_mirroring, transform_normals, transform_points
 from lumisplat.scene.animation.clips import Channel, Clip
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.animation.skeleton import Skeleton
-from lumisplat.scene.animation.skinning import blended, mirrors, moved_normals, moved_points
+from lumisplat.scene.animation.skinning import blended
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import check_triangles
@@ -71,7 +72,7 @@ class RigPart:
             if normals is not None and self.morphs.normals is not None:
                 normals = normals + np.tensordot(weights[used], self.morphs.normals[used], 1)
         matrices = self.matrices(world_from_node)
-        return moved_points(matrices, positions), None if normals is None else moved_normals(matrices, normals)
+        return transform_points(matrices, positions), None if normals is None else transform_normals(matrices, normals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,7 +261,7 @@ def joined(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) ->
     world_from_node = skeleton.world_from_node()
     shifted, first = [], 0
     for part, triangles in zip(parts, indices, strict=True):
-        turned = triangles[:, ::-1] if mirrors(part.matrices(world_from_node)) else triangles
+        turned = triangles[:, ::-1] if is_mirroring(part.matrices(world_from_node)) else triangles
         shifted.append(turned + first)
         first += len(part.positions)
     return handed_over(np.concatenate(shifted).astype(np.int32))

@@ -1,4 +1,4 @@
-"""How much of a light arrives at points, were nothing in between: the device's formulas (device/light/light.py) in NumPy."""
+"""Irradiance of a light at points, without shadows: the formulas of device/light/light.py in NumPy."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.constants import SAMPLING_COUNT_MAX
 from lumisplat.errors import SceneError
-from lumisplat.scene.animation.skinning import mirrors, moved_normals, moved_points
+from lumisplat.math.transforms import is_mirroring, transform_normals, transform_points
 from lumisplat.scene.gaussians import Gaussians, merged
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples, default_count, sample_surface, surface_area
@@ -52,7 +52,7 @@ def _in_world(instance: MeshInstance) -> Mesh:
     mesh, matrix = instance.mesh, instance.transform[None, :3]
     return replace(
         mesh,
-        positions=moved_points(matrix, mesh.positions),
-        normals=None if mesh.normals is None else moved_normals(matrix, mesh.normals),
-        indices=mesh.indices[:, ::-1] if mirrors(matrix) else mesh.indices,
+        positions=transform_points(matrix, mesh.positions),
+        normals=None if mesh.normals is None else transform_normals(matrix, mesh.normals),
+        indices=mesh.indices[:, ::-1] if is_mirroring(matrix) else mesh.indices,
     )

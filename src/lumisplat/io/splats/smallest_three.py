@@ -1,33 +1,12 @@
-"""Quaternions in files: as matrices, and as smallest three, whose largest component follows from unit length."""
+"""Unit quaternions packed as their smallest three components: the largest follows from unit length."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import SceneError
 from lumisplat.io.splats.columns import Floats
 from lumisplat.math.arrays import FloatArray
-
-
-def rotation_matrix(wxyz: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """The matrix of a quaternion of any length but zero, scalar first, shape (3, 3).
-
-    Raises:
-        SceneError: It has zero length, or is not finite.
-    """
-    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
-    length2 = w * w + x * x + y * y + z * z
-    if not 0.0 < length2 < np.inf:
-        raise SceneError("a rotation of zero length or not finite, expected a unit quaternion")
-    scaled = np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
-    return scaled / length2
 
 
 def unpack_smallest_three(largest: npt.NDArray[np.integer], kept: Floats) -> FloatArray:
