@@ -6,7 +6,7 @@ project = "Lumisplat"
 copyright = "The Lumisplat founders"
 release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "adr/0000-template.md"]
 html_theme = "furo"
@@ -14,6 +14,9 @@ html_title = f"Lumisplat {release}"
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
+
+# Equations of docs/method are numbered by page and place, (2.9), so that other pages can refer to them.
+numfig = True
 
 # Public names live in lumisplat and are resolved on first use, so autodoc is told where to look.
 autodoc_typehints = "description"
