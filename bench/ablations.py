@@ -1,4 +1,6 @@
-"""The ablations of seeds/001, section 4, on our data: ``python -m bench.ablations`` prints tables next to the paper's.
+"""The ablations of Mir et al. 2026, section 4, on our data.
+
+``python -m bench.ablations`` prints tables next to the paper's.
 
 ``--write`` puts them into docs/benchmarks.md. Names pick some of the tables; ``--pictures FOLDER`` keeps what the
 default settings show: shadow strength, the mesh's, and their difference.

@@ -1,4 +1,4 @@
-"""The tables of `bench.ablations`, next to the paper's figures."""
+"""The tables of `bench.ablations`, next to the figures of Mir et al. 2026."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PAPER = {
     },
     "layout": {"cubemap": (0.136, 0.811, 0.761), "octahedral": (0.058, 0.830, 0.796)},
 }
-"""SAE, SM-IoU and BF of seeds/001, tables 3 to 5."""
+"""SAE, SM-IoU and BF of Mir et al. 2026, tables 3 to 5."""
 PAPER_BUILD_S = {"both": 0.13, "no region": 29.1, "no culling": 17.1}
 """Seconds a frame on an A100, section 4.4 D."""
 TITLES = {

@@ -1,7 +1,7 @@
 """What deep shadow maps are measured on: a figure that walks past a wall under one lamp at a time.
 
-The truth is that of section 4.2 of seeds/001: shadow rays of the figure's own animated mesh, at each pixel's point of
-the floor or the wall, to a lamp without extent. What is measured is a raster picture of the floor's and the wall's
+The truth is that of Mir et al. 2026, section 4.2: shadow rays of the figure's own animated mesh, at each pixel's point
+of the floor or the wall, to a lamp without extent. What is measured is a raster picture of the floor's and the wall's
 Gaussians in shades of their shadow strength, 1 - T, without the figure.
 """
 

@@ -14,11 +14,12 @@ TRANSMITTANCE_MIN = 1e-4
 """A pixel or ray stops where its transmittance would fall to this; the crossing Gaussian is dropped. INRIA, gsplat."""
 
 DEPTH_ISO_TRANSMITTANCE = 0.7
-"""Transmittance that marks the iso-opacity surface. NVIDIA's default; seeds/000 section 1.1."""
+"""Transmittance that marks the iso-opacity surface. NVIDIA's default;
+docs/method/rasterisation.md#iso-opacity-surface."""
 
 NORMAL_DEGENERATE = 0.2
 """Length (of the alpha-weighted mean of unit normals) below which the sum is degenerate and the view direction is
-used. seeds/000 section 2.1; the figure is NVIDIA's."""
+used. docs/method/gaussians.md#normals; the figure is NVIDIA's."""
 
 # --- Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing) ---
 
@@ -109,8 +110,8 @@ EXPOSURE_MAX = 100
 SHADOW_OFFSET = 3.0
 """Scales of a Gaussian within which others do not shadow it: what makes up the same surface, which ends three standard
 deviations off. On the biker, lit from the front, 1 leaves much of the surface speckled by its own Gaussians, 2 some
-patches, 4 nothing, but no contact shadows either. seeds/000 section 4 has the offset in world units, which no two
-captures share."""
+patches, 4 nothing, but no contact shadows either. NVIDIA has the offset in world units, which no two
+captures share (docs/method/shadows.md#offset)."""
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
 """Places for shadow rays in a stochastic sample, per Gaussian, from which on its trees are shrunk: that takes as long
@@ -150,7 +151,7 @@ ENVIRONMENT_SHARE_MIN = 4
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear Rec.709."""
 
-# --- Deep Gaussian shadow maps (seeds/001) ---
+# --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
 SHADOW_TILE = 8
 """Side of the tiles of an atlas for which casters are looked up, texels: the paper's."""
@@ -184,7 +185,7 @@ SHADOW_FOOTPRINT = 3.0
 SHADOW_STENCIL_WEIGHT = 0.6065306597126334
 """Weight of the stencil's outer points, one standard deviation off, against the middle's 1: exp(-1/2)."""
 
-# --- Metrics (seeds/001, sections 4.1 and 4.2) ---
+# --- Metrics (Mir et al. 2026, sections 4.1 and 4.2; docs/method/relighting.md#metrics) ---
 
 IRRADIANCE_SH_DEGREE = 3
 """Order L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
@@ -240,7 +241,7 @@ SSIM_WINDOW_PX = 11
 FLIP_PIXELS_PER_DEGREE = 67.02064514160156
 """FLIP's own default: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m. Andersson et al. 2020."""
 
-# --- Light found in captures (seeds/001, section 3.1, which gives no figures; docs/adr/0014) ---
+# --- Light found in captures (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014) ---
 
 LIGHT_SEARCH_STRAYS = 0.02
 """Share of the Gaussians, the farthest from the character, that do not count for the scene's size: captures have strays
@@ -294,7 +295,7 @@ RECOLOR_DARK = 1e-4
 """Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB
 curve (0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
 
-# --- Probes of environment light, and what is relit by them (seeds/001, sections 3.4 and 3.5) ---
+# --- Probes of environment light, and what is relit by them (docs/method/relighting.md#probes) ---
 
 PROBE_DEGREE_MAX = 8
 """Highest SH degree of a probe: 81 coefficients, lobes of some 20 degrees. Beyond, an image serves better."""

@@ -1,4 +1,4 @@
-"""PAA-Y, APF-Y and NCM-ab (seeds/001, section 4.1) on light that is known."""
+"""PAA-Y, APF-Y and NCM-ab (docs/method/relighting.md#metrics) on light that is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SAE, SM-IoU and BF (seeds/001, section 4.2) on masks whose figures are counted by hand."""
+"""SAE, SM-IoU and BF (docs/method/relighting.md#metrics) on masks whose figures are counted by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gaussians under a probe's light: equations 9 and 10 as written, what must not change, and which side is lit."""
+"""Gaussians under a probe's light: equations 9 and 10 of Mir et al., what must not change, and which side is lit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def some_probe(seed: int = 0, degree: int = 3) -> ls.EnvironmentProbe:
 
 
 def scales_twin(probe: ls.EnvironmentProbe, normals: np.ndarray, config: ls.RelightConfig) -> np.ndarray:
-    """Equations 9 and 10 read aloud, in float64, a normal at a time."""
+    """Mir et al.'s equations 9 and 10 read aloud, in float64, a normal at a time."""
     theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
     phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
     theta, phi = (grid.ravel() for grid in np.meshgrid(theta, phi, indexing="ij"))

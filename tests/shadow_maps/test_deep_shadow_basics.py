@@ -33,7 +33,7 @@ def behind(casters: Any, light: Any = LIGHT, config: ls.DeepShadowConfig = SMALL
 
 
 def test_shadow_falls_behind_and_not_beside() -> None:
-    """In the middle of a ball's shadow the light is what equations 2 to 5 leave; beside it there is all of it."""
+    """In the middle of a ball's shadow the light is what the closed form leaves; beside it there is all of it."""
     seen = behind(ball())
     # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
     assert seen[0] == pytest.approx(0.05, abs=2e-3)

@@ -55,7 +55,7 @@ def texel_directions(layout: ls.AtlasLayout, resolution: int) -> np.ndarray:
 @pytest.mark.parametrize("layout", list(ls.AtlasLayout))
 @pytest.mark.parametrize("absorption", list(ls.Absorption))
 def test_bins_hold_the_closed_form(layout: ls.AtlasLayout, absorption: ls.Absorption) -> None:
-    """T within 1e-3 of equations 2 to 5 at bins' centres along texels' rays, whatever the mapping and the layout."""
+    """T within 1e-3 of the closed form at bins' centres along texels' rays, whatever the mapping and the layout."""
     config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
     rng = np.random.default_rng(0)
     directions = texel_directions(layout, config.resolution)

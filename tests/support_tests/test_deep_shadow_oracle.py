@@ -24,7 +24,7 @@ vectors = st.tuples(coordinate, coordinate, coordinate).filter(lambda v: np.lina
 
 
 def by_quadrature(gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray, t: float) -> float:
-    """Optical depth in `Absorption.SIMPLE`, from equations 1 and 2 and nothing else."""
+    """Optical depth in `Absorption.SIMPLE`, from Mir et al.'s equations 1 and 2 and nothing else."""
     total = 0.0
     axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(float))
     rows = (gaussians.means.astype(float), axes, gaussians.scales.astype(float), gaussians.opacities.astype(float))
@@ -94,7 +94,7 @@ def test_a_gaussian_at_a_distance_is_seen_by_its_opacity():
 
 
 def test_mappings_differ_by_their_formulas():
-    """Section 4.4 B, by hand, for scales 1, 2 and 4; opacity 1 counts as the largest alpha, kappa as a factor."""
+    """Section 4.4 B by hand, for scales 1, 2 and 4; opacity 1 counts as the largest alpha, kappa as a factor."""
     opacity, scales = np.array([1.0 - math.exp(-2.0)]), np.array([[1.0, 2.0, 4.0]])
     mean_precision = (1.0 + 1.0 / 4.0 + 1.0 / 16.0) / 3.0
     mass = 2.0 / ((2.0 * math.pi) ** 1.5 * 8.0)

@@ -61,7 +61,7 @@ class AvatarLightingConfig:
     """Of the deep shadow map of each light."""
     direct: float = 0.7
     """Share of a receiver's light that comes from the lights, 0..1: the rest is never in shadow. With 1 and one light,
-    shadows are as in seeds/001, black where nothing passes."""
+    shadows are as in Mir et al. (2026), black where nothing passes."""
     relight: bool = True
     """Whether actors take on the light of the place where they are."""
     transfer: RelightConfig = field(default_factory=RelightConfig)

@@ -21,16 +21,16 @@ class NormalEstimate(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelightConfig:
-    """Settings of the transfer of a probe's light to Gaussians (seeds/001, section 3.5).
+    """Settings of the transfer of a probe's light to Gaussians (docs/method/relighting.md#transfer).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     exponent: float = 1.0
-    """Of the cosine lobe about the normal that gathers light, q of equation 9, 0.1..64: 1 is matt, more is glossier."""
+    """Of the cosine lobe about the normal that gathers light, q, 0.1..64: 1 is matt, more is glossier."""
     scale_max: float = 4.0
-    """Factor at which a Gaussian's light is clipped before ``gamma``, t_max of equation 10, 0..1000."""
+    """Factor at which a Gaussian's light is clipped before ``gamma``, t_max, 0..1000."""
     gamma: float = 1.0
     """Global intensity, a linear factor of all light, 0..1000. At 1, surroundings of radiance 1 (display white) leave
     colours as they are."""

@@ -60,8 +60,9 @@ class ShadowMethod(Enum):
     FIRST_HITS = "first-hits"
     """Over the nearest ``hits`` only, as NVIDIA's single pass: at times too bright."""
     STOCHASTIC = "stochastic"
-    """All or nothing: each Gaussian blocks with its alpha as probability (seeds/002), for all rays of a sample alike:
-    few samples show blotches. As bright as exact on average, and faster the larger the image is."""
+    """All or nothing: each Gaussian blocks with its alpha as probability, for all rays of a sample alike
+    (docs/method/shadows.md#stochastic-shadows): few samples show blotches. As bright as exact on average, and
+    faster the larger the image is."""
 
 
 class ToneMap(Enum):
@@ -81,7 +82,7 @@ class TraceStrategy(Enum):
     SORTED = "sorted"
     """All of them in order, until the transmittance is used up: without noise."""
     STOCHASTIC_HIT = "stochastic-hit"
-    """Each is accepted with its alpha as probability, the nearest accepted one wins (Hu et al., equations 7-8)."""
+    """Each is accepted with its alpha as probability, the nearest accepted one wins (Hu et al. 2025, equations 7-8)."""
     STOCHASTIC_PASS = "stochastic-pass"
     """The next ``hits_per_pass`` of them in order are shown whole with their joint opacity as probability."""
 

@@ -10,7 +10,7 @@ from lumisplat.errors import ConfigError
 
 
 class Absorption(Enum):
-    """How a Gaussian's opacity becomes volumetric absorption in a deep shadow map (seeds/001, section 4.4 B).
+    """How a Gaussian's opacity becomes absorption per length (docs/method/deep_shadow_maps.md#absorption).
 
     With optical depth ``tau = -ln(1 - opacity)``, precision ``A`` and scales ``s``. ``MASS`` and ``DIAGONAL``, the
     paper's ``mass`` and ``diag``, have the covariance in place of the precision, and are one formula, as
@@ -20,7 +20,7 @@ class Absorption(Enum):
     SIMPLE = "simple"
     """``tau``: wide Gaussians absorb more."""
     AVERAGE = "avg"
-    """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size (equation 5)."""
+    """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size."""
     MASS = "mass"
     """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: the same mass for all, so that small ones are black."""
     DIAGONAL = "diag"

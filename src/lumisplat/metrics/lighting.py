@@ -1,4 +1,4 @@
-"""Whether an avatar is lit as its surroundings are, without ground truth (seeds/001, section 4.1).
+"""Whether an avatar is lit as its surroundings are, without ground truth (docs/method/relighting.md#metrics).
 
 An avatar and a scene are `LitPoints`, or Gaussians, from which those are made. The scene is looked at within a radius
 of the mean of the avatar's points. docs/adr/0015-lighting-metrics.md has what the paper leaves open.
@@ -24,7 +24,7 @@ def paa_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS
 
     ``PAA-Y = ||c_avatar - c_scene||_1``, where c are the 16 SH coefficients of irradiance (L = 3) that explain
     luminance by normals, ``Y_i = alpha_i E(n_i; c)``; each c is scaled so that ``||c||_1 = 1``, for only the product
-    with alpha is known. Huber's loss, 5 % trimmed. Source: seeds/001, section 4.1 (1).
+    with alpha is known. Huber's loss, 5 % trimmed. Source: Mir et al. 2026, section 4.1 (1).
 
     Args:
         avatar: Its points or Gaussians, world space.
@@ -48,7 +48,7 @@ def apf_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS
     """Avatar photometric fit in luminance: how far the scene's light is from predicting the avatar's shading.
 
     ``APF-Y = mean |Y_a - (s E(n_a; c_scene) + b)|`` over all of the avatar's points, with c_scene as in `paa_y`, and s
-    and b fitted to the avatar by the same robust loss. Source: seeds/001, section 4.1 (2).
+    and b fitted to the avatar by the same robust loss. Source: Mir et al. 2026, section 4.1 (2).
 
     Args:
         avatar: Its points or Gaussians, world space.
@@ -82,7 +82,7 @@ def ncm_ab(
     """Chromaticity neighbourhood match: the 1-Wasserstein (earth mover's) distance between colour casts.
 
     Between the (a*, b*) of the avatar's points and those of the scene's near it, each point with the same weight, in
-    CIE L*a*b* under D65; solved exactly by POT. Source: seeds/001, section 4.1 (3).
+    CIE L*a*b* under D65; solved exactly by POT. Source: Mir et al. 2026, section 4.1 (3).
 
     Args:
         avatar: Its points or Gaussians, world space.

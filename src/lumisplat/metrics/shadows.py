@@ -1,4 +1,4 @@
-"""How near a shadow is to its reference (seeds/001, section 4.2): SAE, SM-IoU and BF, of images of shadow strength.
+"""How near images of shadow strength are to a reference: SAE, SM-IoU and BF (docs/method/relighting.md#metrics).
 
 Shadow strength S is 0 where light arrives and 1 where none does. A pixel is in shadow where S > tau.
 """
@@ -26,7 +26,7 @@ def sae(
 ) -> float:
     """Shadow attenuation error: the mean of ``|S - S_ref|`` over the pixels with ``S_ref > threshold``.
 
-    Shadow outside of the reference's does not count here: `sm_iou` sees it. Source: seeds/001, section 4.2.
+    Shadow outside of the reference's does not count here: `sm_iou` sees it. Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
@@ -55,7 +55,7 @@ def sm_iou(
 ) -> float:
     """Shadow matte intersection over union: pixels in shadow in both images, over those in shadow in one at least.
 
-    Source: seeds/001, section 4.2.
+    Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
@@ -88,8 +88,8 @@ def boundary_f(
     A pixel in shadow is on the boundary if one of its four neighbours is lit; the border of the image or of the region
     is no boundary. With P the share of the boundary's pixels that have a pixel of the reference's boundary within
     ``tolerance`` (between pixel centres), and R the share of the reference's that have one of the boundary's,
-    ``BF = 2 P R / (P + R)``. Source: seeds/001, section 4.2; the definition is Perazzi et al.'s (DAVIS, 2016), with a
-    tolerance in pixels.
+    ``BF = 2 P R / (P + R)``. Source: Mir et al. 2026, section 4.2; the definition is that of Perazzi et al. (DAVIS,
+    2016), with a tolerance in pixels.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).

@@ -1,4 +1,4 @@
-"""Avatars in a captured scene, frame by frame: the scene takes their shadows, they take its light."""
+"""Avatars in a captured scene: it takes their shadows, they take its light (docs/method/relighting.md)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Actor = SplatInstance | MeshInstance
 
 
 class AvatarLighter:
-    """Lights actors in a captured scene, and darkens the scene where they stand in its light (seeds/001).
+    """Lights actors in a captured scene, and darkens the scene where they stand in its light.
 
     The captured sets of the scene receive shadows from all actors, through a deep shadow map for each light that is
     rebuilt a frame, and from the scene's own meshes, which count as put there after the capture. Actors made of

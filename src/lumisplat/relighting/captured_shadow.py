@@ -27,8 +27,9 @@ def shadowed(
     """Gaussians in the shadow of something that stands before their lights.
 
     A channel's light becomes ``1 - direct (1 - sum_l w_l T_l)`` of what it was, with ``w_l`` the share of light l in
-    the irradiance that all of them give there. With one light and ``direct`` 1 this is its T, as in seeds/001 (section
-    3.3). Where nothing is in the way of any light, colours keep their bits.
+    the irradiance that all of them give there. With one light and ``direct`` 1 this is its T, as in Mir et al.
+    (2026, section 3.3). Where nothing is in the way of any light, colours keep their bits. Source:
+    docs/method/relighting.md#captured-shadow.
 
     Args:
         receivers: Gaussians in world space, or an instance.

@@ -1,6 +1,7 @@
-"""Lights of a captured scene, found by photometric evidence and local contrast (seeds/001, section 3.1).
+"""Lights of a captured scene, found by photometric evidence and local contrast.
 
-The paper names the cues and gives no formulas; docs/adr/0014-light-estimation.md has ours, and why.
+Mir et al. (2026, section 3.1) name the cues and give no formulas: docs/method/relighting.md#light-estimation has ours,
+docs/adr/0014-light-estimation.md says why.
 """
 
 from __future__ import annotations

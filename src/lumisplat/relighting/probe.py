@@ -1,4 +1,4 @@
-"""The light that arrives at a place, in spherical harmonics (seeds/001, section 3.4)."""
+"""The light that arrives at a place, in spherical harmonics (docs/method/relighting.md#probes)."""
 
 from __future__ import annotations
 
@@ -125,17 +125,18 @@ class EnvironmentProbe:
         degree: int = 3,
         ridge: float = PROBE_RIDGE,
     ) -> EnvironmentProbe:
-        """Fits the harmonics to samples of radiance: weighted ridge least squares, equation 7.
+        """Fits the harmonics to samples of radiance: weighted ridge least squares.
 
         Weights are scaled to sum 4 pi first, so that ``B^T W B`` is about the identity however many samples there are
-        and whatever the weights' unit: a ridge of 0.01 shrinks coefficients by about 1 %.
+        and whatever the weights' unit: a ridge of 0.01 shrinks coefficients by about 1 %. Source:
+        docs/method/relighting.md#probe-fit.
 
         Args:
             directions: Of any length, shape (N, 3).
             radiance: Linear Rec.709, shape (N, 3).
             weights: Solid angles or what is proportional to them, at least 0, shape (N,); None: all alike.
             degree: Of the harmonics, 0 to 8.
-            ridge: Lambda of equation 7, 0 to 1e6.
+            ridge: Weight of the squared coefficients, 0 to 1e6.
 
         Raises:
             ConfigError: ``degree`` or ``ridge`` is out of its range.
@@ -181,7 +182,7 @@ class EnvironmentProbe:
         return cls(_fitted(local @ _matrix(light).T, radiance, weights, degree, ridge))
 
     def radiance(self, directions: npt.ArrayLike) -> FloatArray:
-        """Radiance that comes from directions, equation 8; below 0 where harmonics of strong contrast ring.
+        """Radiance that comes from directions; below 0 where harmonics of strong contrast ring.
 
         Args:
             directions: World space, towards where the light comes from, of any length, shape (..., 3).

@@ -1,4 +1,4 @@
-"""Light of a probe on Gaussians: a factor a channel, by the normal (seeds/001, section 3.5)."""
+"""Light of a probe on Gaussians: a factor a channel, by the normal (docs/method/relighting.md#transfer)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _NORMALS_AT_ONCE = 1024
 """Normals whose lobes are in memory at once: 2 MB over 16 rows, which stays in the cache."""
 
 _NO_LIGHT = 1e-12
-"""Epsilon of equation 10, sr, where the weights sum to 4 pi: no lobe that the grid resolves comes near it."""
+"""Epsilon of docs/method/relighting.md#transfer-scale, sr, where the weights sum to 4 pi: no lobe that the grid
+resolves comes near it."""
 
 
 class _Grid(NamedTuple):
@@ -84,9 +85,10 @@ def relight(
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
-    """What share of radiance 1 a lobe ``max(0, w . n)^q`` about each normal gathers, equations 9 and 10.
+    """What share of radiance 1 a lobe ``max(0, w . n)^q`` about each normal gathers.
 
     The probe's mean is taken out of the sum and added again: what is the same all around comes out without rounding.
+    Source: docs/method/relighting.md#transfer-scale.
 
     Args:
         probe: The light.

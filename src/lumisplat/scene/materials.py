@@ -88,7 +88,7 @@ class MaterialPbr:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MaterialSimple:
-    """What shines, and reflects light diffusely and with a Phong highlight, by a factor a channel (seeds/000).
+    """Emission, diffuse reflection and a Phong highlight, a factor each a channel (docs/method/materials.md#simple).
 
     The defaults shine as captured and reflect nothing: what a splat set has unless it is given a material. Diffuse and
     specular factors whose sum exceeds 1 are scaled down together, so that no more light leaves than comes.

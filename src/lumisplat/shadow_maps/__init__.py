@@ -1,1 +1,1 @@
-"""Deep Gaussian shadow maps: how much of a light passes Gaussians, tabulated by direction and distance (seeds/001)."""
+"""Deep Gaussian shadow maps: how much of a light passes Gaussians, tabulated (docs/method/deep_shadow_maps.md)."""

@@ -1,4 +1,4 @@
-"""Which casters the rays through a tile of an atlas can meet (seeds/001, section 3.2, occluder culling)."""
+"""Which casters the rays through a tile of an atlas can meet (docs/method/deep_shadow_maps.md#culling)."""
 
 from __future__ import annotations
 

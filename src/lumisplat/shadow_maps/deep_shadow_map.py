@@ -1,4 +1,4 @@
-"""The deep Gaussian shadow map of a light (seeds/001, sections 3.2 and 3.3)."""
+"""The deep Gaussian shadow map of a light (docs/method/deep_shadow_maps.md)."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ class DeepShadowStats:
 class DeepShadowMap:
     """How much of a light passes casters: transmittance by direction and distance, in closed form.
 
-    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)`` (equation 1), so that shadows are
-    soft at their edges, tinted by nothing, and fall on whatever is behind, to the right degree for each distance. Made
-    by `build`.
+    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``, so that shadows are soft at
+    their edges, tinted by nothing, and fall on whatever is behind, to the right degree for each distance. Made by
+    `build`. Source: docs/method/deep_shadow_maps.md.
 
     Transmittance is tabulated at the centres of texels and bins and interpolated; with ``receivers``, only where they
     look. Elsewhere it is 1.
@@ -164,7 +164,9 @@ class DeepShadowMap:
         return self._look_up(_points(points))
 
     def transmittance_of(self, receivers: Receiving) -> FloatArray:
-        """How much of the light reaches Gaussians, as ``config.sampling`` says (section 4.4 A).
+        """How much of the light reaches Gaussians, as ``config.sampling`` says.
+
+        Source: docs/method/deep_shadow_maps.md#lookup.
 
         Args:
             receivers: As for `build`: those that the map was built for, in the same order, or any others.

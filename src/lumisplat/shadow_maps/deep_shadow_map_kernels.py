@@ -151,9 +151,10 @@ def tabulate(
     occluders: wp.array(dtype=Occluder),
     table: Table,
 ):
-    """Transmittances of a texel's column (equations 2-4). One item is one of the ``texels`` that have one.
+    """Transmittances of a texel's column. One item is one of the ``texels`` that have one.
 
     The table first takes what each bin adds to the one before: a Gaussian that is passed costs nothing from there on.
+    Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
     i = start + wp.tid()
     column = table.columns[column_number(table, texels[i])]

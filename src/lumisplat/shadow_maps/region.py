@@ -1,4 +1,4 @@
-"""What of an atlas is tabulated: a column of bins for some of its texels (the region of interest of seeds/001, 3.2)."""
+"""What of an atlas is tabulated: a column of bins for some of its texels (docs/method/deep_shadow_maps.md#region)."""
 
 from __future__ import annotations
 

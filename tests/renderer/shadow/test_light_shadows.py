@@ -257,7 +257,7 @@ def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.Sha
 
 @PIPELINES
 def test_opaque_enough_counts_as_black_and_the_rest_is_stretched(pipeline: ls.Pipeline) -> None:
-    """The threshold of seeds/000: (T - threshold) / (1 - threshold), at least 0."""
+    """The threshold of docs/method/shadows.md: (T - threshold) / (1 - threshold), at least 0."""
     shadow = ls.ShadowConfig(transmittance_threshold=0.3)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow=shadow)

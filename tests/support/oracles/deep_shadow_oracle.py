@@ -1,6 +1,7 @@
 """The float64 twin of deep Gaussian shadow maps: optical depth in closed form, directions as texels, tables, lookups.
 
-Written from seeds/001, sections 3.2, 3.3 and 4.4. Nothing is cut off: every Gaussian reaches as far as float64 does.
+Written from sections 3.2, 3.3 and 4.4 of Mir et al. 2026, whose equations are cited (docs/method/deep_shadow_maps.md).
+Nothing is cut off: every Gaussian reaches as far as float64 does.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def projection_jacobian(camera: CameraData, point: wp.vec3) -> mat23:
 
 @wp.func
 def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """Unit normal of the max-density plane, inverse(covariance) (eye - mean); seeds/000 section 2.4.
+    """Unit normal of the max-density plane, inverse(covariance) (eye - mean) (docs/method/gaussians.md#normals).
 
     It points towards the eye by construction, as the inverse covariance is positive definite. Dividing by the smallest
     scale first keeps flat Gaussians inside float32.

@@ -1,4 +1,4 @@
-"""From what a ray met to points that light meets (seeds/000 sections 1, 3 and 4).
+"""From what a ray met to points that light meets (docs/method/lighting.md#surfaces).
 
 A ray meets up to two surfaces: that of the Gaussians, where they reach their iso-opacity, and the mesh behind them.
 """
@@ -64,7 +64,7 @@ def splat_surface(
 ) -> SplatSurface:
     """What the Gaussians before the nearest mesh show ray ``i``.
 
-    Where their material needs a surface and they reach none, they are left out (seeds/000 section 1.1).
+    Where their material needs a surface and they reach none, they are left out (docs/method/lighting.md#surfaces).
 
     Args:
         i: The ray.

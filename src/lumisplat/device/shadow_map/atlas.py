@@ -65,7 +65,7 @@ def sign_of(value: float) -> float:
 
 @wp.func
 def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
-    """Where the octahedral map shows a direction, -1..1 each (seeds/001, equation 6)."""
+    """Where the octahedral map shows a direction, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
     q = direction / (wp.abs(direction[0]) + wp.abs(direction[1]) + wp.abs(direction[2]))
     if q[2] >= 0.0:
         return wp.vec2(q[0], q[1])

@@ -1,4 +1,4 @@
-"""Looking a deep shadow map up: at a point, and at the points where a receiver looks (seeds/001, section 3.3)."""
+"""Lookups in a deep shadow map, at a point and over a receiver's footprint (docs/method/deep_shadow_maps.md#lookup)."""
 
 import math
 
@@ -53,7 +53,7 @@ def look_weight(look: Look, sample: int) -> float:
 
 @wp.func
 def look_point(receivers: Receivers, look: Look, receiver: int, sample: int) -> wp.vec3:
-    """Where a receiver looks, world space: x = mu + R (s * z) of section 4.4 A."""
+    """Where a receiver looks, world space: x = mu + R (s * z)."""
     mean = receivers.means[receiver]
     if look.pattern == CENTER:
         return mean

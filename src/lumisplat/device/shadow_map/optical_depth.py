@@ -1,4 +1,7 @@
-"""Optical depth of Gaussians on rays from a light, in closed form, and where it counts (seeds/001, equations 1-5)."""
+"""Optical depth of Gaussians on rays from a light, in closed form, and where it is not negligible.
+
+The equations are in docs/method/deep_shadow_maps.md.
+"""
 
 import math
 
@@ -29,9 +32,9 @@ MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 @wp.func
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
-    """Amplitude beta from opacity (seeds/001, equation 5 and section 4.4 B), with A the precision matrix in AVERAGE.
+    """Amplitude beta from opacity, with A the precision matrix in AVERAGE (docs/method/deep_shadow_maps.md#absorption).
 
-    MASS stands for the paper's ``diag`` too: the root of the covariance's determinant is the product of the scales.
+    MASS stands for Mir et al.'s ``diag`` too: the root of the covariance's determinant is the product of the scales.
     """
     depth = -strength * wp.log(1.0 - wp.min(opacity, OPACITY_MAX))
     if mapping == AVERAGE:
@@ -77,7 +80,7 @@ def may_block(shadow_kernel: Occluder, ray: LightRay, light: wp.vec3) -> bool:
 
 @wp.func
 def passage_of(shadow_kernel: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
-    """A ray through a Gaussian: a, b and c of equation 2, without the difference of large numbers that c - b^2 / a is.
+    """A ray through a Gaussian, by docs/method/deep_shadow_maps.md#line-distance: no difference of large numbers.
 
     The line's nearest point to the mean is found in the world first, then in canonical space, where the rest is small.
     """
@@ -108,7 +111,10 @@ def erf_between(low: float, high: float) -> float:
 
 @wp.func
 def depth_until(passage: Passage, start: float, distance: float) -> float:
-    """Optical depth of a Gaussian from ``start``, in units of its width from its peak, to a distance (equation 3)."""
+    """Optical depth of a Gaussian from ``start``, in units of its width from its peak, to a distance.
+
+    Source: docs/method/deep_shadow_maps.md#optical-depth.
+    """
     end = passage.sharpness * (distance - passage.peak)
     if start <= -ERF_MAX and end >= ERF_MAX:
         return passage.depth
@@ -127,8 +133,8 @@ def start_of(atlas: Atlas, passage: Passage) -> float:
 def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
     """What Gaussian ``i`` covers: the ellipsoid outside which lines have negligible depth in it, seen from the light.
 
-    The rectangle lies along the axes of the covariance across the light (seeds/001, section 3.2), and bounds the
-    ellipsoid's perspective image exactly, by its dual quadric.
+    The rectangle lies along the axes of the covariance across the light, and bounds the ellipsoid's perspective image
+    exactly, by its dual quadric (docs/method/deep_shadow_maps.md#footprint).
     """
     footprint = Footprint()
     scale = casters.scales[i]

@@ -19,12 +19,12 @@ class Casters:
 
 @struct
 class Occluder:
-    """A Gaussian as its optical depth along a ray needs it (seeds/001, equations 2-3)."""
+    """A Gaussian as its optical depth along a ray needs it (docs/method/deep_shadow_maps.md#optical-depth)."""
 
     offset: wp.vec3
     """From the light to its mean, world space."""
     canonical_from_world: wp.mat33
-    """Inverse of rotation times scale: A of the paper is its transpose times itself."""
+    """Inverse of rotation times scale: the precision A is its transpose times itself."""
     absorption: float
     """Amplitude beta, per scene unit; 0: it absorbs nothing."""
     radius2: float
@@ -40,7 +40,7 @@ class Passage:
     peak: float
     """Distance along the ray at which it absorbs most, scene units; behind the light if negative."""
     sharpness: float
-    """sqrt(a / 2) of equation 3, per scene unit."""
+    """sqrt(a / 2) of docs/method/deep_shadow_maps.md#optical-depth, per scene unit."""
 
 
 @struct
