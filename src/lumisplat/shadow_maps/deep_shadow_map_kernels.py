@@ -12,8 +12,8 @@ from lumisplat.device.shadow_map.optical_depth import (
     footprint_of,
     may_block,
     meets,
+    occluder_of,
     passage_of,
-    shadow_kernel_of,
     start_of,
 )
 from lumisplat.device.structs.shadow_map import Casters, Cell, Footprint, Look, Occluder, Receivers, Shade, Table
@@ -42,9 +42,9 @@ def prepare_occluders(
 ):
     """One item is one caster."""
     i = start + wp.tid()
-    shadow_kernel = shadow_kernel_of(atlas, casters, i, mapping, strength)
-    occluders_out[i] = shadow_kernel
-    footprints_out[i] = footprint_of(atlas, casters, i, shadow_kernel.absorption)
+    occluder = occluder_of(atlas, casters, i, mapping, strength)
+    occluders_out[i] = occluder
+    footprints_out[i] = footprint_of(atlas, casters, i, occluder.absorption)
 
 
 @wp.kernel

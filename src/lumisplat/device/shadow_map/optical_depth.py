@@ -57,45 +57,45 @@ def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
 
 
 @wp.func
-def shadow_kernel_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: float) -> Occluder:
+def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: float) -> Occluder:
     """Gaussian ``i`` as seen from the light."""
-    shadow_kernel = Occluder()
+    occluder = Occluder()
     scale = casters.scales[i]
-    shadow_kernel.offset = casters.means[i] - atlas.origin
-    shadow_kernel.canonical_from_world = canonical_from_object(casters.rotations[i], scale)
-    shadow_kernel.absorption = absorption_of(mapping, strength, casters.opacities[i], scale)
-    reach = wp.sqrt(wp.max(reach_squared_of(shadow_kernel.absorption, scale), 0.0)) * wp.max(scale)
-    shadow_kernel.radius2 = reach * reach
-    return shadow_kernel
+    occluder.offset = casters.means[i] - atlas.origin
+    occluder.canonical_from_world = canonical_from_object(casters.rotations[i], scale)
+    occluder.absorption = absorption_of(mapping, strength, casters.opacities[i], scale)
+    reach = wp.sqrt(wp.max(reach_squared_of(occluder.absorption, scale), 0.0)) * wp.max(scale)
+    occluder.radius2 = reach * reach
+    return occluder
 
 
 @wp.func
-def may_block(shadow_kernel: Occluder, ray: LightRay, light: wp.vec3) -> bool:
+def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
     """Whether a ray comes near enough to a Gaussian: a first look, which most rays of a tile end with."""
-    to_mean = shadow_kernel.offset - (ray.origin - light)
+    to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = to_mean - nearest * ray.direction
-    return wp.dot(across, across) <= shadow_kernel.radius2
+    return wp.dot(across, across) <= occluder.radius2
 
 
 @wp.func
-def passage_of(shadow_kernel: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
+def passage_of(occluder: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
     """A ray through a Gaussian, by docs/method/deep_shadow_maps.md#line-distance: no difference of large numbers.
 
     The line's nearest point to the mean is found in the world first, then in canonical space, where the rest is small.
     """
     passage = Passage()
-    to_mean = shadow_kernel.offset - (ray.origin - light)
+    to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = nearest * ray.direction - to_mean
-    along = shadow_kernel.canonical_from_world * ray.direction
-    start = shadow_kernel.canonical_from_world * across
+    along = occluder.canonical_from_world * ray.direction
+    start = occluder.canonical_from_world * across
     a = wp.dot(along, along)
     further = -wp.dot(start, along) / a
     miss = start + further * along
     passage.peak = nearest + further
     passage.sharpness = wp.sqrt(0.5 * a)
-    passage.depth = shadow_kernel.absorption * SQRT_2_PI / wp.sqrt(a) * wp.exp(-0.5 * wp.dot(miss, miss))
+    passage.depth = occluder.absorption * SQRT_2_PI / wp.sqrt(a) * wp.exp(-0.5 * wp.dot(miss, miss))
     return passage
 
 
