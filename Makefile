@@ -24,10 +24,12 @@ demo: $(BASE) ## build the demo scene and render it to pictures under out/
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest
 
-check: $(DEV) ## formatting, lint and types
+check: $(DEV) ## formatting, lint, types, spelling and sizes; .pre-commit-config.yaml has the same list
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
+	$(BIN)/typos
+	git ls-files -z | xargs -0 $(BIN)/check-added-large-files --enforce-all --maxkb=1024
 
 format: $(DEV) ## format the code and fix what lint can
 	$(BIN)/ruff check --fix --exit-zero .

@@ -1,0 +1,35 @@
+"""What must pass before a change is taken is one list, in the Makefile and in the pre-commit hooks."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+TOOLS = {"ruff", "pyright", "typos", "check-added-large-files"}
+
+
+def commands_of_make() -> list[str]:
+    """The commands of ``make check`` in order, from the tool's name on."""
+    recipe = re.search(r"^check:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert recipe
+    return re.findall(r"\$\(BIN\)/(.*)", recipe[1])
+
+
+def commands_of_hooks() -> list[str]:
+    """The same of the pre-commit hooks."""
+    return re.findall(r"entry: \.venv/bin/(.*)", (ROOT / ".pre-commit-config.yaml").read_text())
+
+
+def test_hooks_and_make_run_the_same_commands() -> None:
+    """Tools, arguments and order agree."""
+    assert commands_of_hooks() == commands_of_make()
+    assert {command.split()[0] for command in commands_of_make()} == TOOLS
+
+
+def test_versions_of_the_tools_are_held() -> None:
+    """The extra [dev] pins each tool: a new version's new rules must not fail a check that nobody touched."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    held = {re.split(r"[\[=]", requirement)[0] for requirement in extras["dev"] if "==" in requirement}
+    assert held == {"ruff", "pyright", "typos", "pre-commit", "pre-commit-hooks"}
