@@ -56,12 +56,13 @@ def test_files_that_are_named_exist() -> None:
     assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in named if not any(ROOT.glob(name))]
 
 
-@pytest.mark.parametrize("page", METHOD, ids=lambda page: page.stem)
-def test_the_method_names_files_of_the_package(page: Path) -> None:
-    """Each page says where its method is in the code, and all of those files exist."""
-    named = re.findall(r"`((?:\w+/)*\w+\.py)`", page.read_text())
+@pytest.mark.parametrize("page", [*METHOD, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
+def test_pages_name_files_of_the_package(page: Path) -> None:
+    """Each page says where things are in the code, from the package's folder or the root, and all of it exists."""
+    named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
     assert named
-    assert not [name for name in named if not (ROOT / "src" / "lumisplat" / name).is_file()]
+    places = [ROOT / "src" / "lumisplat", ROOT]
+    assert not [name for name in named if not any((place / name).exists() for place in places)]
 
 
 def test_equations_have_one_name() -> None:
