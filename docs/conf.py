@@ -17,6 +17,7 @@ myst_heading_anchors = 3
 
 # Equations of docs/method are numbered by page and place, (2.9), so that other pages can refer to them.
 numfig = True
+math_eqref_format = "equation {number}"
 
 # Public names live in lumisplat and are resolved on first use, so autodoc is told where to look.
 autodoc_typehints = "description"
