@@ -1,4 +1,7 @@
-"""How lit frames become pictures: exposure, tone mapping, and captured colours that stay as they were captured."""
+"""How lit frames become pictures: exposure, tone mapping, and captured colours that stay as they were captured.
+
+The equations are in docs/method/lighting.md#pictures.
+"""
 
 from __future__ import annotations
 

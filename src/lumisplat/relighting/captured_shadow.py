@@ -1,4 +1,7 @@
-"""Captured colours in shadow: what several lights, each behind a deep shadow map, leave of them."""
+"""Captured colours in shadow: what several lights, each behind a deep shadow map, leave of them.
+
+The equations are in docs/method/relighting.md#captured-shadow.
+"""
 
 from __future__ import annotations
 

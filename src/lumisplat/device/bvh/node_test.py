@@ -3,6 +3,8 @@
 A bundle is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
 ray go. Seen from there, a box's six planes move, and each bounds the distances at which the bundle can be inside by a
 linear inequality. A single ray is a bundle of no width.
+
+The equations are in docs/method/ray_tracing.md#traversal.
 """
 
 import warp as wp

@@ -1,6 +1,8 @@
 """A bundle of rays side by side: what bounds it, and where its rays meet a Gaussian.
 
 Loops over the lanes become vector instructions, so a bundle's types and functions are made for its number of rays.
+
+The equations are in docs/method/ray_tracing.md#hits.
 """
 
 import functools

@@ -1,4 +1,7 @@
-"""The rays of cameras: pinhole, equidistant fisheye and orthographic, with a thin lens and a rolling shutter."""
+"""The rays of cameras: pinhole, equidistant fisheye and orthographic, with a thin lens and a rolling shutter.
+
+The equations are in docs/method/ray_tracing.md#camera-rays.
+"""
 
 import math
 

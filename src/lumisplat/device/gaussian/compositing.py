@@ -1,4 +1,7 @@
-"""From a blended pixel to the surface that the rest of the frame works on."""
+"""From a blended pixel to the surface that the rest of the frame works on.
+
+The equations are in docs/method/rasterisation.md#compositing.
+"""
 
 from typing import Any
 

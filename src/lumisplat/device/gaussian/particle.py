@@ -1,6 +1,8 @@
 """A Gaussian as rays meet it: its canonical space, its response by degree, and where it ends.
 
 Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4.
+
+The equations are in docs/method/gaussians.md.
 """
 
 import warp as wp

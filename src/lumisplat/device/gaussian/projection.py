@@ -1,4 +1,7 @@
-"""A Gaussian's projection to the image and its alpha there (EWA splatting, Zwicker et al. 2001; Kerbl et al. 2023)."""
+"""A Gaussian's projection to the image and its alpha there (EWA splatting, Zwicker et al. 2001; Kerbl et al. 2023).
+
+The equations are in docs/method/rasterisation.md.
+"""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Blending of what a ray meets, and the lottery of a stochastic pass."""
+"""Blending of what a ray meets, and the lottery of a stochastic pass (docs/method/ray_tracing.md#strategies)."""
 
 import warp as wp
 

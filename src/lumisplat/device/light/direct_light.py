@@ -1,4 +1,4 @@
-"""What a light adds to a ray's colour by way of a surface, if nothing is in the way."""
+"""What a light adds to a ray's colour by way of a surface, if nothing is in the way (docs/method/lighting.md)."""
 
 import warp as wp
 

@@ -2,6 +2,8 @@
 
 The image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. Directions are picked by
 the mean of what is interpolated over each cell, evenly in solid angle within it: none that shines is left out.
+
+The equations are in docs/method/lighting.md#environment.
 """
 
 import math

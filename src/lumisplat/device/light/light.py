@@ -2,6 +2,8 @@
 
 A hard light is a point at its centre. A soft one has its extent, and ``u`` picks a direction within it: the mean over
 ``u`` of irradiance times cosine is what all of the light gives.
+
+The equations are in docs/method/lighting.md#lights.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""From samples of a lit ray to the pixel's running means."""
+"""From samples of a lit ray to the pixel's running means (docs/method/lighting.md#captured-and-added-light)."""
 
 import warp as wp
 

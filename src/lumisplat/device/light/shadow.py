@@ -1,4 +1,4 @@
-"""What is left of a light behind what stands in its way."""
+"""What is left of a light behind what stands in its way (docs/method/shadows.md)."""
 
 import warp as wp
 

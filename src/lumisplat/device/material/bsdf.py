@@ -2,6 +2,8 @@
 
 Directions are unit vectors away from the surface, ``normal`` is on their side: below it, nothing is reflected. The two
 models are reciprocal, and no more light leaves than comes.
+
+The equations are in docs/method/materials.md.
 """
 
 import math

@@ -2,6 +2,8 @@
 
 Directions are unit vectors, normals unit vectors on the side that the light comes from: ``cosine`` is
 ``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
+
+The equations are in docs/method/materials.md#smooth-surfaces.
 """
 
 import warp as wp

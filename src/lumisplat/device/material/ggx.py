@@ -2,6 +2,8 @@
 
 ``alpha`` is alpha, roughness squared, above 0. Cosines are those with the surface's normal, above 0. No angle is taken
 from a cosine near 1: sines come from cross products, so that highlights of any width keep their shape in float32.
+
+The equations are in docs/method/materials.md#metallic-roughness.
 """
 
 import math

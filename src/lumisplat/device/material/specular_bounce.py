@@ -3,6 +3,8 @@
 In unlit frames, weights apply to display-referred colours, as captures hold them, else to linear light. Shares of
 energy (Fresnel's) are plain numbers there, so that what is reflected and what is let through add up to one; there,
 tints are encoded like any other colour.
+
+The equations are in docs/method/materials.md#smooth-surfaces.
 """
 
 import warp as wp

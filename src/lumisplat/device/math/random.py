@@ -7,6 +7,8 @@ share a word. Adding the counter without mixing it first would be cheaper, but c
 would then give related words.
 
 Bits are shifted and combined by name instead of by operator, so that the functions also run as plain Python.
+
+The equations are in docs/method/random_numbers.md.
 """
 
 import warp as wp

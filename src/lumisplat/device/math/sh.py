@@ -1,4 +1,7 @@
-"""Real spherical harmonics up to degree 3, with the basis order and signs of Kerbl et al. 2023."""
+"""Real spherical harmonics up to degree 3, with the basis order and signs of Kerbl et al. 2023.
+
+The equations are in docs/method/gaussians.md#colour.
+"""
 
 import warp as wp
 

@@ -2,6 +2,8 @@
 
 Corners are sheared so that the ray becomes an axis; which side of an edge it passes is then the sign of a product that
 both triangles of the edge compute from the same numbers.
+
+The equations are in docs/method/ray_tracing.md#triangles.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""Triangles seen along pixel rays, without clipping (Olano and Greer 1997)."""
+"""Triangles seen along pixel rays, without clipping (Olano and Greer 1997; docs/method/rasterisation.md#meshes)."""
 
 import warp as wp
 

@@ -2,6 +2,8 @@
 
 Rays go out in waves: those that leave the smooth surfaces of one wave are the next. Colours come back the other way,
 from the last wave to the first, so that every element is written by one item, whatever the number of threads.
+
+The equations are in docs/method/materials.md#smooth-surfaces.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@
 the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
 one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
 ``pick_tiles`` and ``pick_pixels`` do without order: one splat a pixel, by chance.
+
+The equations are in docs/method/rasterisation.md.
 """
 
 import warp as wp

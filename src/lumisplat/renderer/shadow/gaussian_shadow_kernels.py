@@ -4,6 +4,8 @@ One item is one packet of ``lanes`` consecutive rays, as in ``trace_kernels``. S
 to be in order, and one walk through the trees is enough. It goes far from the points first: what the light shines on
 first blocks it from all that is behind, while around the points themselves there is much that hardly does. Where only
 the first hits count, it goes near first, and a list keeps the nearest.
+
+The equations are in docs/method/shadows.md.
 """
 
 import functools

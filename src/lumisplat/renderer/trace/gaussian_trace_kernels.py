@@ -8,6 +8,8 @@ of sorting all hits.
 
 The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
 stochastic pass is drawn whenever k hits were blended.
+
+The equations are in docs/method/ray_tracing.md.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Outward normals of Gaussians that have none."""
+"""Outward normals of Gaussians that have none (docs/method/relighting.md#normals)."""
 
 from __future__ import annotations
 

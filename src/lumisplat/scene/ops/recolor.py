@@ -1,4 +1,4 @@
-"""Display-referred colours of Gaussians under more or less light."""
+"""Display-referred colours of Gaussians under more or less light (docs/method/gaussians.md#colour)."""
 
 from __future__ import annotations
 
