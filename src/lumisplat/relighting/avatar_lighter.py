@@ -17,7 +17,7 @@ from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.relighting.probe_transfer import relight
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.renderer.scene.materials import is_untouched
+from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
@@ -92,7 +92,7 @@ class AvatarLighter:
         self._around = RenderConfig(background=background)
         shining = tuple(light for light in scene.lights if light.enabled)
         # Lights of a scene where nothing reflects them yet can only be those that it was captured in.
-        are_captured = lights is None and not scene.meshes and all(map(is_untouched, scene.splats))
+        are_captured = lights is None and not scene.meshes and all(map(emits_capture_only, scene.splats))
         self._keeps_lights = bool(shining) and not are_captured
         self._receivers = _receivers(scene, self._keeps_lights)
         self._shadows: ActorShadows | None = None
@@ -140,10 +140,10 @@ class AvatarLighter:
         shown = {id(a.gaussians) for a in placed if isinstance(a, SplatInstance)}
         self._normals = {key: held for key, held in self._normals.items() if key in shown}
         # What reflects is lit by the scene's lights, where there are some.
-        reflecting = any(isinstance(a, SplatInstance) and not is_untouched(a) for a in placed)
+        reflecting = any(isinstance(a, SplatInstance) and not emits_capture_only(a) for a in placed)
         keeps = self._keeps_lights or (reflecting and bool(self.scene.lights))
         splats = [
-            self._relit(a) if flag and not (keeps and not is_untouched(a)) else a
+            self._relit(a) if flag and not (keeps and not emits_capture_only(a)) else a
             for a, flag in zip(placed, takes, strict=True)
             if isinstance(a, SplatInstance)
         ]
@@ -232,7 +232,7 @@ class AvatarLighter:
 
 def _receivers(scene: Scene, lit: bool) -> list[int]:
     """Rows of the splat instances that take shadows from maps."""
-    rows = [row for row, instance in enumerate(scene.splats) if not lit or is_untouched(instance)]
+    rows = [row for row, instance in enumerate(scene.splats) if not lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:
         _log.warning("%d splat sets take their shadows from the renderer's rays, and none from shadow maps", others)
@@ -240,7 +240,7 @@ def _receivers(scene: Scene, lit: bool) -> list[int]:
 
 
 def _as_captured(instance: SplatInstance) -> SplatInstance:
-    return instance if is_untouched(instance) else replace(instance, material=None, shadow_only=False)
+    return instance if emits_capture_only(instance) else replace(instance, material=None, shadow_only=False)
 
 
 def _placed(actors: Iterable[Actor | Gaussians | Mesh]) -> list[Actor]:

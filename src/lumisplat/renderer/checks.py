@@ -11,6 +11,7 @@ from lumisplat.config import RenderConfig, check_kind
 from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -44,22 +45,21 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
     return config
 
 
-def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, *, lit: bool, samples: bool) -> None:
+def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: FramePlan) -> None:
     """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
 
     Args:
         frame: What is to be resumed.
         camera: Of the new samples.
         config: Their settings.
-        lit: Whether they are.
-        samples: Whether such frames are means of samples at all.
+        plan: Of the frame that adds them.
     """
     check_kind("resume", frame, Frame)
-    if not samples:
+    if not plan.is_sampled:
         raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
     if frame.samples == 0:
         raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
-    if lit != (frame.light is not None):
+    if plan.is_lit != (frame.light is not None):
         raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
     if frame.config is not None and frame.config.aovs:
         raise ConfigError("a frame with aovs cannot be resumed: their images are not kept as means")
@@ -78,6 +78,8 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, *, lit: 
         )
     if frame.samples + config.samples > SAMPLES_MAX:
         raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
+    if plan.has_shadow_only:
+        raise ConfigError("cannot resume a lit frame with shadow-only sets: how much is left of them is not kept")
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:

@@ -11,21 +11,21 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
-from lumisplat.constants import RAY_BATCH
+from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
+from lumisplat.constants import PACKET_RAYS, RAY_BATCH
+from lumisplat.device.structs.film import FilmShape, LitPixels
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import RayColors
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
-from lumisplat.renderer.raster.binning import grown_capacity
-from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace import camera_ray_kernels
-from lumisplat.renderer.trace.gaussian_trace import PACKET_RAYS, RayTracer
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.runtime.buffers import Buffers, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 
 _log = logging.getLogger("lumisplat")
@@ -62,51 +62,31 @@ class RayQueries:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        tracer: Follows the rays.
-        transport: Colours what they meet.
         config: Its settings.
+        tracer: Finds the hits of the rays.
+        integrator: Computes what they see.
     """
 
     def __init__(
         self,
         launcher: Launcher,
         buffers: Buffers,
-        tracer: RayTracer,
-        transport: WhittedIntegrator,
         config: RenderConfig,
+        tracer: RayTracer,
+        integrator: WhittedIntegrator,
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
-        self._tracer, self._transport = tracer, transport
+        self._tracer, self._integrator = tracer, integrator
+        self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow=ShadowConfig()), "transmit")
 
-    def look(
-        self, scene: DeviceScene, trees: BvhScene, origins: FloatArray, directions: FloatArray, *, lit: bool
-    ) -> RayHits:
+    def query(self, scene: DeviceScene, plan: FramePlan, origins: FloatArray, directions: FloatArray) -> RayHits:
         """What rays see; ``directions`` are unit vectors."""
-        # Given rays do not spread over a pixel: without chance, all samples are the first.
-        samples = 1 if self._config.trace.strategy is TraceStrategy.SORTED and not lit else self._config.samples
         parts, nonfinite = [], 0
         distances = np.full(len(origins), np.inf, np.float32)
         for first, given in _batches(origins, directions, distances):
-            count, rays = len(given[0]), self._rays(len(given[0]))
-            surface = PixelBuffers.of_shape(self._buffers, (1, rays.t_max.shape[0]))
-            flags = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
-            uploaded = self._uploaded(given)
-            for sample in range(samples):
-                self._load(first, count, sample, uploaded, rays)
-                self._transport.begin_sample(sample)
-                met = self._tracer.look(scene, trees, rays)
-                colors = self._transport.colors(scene, trees, met, lit=lit, sample=sample)
-                if lit:
-                    colors = self._linear(colors)
-                self._launcher.run_banded(
-                    camera_ray_kernels.store_hits,
-                    rays.t_max.shape[0],
-                    *(sample, lit, met.rays, met.radiance, met.hits, colors),
-                    *(scene.instances, scene.mesh_instances, scene.mesh_data),
-                    *(surface.data, flags),
-                )
-            nonfinite += int(flags.numpy()[:count].sum())
-            parts.append({name: image[0, :count] for name, image in surface.download().items()})
+            images, count = self._query_batch(scene, plan, first, given)
+            parts.append(images)
+            nonfinite += count
         if nonfinite:
             _log.warning("%d samples of %d rays were not finite and are black", nonfinite, len(origins))
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -117,34 +97,55 @@ class RayQueries:
             normal=joined["normal"],
             gaussian_index=joined["gaussian"],
             instance_index=joined["instance"],
-            color_space="linear" if lit else "srgb",
+            color_space="linear" if plan.is_lit else "srgb",
         )
 
-    def _linear(self, colors: RayColors) -> Any:
-        """What lit rays see, without what was captured apart."""
-        count = colors.light.shape[0]
-        linear = self._buffers.get("rays.linear", wp.vec3, count)
-        self._launcher.run_banded(film_kernels.add_captured, count, colors, linear)
-        return linear
-
-    def transmit(
-        self,
-        scene: DeviceScene,
-        trees: BvhScene,
-        origins: FloatArray,
-        directions: FloatArray,
-        distances: FloatArray,
+    def transmittance(
+        self, scene: DeviceScene, origins: FloatArray, directions: FloatArray, distances: FloatArray
     ) -> FloatArray:
-        """What comes through from as far as ``distances``, (N,); 0 for what is not above the least transmittance."""
+        """How much light arrives from as far as ``distances``, (N,); 0 where below the least transmittance."""
         parts = []
+        scene.begin_sample(None, 0, is_last=True)
         for first, given in _batches(origins, directions, distances):
             count, rays = len(given[0]), self._rays(len(given[0]))
-            self._load(first, count, 0, self._uploaded(given), rays)
-            parts.append(self._tracer.transmit(scene, trees, rays).numpy()[:count, 0].copy())
+            self._load(scene, first, count, self._uploaded(given), rays)
+            light = self._transmittance.trace(scene, rays, None, "rays.transmittance", opaque=True)
+            parts.append(light.numpy()[:count, 0].copy())
         return np.concatenate(parts)
 
+    def _query_batch(
+        self, scene: DeviceScene, plan: FramePlan, first: int, given: list[FloatArray]
+    ) -> tuple[dict[str, np.ndarray], int]:
+        """Images of one row of rays, and how many samples were not finite."""
+        # Given rays do not spread over a pixel: without chance, all samples are the first.
+        is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
+        samples = self._config.samples if is_random else 1
+        count, rays = len(given[0]), self._rays(len(given[0]))
+        uploaded = self._uploaded(given)
+        shape = FilmShape()
+        pixels = PixelBuffers.of(self._buffers, (1, rays.t_max.shape[0]))
+        nonfinite = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
+        nonfinite.zero_()
+        for sample in range(samples):
+            scene.begin_sample(None, sample, is_last=sample == samples - 1)
+            self._load(scene, first, count, uploaded, rays)
+            hits = self._tracer.find_hits(scene, rays, "rays")
+            radiance = self._integrator.radiance(scene, plan, hits, sample)
+            if plan.is_lit:
+                self._launcher.run_banded(
+                    film_kernels.merge_captured, hits.count, hits.meshes, hits.gaussians, radiance
+                )
+            self._launcher.run_banded(
+                film_kernels.add_samples,
+                hits.count,
+                *(shape, scene.shading, hits.rays, hits.meshes, hits.gaussians, radiance),
+                *(pixels.data, LitPixels(), None, nonfinite),
+            )
+        images = {name: image[0, :count] for name, image in pixels.download().items()}
+        return images, int(nonfinite.numpy()[:count].sum())
+
     def _rays(self, count: int) -> RayData:
-        # A few sizes of arrays instead of one a call; what is not used is no ray.
+        # A few sizes of arrays instead of one a call.
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def _uploaded(self, given: list[FloatArray]) -> list[Any]:
@@ -156,10 +157,9 @@ class RayQueries:
             arrays.append(array)
         return arrays
 
-    def _load(self, first: int, count: int, sample: int, uploaded: list[Any], rays: RayData) -> None:
-        seed = wp.uint32(self._config.seed)
+    def _load(self, scene: DeviceScene, first: int, count: int, uploaded: list[Any], rays: RayData) -> None:
         self._launcher.run_banded(
-            camera_ray_kernels.load_rays, rays.t_max.shape[0], first, count, sample, seed, *uploaded, rays
+            camera_ray_kernels.load_rays, rays.t_max.shape[0], first, count, scene.sample, *uploaded, rays
         )
 
 

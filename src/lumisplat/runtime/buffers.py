@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +25,12 @@ def physical_memory() -> int:
     if container.is_file() and (text := container.read_text().strip()).isdigit():
         limits.append(int(text))
     return min(limits)
+
+
+def grown_capacity(count: int) -> int:
+    """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
+    step = 1 << max(10, count.bit_length() - 3)
+    return -(-count // step) * step
 
 
 class Buffers:
@@ -83,12 +89,16 @@ class Buffers:
             first += count * words
         return block, arrays
 
-    def struct(self, name: str, noun: type[Noun], count: int) -> Noun:
-        """A struct whose fields are arrays of ``count`` elements with undefined contents, named ``name.field``."""
+    def struct(self, name: str, noun: type[Noun], count: int, without: Collection[str] = ()) -> Noun:
+        """A struct whose fields are arrays of ``count`` elements with undefined contents, named ``name.field``.
+
+        Fields ``without`` an array are false in kernels.
+        """
         filled: Any = noun()
         fields: dict[str, Any] = noun.vars  # type: ignore[attr-defined]
         for field, variable in fields.items():
-            setattr(filled, field, self.get(f"{name}.{field}", variable.type.dtype, count))
+            if field not in without:
+                setattr(filled, field, self.get(f"{name}.{field}", variable.type.dtype, count))
         return filled
 
     @property

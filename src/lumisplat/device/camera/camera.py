@@ -8,7 +8,8 @@ import math
 import warp as wp
 
 from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
-from lumisplat.device.structs.rays import LensData, Ray
+from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.rays import Ray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,21 +36,21 @@ def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 
 @wp.func
-def camera_ray(lens: LensData, x: int, y: int) -> Ray:
-    """The ray through a pixel, of the lens's sample; its direction is zero where a fisheye sees nothing.
+def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
+    """The ray of a sample through a pixel; its direction is zero where a fisheye sees nothing.
 
     With an aperture it starts on the lens and meets the ray through the lens's centre where that is in focus: on a
     plane across the axis; for a fisheye, which may see behind itself, on a sphere, and its lens is square to that ray.
     """
     ray = Ray()
-    u = (float(x) + lens.offset[0] - lens.center[0]) / lens.focal[0]
-    v = (float(y) + lens.offset[1] - lens.center[1]) / lens.focal[1]
+    u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]
+    v = (float(y) + camera.offset[1] - camera.center[1]) / camera.focal[1]
 
     start = wp.vec3(0.0, 0.0, 0.0)
     direction = wp.vec3(0.0, 0.0, 1.0)
     right = wp.vec3(1.0, 0.0, 0.0)
     down = wp.vec3(0.0, 1.0, 0.0)
-    if lens.model == FISHEYE:
+    if camera.model == FISHEYE:
         theta = wp.sqrt(u * u + v * v)
         if theta > PI:
             return ray
@@ -58,30 +59,32 @@ def camera_ray(lens: LensData, x: int, y: int) -> Ray:
             direction = wp.sin(theta) * outward + wp.cos(theta) * direction
             right = wp.vec3(-outward[1], outward[0], 0.0)
             down = wp.cross(direction, right)
-    elif lens.model == ORTHOGRAPHIC:
+    elif camera.model == ORTHOGRAPHIC:
         start = wp.vec3(u, v, 0.0)
     else:
         direction = wp.normalize(wp.vec3(u, v, 1.0))
 
-    if lens.aperture > 0.0:
-        sample_key = sample_key_of(y * lens.width + x, lens.sample, lens.seed)
-        point = lens.aperture * disk_point(draw(sample_key, LENS_RADIUS), draw(sample_key, LENS_ANGLE))
+    if camera.aperture > 0.0:
+        sample_key = sample_key_of(y * camera.width + x, sample.index, sample.seed)
+        point = camera.aperture * disk_point(draw(sample_key, LENS_RADIUS), draw(sample_key, LENS_ANGLE))
         shift = point[0] * right + point[1] * down
-        sharp = lens.focus_distance
-        if lens.model != FISHEYE:
+        sharp = camera.focus_distance
+        if camera.model != FISHEYE:
             sharp /= direction[2]
         start += shift
         direction = wp.normalize(sharp * direction - shift)
 
-    ray.t_min = lens.near
-    if lens.model != FISHEYE:
+    ray.t_min = camera.near
+    if camera.model != FISHEYE:
         ray.t_min /= direction[2]
-    ray.origin = lens.eye + lens.world_from_camera * start
-    ray.direction = lens.world_from_camera * direction
-    if lens.shutter != 0:
-        time = (float(y) + 0.5) / float(lens.height)
-        angle = time * lens.turn_angle
-        ray.origin = lens.eye + time * lens.motion + turned(lens.world_from_camera * start, lens.turn_axis, angle)
-        ray.direction = turned(ray.direction, lens.turn_axis, angle)
+    ray.origin = camera.eye + camera.world_from_camera * start
+    ray.direction = camera.world_from_camera * direction
+    if camera.shutter != 0:
+        time = (float(y) + 0.5) / float(camera.height)
+        angle = time * camera.turn_angle
+        ray.origin = (
+            camera.eye + time * camera.motion + turned(camera.world_from_camera * start, camera.turn_axis, angle)
+        )
+        ray.direction = turned(ray.direction, camera.turn_axis, angle)
     ray.direction = wp.normalize(ray.direction)
     return ray

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import TILE_PX
-from lumisplat.device.structs.scene import CameraData
+from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,4 +1,4 @@
-"""From a blended pixel to the surface that the rest of the frame works on.
+"""Front-to-back blending of a pixel, and where its result goes: to its ray, or straight to the image.
 
 The equations are in docs/method/rasterisation.md#compositing.
 """
@@ -10,8 +10,11 @@ import warp as wp
 from lumisplat.constants import NORMAL_DEGENERATE
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
 from lumisplat.device.math.color import over
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
-from lumisplat.device.structs.scene import BlendState, CameraData, InstanceData, MeshHits, PixelData, Splat
+from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,11 +22,21 @@ NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
 
 @wp.func
+def empty_pixel() -> BlendState:
+    """Nothing blended yet."""
+    pixel = BlendState()
+    pixel.transmittance = 1.0
+    pixel.surface = -1
+    pixel.first = -1
+    return pixel
+
+
+@wp.func
 def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
     """Camera-space direction through a pixel's centre, with z = 1."""
     return wp.vec3(
-        (float(x) + 0.5 - camera.center[0]) / camera.focal[0],
-        (float(y) + 0.5 - camera.center[1]) / camera.focal[1],
+        (float(x) + 0.5 - camera.raster_center[0]) / camera.focal[0],
+        (float(y) + 0.5 - camera.raster_center[1]) / camera.focal[1],
         1.0,
     )
 
@@ -39,9 +52,9 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
     pixel.transmittance = after
     pixel.hits += 1
     if before >= iso and after < iso:
-        pixel.splat = index
-    elif pixel.splat == -1:
-        pixel.splat = -2 - index
+        pixel.surface = index
+    if pixel.first < 0:
+        pixel.first = index
     return pixel
 
 
@@ -72,41 +85,43 @@ def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
 
 
 @wp.func
-def store_radiance(
+def store_gaussian_hits(
     camera: CameraData, splats: wp.array(dtype=Splat), pixel: BlendState, x: int, y: int, out: GaussianHits
 ):
-    """Writes what a pixel's splats give its ray, for what goes on from there."""
+    """Writes what a pixel's splats give its ray: primary hits, as rays find them too."""
     ray = ray_of_pixel(camera.width, x, y)
     out.color[ray] = pixel.color
     out.normal[ray] = pixel.normal
     out.transmittance[ray] = wp.abs(pixel.transmittance)
     out.depth[ray] = wp.inf
-    out.gaussian[ray] = pixel.splat
+    out.gaussian[ray] = pixel.first
     out.hits[ray] = pixel.hits
-    if pixel.splat >= 0:
-        out.depth[ray] = splats[pixel.splat].depth * wp.length(pixel_ray(camera, x, y))
+    if pixel.surface >= 0:
+        out.gaussian[ray] = pixel.surface
+        out.depth[ray] = splats[pixel.surface].depth * wp.length(pixel_ray(camera, x, y))
 
 
 @wp.func
-def store_surface(
+def store_pixel(
     camera: CameraData,
-    instances: wp.array(dtype=InstanceData),
+    raster: RasterData,
+    instances: wp.array(dtype=SplatInstanceData),
     splats: wp.array(dtype=Splat),
-    hits: MeshHits,
+    meshes: MeshPixels,
     pixel: BlendState,
     x: int,
     y: int,
     surface: PixelData,
 ):
-    """Ends a pixel on the mesh or the background, and writes it."""
+    """Ends an unlit pixel on the mesh or the background, and writes its images."""
     i = y * camera.width + x
     ray = pixel_ray(camera, x, y)
     transmittance = wp.abs(pixel.transmittance)
     depth_z = float(wp.inf)
     gaussian = int(-1)
     instance = int(-1)
-    if pixel.splat >= 0:
-        splat = splats[pixel.splat]
+    if pixel.surface >= 0:
+        splat = splats[pixel.surface]
         depth_z = splat.depth
         instance = instance_of(instances, splat.index)
         gaussian = splat.index - instances[instance].first
@@ -114,22 +129,22 @@ def store_surface(
     color = pixel.color
     normal = pixel.normal
     weight = 1.0 - transmittance
-    mesh_z = hits.depth_z[i]
+    mesh_z = meshes.depth_z[i]
     if mesh_z < wp.inf:
-        color += transmittance * hits.color[i]
-        normal += transmittance * hits.normal[i]
+        color += transmittance * meshes.color[i]
+        normal += transmittance * meshes.normal[i]
         weight = float(1.0)
         transmittance = float(0.0)
-        if pixel.splat < 0:
+        if pixel.surface < 0:
             depth_z = mesh_z
-            instance = hits.instance[i]
+            instance = meshes.instance[i]
 
     if weight > 0.0:
         if wp.length(normal) > NORMAL_MIN * weight:
             normal = wp.normalize(normal)
         else:
             normal = -(camera.world_from_camera * wp.normalize(ray))
-    surface.color[i] = over(color, transmittance, camera.background)
+    surface.color[i] = over(color, transmittance, raster.background)
     surface.alpha[i] = 1.0 - transmittance
     surface.depth[i] = depth_z * wp.length(ray)
     surface.normal[i] = normal

@@ -10,8 +10,8 @@ import warp as wp
 from lumisplat.constants import ALPHA_MIN, BOX_MARGIN
 from lumisplat.device.gaussian.projection import ALPHA_LIMIT, alpha_from_log, gaussian_normal
 from lumisplat.device.math.sh import sh_color
-from lumisplat.device.structs.bvh import FAR, Box, KernelData, Particle
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.bvh import FAR, Box, Particle
+from lumisplat.device.structs.scene import GaussianData, KernelData
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,7 +9,9 @@ import warp as wp
 
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, COVARIANCE_2D_DET_MIN
 from lumisplat.device.math.sh import sh_color
-from lumisplat.device.structs.scene import CameraData, GaussianData, InstanceData, Splat
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import RasterData, Splat
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,7 +54,9 @@ def towards(normal: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: GaussianData, i: int) -> Splat:
+def project_gaussian(
+    camera: CameraData, raster: RasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
+) -> Splat:
     """The splat of Gaussian ``i`` of an instance; log_opacity is -inf where it cannot touch the image."""
     splat = Splat()
     splat.log_opacity = -wp.inf
@@ -72,12 +76,12 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     v = spread[1]
     uu = wp.dot(u, u)
     vv = wp.dot(v, v)
-    xx = uu + camera.dilation
+    xx = uu + raster.dilation
     xy = wp.dot(u, v)
-    yy = vv + camera.dilation
+    yy = vv + raster.dilation
     area = wp.cross(u, v)
     det_before = wp.dot(area, area)  # Lagrange's identity: the determinant without cancellation
-    det = det_before + camera.dilation * (uu + vv + camera.dilation)
+    det = det_before + raster.dilation * (uu + vv + raster.dilation)
     if det <= DET_MIN:
         return splat
     if not det < wp.inf:
@@ -91,7 +95,8 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     if not reach >= 0.0:
         return splat
     center = wp.vec2(
-        camera.focal[0] * view[0] / view[2] + camera.center[0], camera.focal[1] * view[1] / view[2] + camera.center[1]
+        camera.focal[0] * view[0] / view[2] + camera.raster_center[0],
+        camera.focal[1] * view[1] / view[2] + camera.raster_center[1],
     )
     extent = wp.vec2(wp.sqrt(reach * xx), wp.sqrt(reach * yy))
     if (
@@ -112,7 +117,8 @@ def project_gaussian(camera: CameraData, instance: InstanceData, gaussians: Gaus
     if instance.own_colors != 0:
         splat.color = gaussians.albedo[i]
     else:
-        degree = wp.min(instance.sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
+        stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
+        degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
         splat.color = sh_color(gaussians.sh, i * gaussians.sh_count, degree, -wp.normalize(to_eye))
     if instance.own_normals != 0:
         splat.normal = instance.world_from_object * towards(gaussians.normals[i], to_eye)

@@ -2,53 +2,46 @@
 
 import warp as wp
 
-from lumisplat.device.gaussian.compositing import instance_of, lay_behind
+from lumisplat.device.gaussian.compositing import empty_pixel, instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.random import draw
-from lumisplat.device.structs.bvh import AssetBvh, BvhInstance, TraceData
+from lumisplat.device.structs.bvh import AssetBvh, TraceData
+from lumisplat.device.structs.raster import BlendState
 from lumisplat.device.structs.rays import GaussianHits, Ray
-from lumisplat.device.structs.scene import BlendState
+from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def empty_pixel() -> BlendState:
-    """Nothing blended yet."""
-    pixel = BlendState()
-    pixel.transmittance = 1.0
-    pixel.splat = -1
-    return pixel
-
-
-@wp.func
-def load_pixel(radiance: GaussianHits, ray: int) -> BlendState:
+def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
     """What a ray has blended so far."""
     pixel = BlendState()
-    pixel.color = radiance.color[ray]
-    pixel.normal = radiance.normal[ray]
-    pixel.transmittance = radiance.transmittance[ray]
-    pixel.splat = radiance.gaussian[ray]
-    pixel.hits = radiance.hits[ray]
+    pixel.color = hits.color[ray]
+    pixel.normal = hits.normal[ray]
+    pixel.transmittance = hits.transmittance[ray]
+    pixel.first = hits.gaussian[ray]
+    pixel.surface = wp.where(hits.depth[ray] < wp.inf, pixel.first, -1)
+    pixel.hits = hits.hits[ray]
     return pixel
 
 
 @wp.func
-def store_pixel(radiance: GaussianHits, ray: int, pixel: BlendState):
-    """Keeps what a ray has blended so far."""
-    radiance.color[ray] = pixel.color
-    radiance.normal[ray] = pixel.normal
-    radiance.transmittance[ray] = pixel.transmittance
-    radiance.gaussian[ray] = pixel.splat
-    radiance.hits[ray] = pixel.hits
+def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
+    """Keeps what a ray has blended so far, but for the depth of its surface."""
+    hits.color[ray] = pixel.color
+    hits.normal[ray] = pixel.normal
+    hits.transmittance[ray] = pixel.transmittance
+    hits.gaussian[ray] = wp.where(pixel.surface >= 0, pixel.surface, pixel.first)
+    hits.hits[ray] = pixel.hits
 
 
 @wp.func
 def blend_hit(
     pixel: BlendState,
     view: TraceData,
-    instances: wp.array(dtype=BvhInstance),
+    instances: wp.array(dtype=SplatInstanceData),
     assets: wp.array(dtype=AssetBvh),
     ray: Ray,
     index: int,
@@ -69,7 +62,7 @@ def blend_hit(
     if instance.own_colors != 0:
         color = gaussians.albedo[i]
     else:
-        color = gaussian_color(gaussians, i, eye, instance.sh_degree)
+        color = gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
     normal = wp.vec3()
     if instance.own_normals != 0:
         normal = towards(gaussians.normals[i], -direction)
@@ -95,6 +88,6 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
     pixel.color = pixel.color / opacity
     pixel.normal = pixel.normal / opacity
     pixel.transmittance = 0.0
-    if pixel.splat < 0:
-        pixel.splat = last
+    if pixel.surface < 0:
+        pixel.surface = last
     return pixel

@@ -7,8 +7,7 @@ from lumisplat.device.math.color import decode_srgb_color
 from lumisplat.device.math.random import sample_key_of
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.bvh import ShadowData
-from lumisplat.device.structs.rays import SmoothData
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.scene import GaussianData, SmoothData
 
 wp.set_module_options({"enable_backward": False})
 

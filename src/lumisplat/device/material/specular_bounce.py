@@ -13,8 +13,8 @@ from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
-from lumisplat.device.structs.rays import Bounce, MeshPlacement, RayData, RayMeshHits, SmoothData
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData
+from lumisplat.device.structs.rays import Bounce, MeshHits, RayData
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SmoothData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -94,9 +94,8 @@ def bounce_of(
 def bounce_of_ray(
     i: int,
     rays: RayData,
-    hits: RayMeshHits,
+    hits: MeshHits,
     instances: wp.array(dtype=MeshInstanceData),
-    placements: wp.array(dtype=MeshPlacement),
     meshes: MeshData,
     lit: bool,
 ) -> Bounce:
@@ -106,7 +105,7 @@ def bounce_of_ray(
     corners = meshes.indices[hits.face[i]]
     weights = hit_weights(hits.weights[i])
     return bounce_of(
-        placements[number].material,
+        instance.material,
         surface_color(instance, meshes, corners, weights),
         face_normal(instance, meshes, corners),
         surface_normal(instance, meshes, corners, weights),
@@ -127,7 +126,7 @@ def magnitudes(m: wp.mat33) -> wp.mat33:
 
 @wp.func
 def spawn_point(
-    placement: MeshPlacement, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
+    instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> wp.vec3:
     """A point of a triangle, moved along ``normal`` so far that a ray from there does not meet the triangle again.
 
@@ -137,7 +136,7 @@ def spawn_point(
     would start behind the other wall.
 
     Args:
-        placement: Of the mesh.
+        instance: Of the mesh.
         meshes: Where its triangles are.
         corners: The triangle's vertices.
         weights: Barycentric.
@@ -147,18 +146,15 @@ def spawn_point(
     local_edge1 = meshes.positions[corners[1]] - v0
     local_edge2 = meshes.positions[corners[2]] - v0
     local = v0 + weights[1] * local_edge1 + weights[2] * local_edge2
-    edge1 = placement.world_from_object * local_edge1
-    edge2 = placement.world_from_object * local_edge2
-    first = placement.world_from_object * v0
-    offset = placement.world_from_object * local
+    edge1 = instance.world_from_object * local_edge1
+    edge2 = instance.world_from_object * local_edge2
+    first = instance.world_from_object * v0
+    offset = instance.world_from_object * local
     # In object space, distances along the world's unit normal are those along this.
-    across = wp.abs(wp.transpose(placement.world_from_object) * normal)
-    sizes = 2.0 * wp.abs(placement.position) + wp.abs(offset) + magnitudes(placement.world_from_object) * wp.abs(local)
+    across = wp.abs(wp.transpose(instance.world_from_object) * normal)
+    sizes = 2.0 * wp.abs(instance.position) + wp.abs(offset) + magnitudes(instance.world_from_object) * wp.abs(local)
     local_sizes = (
-        wp.abs(v0)
-        + wp.abs(local_edge1)
-        + wp.abs(local_edge2)
-        + magnitudes(placement.object_from_world) * wp.abs(offset)
+        wp.abs(v0) + wp.abs(local_edge1) + wp.abs(local_edge2) + magnitudes(instance.object_from_world) * wp.abs(offset)
     )
     error = ERROR * (wp.dot(wp.abs(normal), sizes) + wp.dot(across, local_sizes))
     # A hit's distance is a mean of the corners', weighted by areas: its rounding, half of 2^-24 by measurement, is all
@@ -176,4 +172,4 @@ def spawn_point(
     )
     inner = inner / (inner[0] + inner[1] + inner[2])
     point = first + inner[1] * edge1 + inner[2] * edge2
-    return placement.position + (point + error * normal)
+    return instance.position + (point + error * normal)

@@ -4,7 +4,8 @@ import warp as wp
 
 from lumisplat.constants import RAY_START_BACK
 from lumisplat.device.mesh.ray_triangle import ray_shear
-from lumisplat.device.structs.rays import MeshPlacement, MeshRay
+from lumisplat.device.structs.rays import MeshRay
+from lumisplat.device.structs.scene import MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -30,14 +31,14 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def ray_in_mesh(placement: MeshPlacement, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
+def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
     """The part of a ray that begins at ``t_min``, or shortly before it enters the instance's box, object space.
 
     From close by: rounding then acts on numbers of the box's size, not of the distance to it.
     """
     ray = MeshRay()
     ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
-    ray.origin = placement.object_from_world * (origin - placement.position + ray.begin * direction)
-    ray.direction = placement.object_from_world * direction
+    ray.origin = instance.object_from_world * (origin - instance.position + ray.begin * direction)
+    ray.direction = instance.object_from_world * direction
     ray.shear = ray_shear(ray.direction)
     return ray

@@ -2,7 +2,8 @@
 
 import warp as wp
 
-from lumisplat.device.structs.scene import CameraData, Triangle
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import Triangle
 
 # Fused multiply-adds would make an edge depend on the order of a subtraction, and shared edges leak.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -53,8 +54,8 @@ def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
 def projected(camera: CameraData, point: wp.vec3) -> wp.vec2:
     """Pixel coordinates of a camera-space point in front of the eye."""
     return wp.vec2(
-        camera.focal[0] * point[0] / point[2] + camera.center[0],
-        camera.focal[1] * point[1] / point[2] + camera.center[1],
+        camera.focal[0] * point[0] / point[2] + camera.raster_center[0],
+        camera.focal[1] * point[1] / point[2] + camera.raster_center[1],
     )
 
 

@@ -3,7 +3,8 @@
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH
-from lumisplat.device.structs.scene import GaussianData, struct
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.scene import GaussianData
 
 Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
@@ -13,19 +14,6 @@ NO_CHILD = wp.constant(2**31 - 1)
 
 FAR = wp.constant(wp.float32(1.0e30))
 """Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
-
-
-@struct
-class KernelData:
-    """How Gaussians respond: what their bounds depend on."""
-
-    degree: int
-    """Exponent of the distance, 0 (linear) to 5."""
-    falloff: float
-    """a of the response exp(-a d^degree); the slope of the linear one."""
-    min_response: float
-    adaptive: int
-    """1: ``min_response`` is meant of the response times the opacity."""
 
 
 @struct
@@ -79,29 +67,6 @@ class AssetBvh:
 
 
 @struct
-class BvhInstance:
-    """One placement of a TreeAsset."""
-
-    object_from_world: wp.mat33
-    """Rotation and uniform scale."""
-    object_from_world_offset: wp.vec3
-    world_from_object: wp.mat33
-    """Rotation only."""
-    kernel: KernelData
-    first: int
-    """Index of the instance's first Gaussian among all of the scene's."""
-    asset: int
-    shadow_only: int
-    """1: shadow rays that skip such instances do not see it."""
-    sh_degree: int
-    """Highest that is evaluated."""
-    own_colors: int
-    """1: Gaussians show their albedo."""
-    own_normals: int
-    """1: normals are those that the asset carries."""
-
-
-@struct
 class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
@@ -134,6 +99,8 @@ class TraceData:
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float
+    sh_degree: int
+    """Highest that is evaluated."""
 
 
 @struct

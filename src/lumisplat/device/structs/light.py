@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.structs.scene import struct
+from lumisplat.device.structs.declare import struct
 
 LIGHT_POINT = wp.constant(0)
 """Also a sphere."""

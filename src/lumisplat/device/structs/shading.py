@@ -1,10 +1,11 @@
-"""Data of shading: surfaces as light meets them, and what each ray shows. One struct is one noun of the method."""
+"""Data of shading: materials, interactions of rays with surfaces, what rays see. One struct is one noun of the method."""
 
 import warp as wp
 
+from lumisplat.device.structs.camera import SampleData
+from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.light import Bsdf, EnvironmentData, LightData
-from lumisplat.device.structs.rays import MeshPlacement
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData, struct
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
 
 SEES_BACKGROUND = wp.constant(0)
 SEES_ENVIRONMENT = wp.constant(1)
@@ -27,9 +28,9 @@ class MaterialData:
 
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
-    untouched: int
+    emits_capture_only: int
     """1: of splats that shine as captured and reflect nothing."""
-    keeps: int
+    keeps_capture: int
     """1: of splats that show all that was captured of them, and more where light adds to it."""
     shadow_only: int
     """1: of splats that are darkened where something blocks a light, and that is all."""
@@ -62,29 +63,17 @@ class SplatAttributes:
 
 
 @struct
-class SplatPlacement:
-    """One placement of an asset, for what light meets there."""
-
-    first: int
-    """Index of the instance's first Gaussian among all of the scene's."""
-    asset: int
-    """Among the SplatAttributes."""
-    scale: float
-    """World from object."""
-
-
-@struct
 class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
+    is_lit: int
+    """0: all surfaces show their own colour, display-referred, and nothing is lit."""
     background: wp.vec3
     """Display-referred sRGB behind everything; black where there is none."""
     camera_sees: int
     """SEES_BACKGROUND, SEES_ENVIRONMENT in its place, or SEES_NOTHING: of the rays that are not reflected."""
     light_count: int
-    sample: int
-    """Number of the sample of each pixel."""
-    darkens: int
+    has_shadow_only: int
     """1: there are sets that are only darkened."""
     soft: int
     """1: lights are sampled over their extent."""
@@ -96,15 +85,17 @@ class ShadingSettings:
 
 @struct
 class ShadingScene:
-    """A lit scene: all that shading reads."""
+    """All that shading reads of a scene."""
 
     settings: wp.array(dtype=ShadingSettings)
-    splats: wp.array(dtype=SplatPlacement)
+    sample: wp.array(dtype=SampleData)
+    splats: wp.array(dtype=SplatInstanceData)
     attributes: wp.array(dtype=SplatAttributes)
+    """Of the Gaussian assets."""
     mesh_instances: wp.array(dtype=MeshInstanceData)
-    placements: wp.array(dtype=MeshPlacement)
     meshes: MeshData
     materials: wp.array(dtype=MaterialData)
+    """Of the splat instances, then of the mesh instances."""
     lights: wp.array(dtype=LightData)
     environment: EnvironmentData
 
@@ -128,25 +119,52 @@ class SplatSurface:
 
 @struct
 class Interaction:
-    """A surface where light meets it."""
+    """A ray's interaction with a surface: all that light needs to know of both."""
 
-    exists: int
-    """0: there is none that reflects."""
+    exists: bool
+    """Whether there is a surface that reflects."""
     position: wp.vec3
     """World space."""
     normal: wp.vec3
-    """World space, unit, on the side of the view."""
-    side: wp.vec3
-    """The same of the triangle itself."""
-    view: wp.vec3
-    """Unit, back along the ray."""
+    """Shading normal, world space, unit, on the side of ``wo``."""
+    geometric_normal: wp.vec3
+    """Of the triangle itself, world space, unit, on the side of ``wo``; of Gaussians the shading normal."""
+    wo: wp.vec3
+    """Outgoing direction, unit: back along the ray."""
     bsdf: Bsdf
-    scale: float
+    weight: float
     """Share in the ray's colour of what the surface reflects."""
     occlusion: float
     """Share of the environment's light that arrives."""
-    shadow_only: int
-    """1: what arrives is only compared, not reflected."""
+    shadow_only: bool
+    """Light that arrives is only compared, not reflected."""
+
+
+@struct
+class Interactions:
+    """The interactions of a wave of rays, two a ray, as ``Interaction``: written once, read by all that lights.
+
+    Element ``ray`` is the surface of the Gaussians, element ``stride + ray`` the mesh behind them.
+    """
+
+    exists: wp.array(dtype=wp.bool)
+    position: wp.array(dtype=wp.vec3)
+    normal: wp.array(dtype=wp.vec3)
+    geometric_normal: wp.array(dtype=wp.vec3)
+    wo: wp.array(dtype=wp.vec3)
+    model: wp.array(dtype=int)
+    diffuse: wp.array(dtype=wp.vec3)
+    specular: wp.array(dtype=wp.vec3)
+    grazing: wp.array(dtype=float)
+    alpha: wp.array(dtype=float)
+    shininess: wp.array(dtype=float)
+    weight: wp.array(dtype=float)
+    occlusion: wp.array(dtype=float)
+    shadow_only: wp.array(dtype=wp.bool)
+    spawn_point: wp.array(dtype=wp.vec3)
+    """Where rays start that leave the surface; without elements where none do."""
+    spawn_t_min: wp.array(dtype=float)
+    """Distance along them within which Gaussians do not count."""
 
 
 @struct
@@ -161,24 +179,30 @@ class Contribution:
 
 
 @struct
-class RayColors:
-    """What rays see."""
+class RayRadiance:
+    """What rays see. Display-referred colours that were captured stay apart from linear light."""
 
     captured: wp.array(dtype=wp.vec3)
-    """Display-referred sRGB, premultiplied by the next."""
+    """Display-referred sRGB, premultiplied by the next; of an unlit wave all that rays see."""
     captured_weight: wp.array(dtype=float)
     light: wp.array(dtype=wp.vec3)
     """Linear: what light adds or shadows take, and all that meshes and the environment give; may be negative."""
     alpha: wp.array(dtype=float)
     """What is not background."""
-    kept: wp.array(dtype=wp.vec3)
-    """Share of what was captured that shadows leave; where sets are only darkened."""
+    capture_factor: wp.array(dtype=wp.vec3)
+    """Share of what was captured that shadows leave; without elements where no set is only darkened."""
+    reflection: wp.array(dtype=wp.vec3)
+    """The part of ``light`` that mirrors and glass bring; like the next two without elements where nobody asked."""
+    albedo: wp.array(dtype=wp.vec3)
+    """Linear: the surfaces' own colour."""
+    emission: wp.array(dtype=wp.vec3)
+    """Linear: what they emit without lights."""
 
 
 @struct
 class Arrivals:
-    """What of the light arrives at surfaces that are only darkened."""
+    """Irradiance of surfaces that are only darkened; without elements where there are none."""
 
     sent: wp.array(dtype=wp.vec3)
-    """Irradiance if nothing were in the way."""
+    """If nothing were in the way."""
     arrived: wp.array(dtype=wp.vec3)

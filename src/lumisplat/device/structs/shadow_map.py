@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.structs.scene import struct
+from lumisplat.device.structs.declare import struct
 
 
 @struct

@@ -1,4 +1,4 @@
-"""The surface buffers of a frame: where primary visibility ends and everything that shades begins."""
+"""The pixels of a frame on the device."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.device.light.lit_film import LitPixels
-from lumisplat.device.structs.scene import PixelData
+from lumisplat.device.structs.film import LitPixels, PixelData
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.scene.camera import Camera
 
 FIELDS = (
     ("color", wp.vec3, 3),
@@ -33,7 +31,7 @@ class PixelBuffers:
     """Arrays of a frame's pixels, one after another in one block of device memory."""
 
     data: Any
-    """What kernels take: SurfaceData, or LitPixels."""
+    """What kernels take: PixelData, or LitPixels."""
     block: Any
     """The memory, as float32."""
     shape: tuple[int, int]
@@ -42,19 +40,14 @@ class PixelBuffers:
     """What the block holds."""
 
     @classmethod
-    def of(cls, buffers: Buffers, camera: Camera) -> PixelBuffers:
-        """The surface buffers of a camera's image; the same memory for every camera of that size."""
-        return cls.of_shape(buffers, (camera.height, camera.width))
-
-    @classmethod
-    def of_shape(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
-        """The same for any image, or a row of rays."""
-        return cls._of(buffers, "surface", PixelData(), FIELDS, shape)
+    def of(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
+        """The buffers of an image of that height and width; the same memory for every image of that size."""
+        return cls._of(buffers, "pixels", PixelData(), FIELDS, shape)
 
     @classmethod
     def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
         """What a lit image keeps beside them."""
-        return cls._of(buffers, "lit", LitPixels(), LIT_FIELDS, shape)
+        return cls._of(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, shape)
 
     @classmethod
     def _of(

@@ -1,92 +1,75 @@
-"""What rays see of what they met, once light and mirrors are followed."""
+"""Host pass: direct light and specular reflection and refraction (Whitted 1980), from primary hits on."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
-from lumisplat.config import Pipeline, RenderConfig, Shadows
-from lumisplat.renderer.film import film_kernels
-from lumisplat.renderer.integrators import specular_wave_kernels
-from lumisplat.renderer.integrators.specular_waves import RayWave, SpecularWaves
-from lumisplat.renderer.light import direct_light_kernels, unshadowed_light_kernels
-from lumisplat.renderer.light.direct_light import DirectLight, LightImages
-from lumisplat.renderer.scene.bvh_scene import BvhScene
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.shading import RayRadiance
+from lumisplat.renderer.integrators.specular_waves import SpecularWaves
+from lumisplat.renderer.light.direct_light import DirectLight
+from lumisplat.renderer.light.light_images import LightImages
+from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.light_scene import LightScene
-from lumisplat.renderer.shadow.shadow_rays import ShadowRays, shadow_modules
-from lumisplat.renderer.trace.gaussian_trace import RayTracer
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 
 class WhittedIntegrator:
-    """Colours rays: with lights and shadows if the scene is lit, and with what mirrors and glass bring.
+    """Computes what rays see: lit or unlit, over all bounces.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        tracer: Follows the rays that go on.
+        tracer: Finds the hits of the rays that go on.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
-        self._config, self._buffers, self._tracer = config, buffers, tracer
-        self.lit = LightScene(launcher, buffers, config)
-        """Lights and materials; synchronised before lit frames."""
-        self._bounces = SpecularWaves(launcher, buffers, tracer.mesh_hits)
-        self._shadows = None if config.shadows is Shadows.OFF else ShadowRays(launcher, buffers, config)
-        self._shader = DirectLight(launcher, buffers, config, self.lit, self._shadows)
+        self._launcher, self._tracer = launcher, tracer
+        self._surfaces = Surfaces(launcher, buffers)
+        self._direct_light = DirectLight(launcher, buffers, config)
+        self._specular = SpecularWaves(launcher, buffers)
 
-    def begin_sample(self, sample: int) -> None:
-        """Before the rays of a sample."""
-        if self._shadows is not None:
-            self._shadows.begin_sample(sample)
-
-    def colors(
-        self,
-        scene: DeviceScene,
-        trees: BvhScene | None,
-        met: PrimaryHits,
-        *,
-        lit: bool,
-        sample: int,
-        reflection: Any = None,
-    ) -> Any:
-        """RayColors if ``lit``, else display-referred colours, over all that is behind the Gaussians.
+    def radiance(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayRadiance:
+        """What rays see.
 
         Args:
-            scene: After ``sync``, and ``sync_rays`` if there are trees.
-            trees: Of the same scene; None: no ray goes on, and nothing blocks lights.
-            met: The rays, and what they met.
-            lit: With lights.
+            scene: Up to date.
+            plan: Of the frame.
+            hits: The rays, and what they hit.
             sample: Number of the sample.
-            reflection: If lit, receives what reflected and refracted rays bring.
         """
+        self._direct_light.begin_sample(sample)
+        with self._launcher.stage("light" if plan.is_lit else "bounce"):
+            waves = [self._shade(scene, plan, hits, 0)]
+            while count := self._branch_count(waves[-1]):
+                rays, weights = self._specular.spawn(scene, waves[-1], count)
+                hits = self._tracer.find_hits(scene, rays, "wave")
+                waves.append(self._shade(scene, plan, hits, len(waves), weights))
+            for near, far in reversed(list(itertools.pairwise(waves))):
+                self._specular.gather(scene, near, far)
+        return waves[0].radiance
 
-        def light(wave: RayWave, number: int, may_branch: bool) -> None:
-            direct = reflection if number == 0 else None
-            self._shader.shade(scene, trees, wave, number, may_branch=may_branch, reflection=direct)
+    def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
+        """What each light gave the rays of these hits, if the frame asks for it."""
+        return self._direct_light.images(scene, plan, hits.count)
 
-        if lit:
-            self.lit.begin_sample(sample)
-        goes_on = trees is not None and self._config.pipeline is not Pipeline.RASTER
-        return self._bounces.resolve(
-            scene,
-            met,
-            trace=lambda rays: self._tracer.integrate(trees, rays, "trace.branch_radiance"),  # type: ignore[arg-type]
-            bounces=self._config.max_bounces if goes_on else 0,
-            light=light if lit else None,
-            reflection=reflection,
-            darkens=lit and self.lit.has_shadow_only,
-        )
+    def _shade(
+        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any = None
+    ) -> RayWave:
+        """A wave with emission and direct light."""
+        may_branch = number < plan.max_bounces and scene.has_smooth_meshes and hits.count > 0
+        wave = self._surfaces.shade(scene, plan, hits, number, weights=weights, may_branch=may_branch)
+        if plan.is_lit:
+            self._direct_light.add(scene, plan, wave)
+        return wave
 
-    def light_images(self, count: int) -> LightImages | None:
-        """What each light gave the rays of pixels last, if the settings ask for it."""
-        return self._shader.images(count)
-
-
-def light_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
-    """The kernel modules that lit frames need besides those of their pipeline."""
-    own = [direct_light_kernels, unshadowed_light_kernels, film_kernels, specular_wave_kernels]
-    return own if config.shadows is Shadows.OFF else own + shadow_modules(launcher, config)
+    def _branch_count(self, wave: RayWave) -> int:
+        """How many rays go on from a wave; 0 where they would exceed ``max_bounces``."""
+        return self._specular.count(wave) if wave.may_branch else 0

@@ -1,8 +1,7 @@
-"""Host pass: light where rays end, with shadow rays to every light that something may block."""
+"""Host pass: direct light at the interactions of a wave, with shadow rays to every light that is shadowed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
@@ -12,9 +11,9 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals
 from lumisplat.renderer.light import direct_light_kernels as kernels
 from lumisplat.renderer.light import unshadowed_light_kernels
-from lumisplat.renderer.scene.bvh_scene import BvhScene
+from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.light_scene import LightScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
@@ -22,144 +21,116 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import LightEnvironment
 
 
-@dataclass(frozen=True, slots=True)
-class LightImages:
-    """What each light gives the rays from the camera, one array a light."""
-
-    direct: list[Any]
-    """If nothing were in the way, linear."""
-    arrived: list[Any]
-
-
 class DirectLight:
-    """Lights what rays meet.
+    """Lights waves.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        lit: The lit scene.
-        shadows: Follows rays to the lights; None where nothing blocks them.
     """
 
-    def __init__(
-        self, launcher: Launcher, buffers: Buffers, config: RenderConfig, lit: LightScene, shadows: ShadowRays | None
-    ) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
-        self._lit, self._shadows = lit, shadows
+        self._shadows = ShadowRays(launcher, buffers, config)
 
-    def shade(
-        self,
-        scene: DeviceScene,
-        trees: BvhScene | None,
-        wave: RayWave,
-        number: int,
-        *,
-        may_branch: bool,
-        reflection: Any = None,
-    ) -> None:
-        """Writes what the rays of a wave see, but for what mirrors and glass bring, and which rays go on.
+    def begin_sample(self, sample: int) -> None:
+        """Before the waves of a sample."""
+        self._shadows.begin_sample(sample)
 
-        Args:
-            scene: What there is.
-            trees: Its Gaussians as shadow rays meet them; None where nothing blocks lights.
-            wave: Rays, a multiple of a packet's.
-            number: Of the wave; 0: the rays of pixels.
-            may_branch: Rays may go on.
-            reflection: Receives what pixels' rays that may not go on would bring, linear; None: not asked for.
-        """
-        from_camera = number == 0
-        images = self.images(wave.count) if from_camera else None
-        blocks = trees is not None and self._config.shadows is not Shadows.OFF
-        met = wave.met.rays, wave.met.hits, wave.met.radiance
-        with self._launcher.stage("shade"):
-            self._launcher.run_banded(
-                kernels.start_shading,
-                wave.count,
-                *(from_camera, may_branch, self._lit.data, *met, wave.path_weights, wave.colors, wave.branches),
-                self._buffers.get("shade.nothing", wp.vec3, 0) if reflection is None else reflection,
-            )
-            # A shadow is a share of all light: where sets are only darkened, lights that nothing blocks count, too.
-            alone = images is not None or (blocks and self._lit.has_shadow_only)
-            for kernel in () if alone else self._unblocked(blocks):
-                self._launcher.run_banded(
-                    kernel, wave.count, from_camera, not blocks, self._lit.data, *met, wave.colors.light
-                )
-        if blocks or images is not None:
-            self._add_lights(scene, trees, wave, from_camera=from_camera, images=images)
+    def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Adds what all lights give a wave by way of its interactions."""
+        # A shadow is a share of all light: where sets are only darkened, unshadowed lights count, too.
+        one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_only)
+        if not one_by_one:
+            with self._launcher.stage("shade"):
+                self._add_unshadowed(scene, plan, wave)
+        if plan.casts_shadows or one_by_one:
+            self._add_one_by_one(scene, plan, wave, also_unshadowed=one_by_one)
 
-    def _unblocked(self, blocks: bool) -> list[Any]:
-        """The kernels that add the lights that nothing blocks; where nothing ``blocks`` any, all of them."""
-        lights = [light for light in self._lit.lights if not (blocks and light.casts_shadow)]
-        lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + self._lit.has_headlight
-        soft = self._config.shadows is Shadows.SOFT
-        sampled = len(lights) > lamps or (soft and lamps)
-        needed = [unshadowed_light_kernels.add_hard_lights] if lamps and not soft else []
-        return [*needed, unshadowed_light_kernels.add_sampled_lights] if sampled else needed
-
-    def images(self, count: int) -> LightImages | None:
-        """What the lights gave the rays of pixels last, if the settings ask for it."""
-        if "lights" not in self._config.aovs:
-            return None
-        numbers = range(len(self._lit.light_names))
+    def images(self, scene: DeviceScene, plan: FramePlan, count: int) -> LightImages:
+        """What each light gave the first wave, of ``count`` rays; nothing unless the frame asks for it."""
+        if "lights" not in plan.aovs:
+            return LightImages()
+        numbers = range(len(scene.lights.names))
         get = self._buffers.get
         return LightImages(
-            [get(f"shade.direct{number}", wp.vec3, count) for number in numbers],
-            [get(f"shade.arrived{number}", wp.vec3, count) for number in numbers],
+            [get(f"light.direct{number}", wp.vec3, count) for number in numbers],
+            [get(f"light.arrived{number}", wp.vec3, count) for number in numbers],
         )
 
-    def _add_lights(
-        self,
-        scene: DeviceScene,
-        trees: BvhScene | None,
-        wave: RayWave,
-        *,
-        from_camera: bool,
-        images: LightImages | None,
-    ) -> None:
-        count = wave.count
-        get, run, stage = self._buffers.get, self._launcher.run_banded, self._launcher.stage
-        shadow_rays = self._buffers.struct("shade.rays", RayData, 2 * count)
-        skips = get("shade.skips", wp.int32, 2 * count)
-        contributions = get("shade.contributions", wp.vec3, 2 * count)
-        arrivals = self._buffers.struct("shade.arrivals", Arrivals, count if self._lit.has_shadow_only else 0)
-        if self._lit.has_shadow_only:
+    def _wants_images(self, plan: FramePlan, wave: RayWave) -> bool:
+        return wave.is_primary and "lights" in plan.aovs
+
+    def _add_unshadowed(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Adds the lights that nothing blocks: without shadows, all of them."""
+        no_shadows = not plan.casts_shadows
+        lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
+        lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
+        soft = self._config.shadows is Shadows.SOFT
+        light = wave.radiance.light
+        if lamps and not soft:
+            self._launcher.run_banded(
+                unshadowed_light_kernels.add_hard_lights,
+                wave.count,
+                *(no_shadows, scene.shading, wave.interactions, light),
+            )
+        if len(lights) > lamps or (soft and lamps):
+            self._launcher.run_banded(
+                unshadowed_light_kernels.add_sampled_lights,
+                wave.count,
+                *(no_shadows, scene.shading, wave.hits.rays, wave.interactions, light),
+            )
+
+    def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
+        """Adds the shadowed lights, and the others if they count in images or for what is only darkened."""
+        images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
+        arrivals = Arrivals()
+        if plan.has_shadow_only:
+            arrivals = self._buffers.struct("light.arrivals", Arrivals, wave.count)
             arrivals.sent.zero_()
             arrivals.arrived.zero_()
-        nothing = get("shade.nothing", wp.vec3, 0)
-        data = self._lit.data
-        for number in range(len(self._lit.light_names)):
-            light = self._lit.lights[number] if self._lit.lights else None
-            casts = light is not None and light.casts_shadow
-            blocked = casts and self._shadows is not None and trees is not None
+        for number in range(len(scene.lights.names)):
+            light = scene.lights.lights[number] if scene.lights.lights else None
+            shadowed = plan.casts_shadows and light is not None and light.casts_shadow
+            direct = arrived = None
             if images is not None:
-                images.direct[number].zero_()
-                images.arrived[number].zero_()
-            elif not casts and not self._lit.has_shadow_only:
-                continue  # added already
-            for picks_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
-                with stage("shade"):
-                    run(
-                        kernels.spawn_shadow_rays,
-                        count,
-                        *(number, picks_bsdf, from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance),
-                        *(shadow_rays, skips, contributions),
-                    )
-                visibility = contributions
-                if blocked:
-                    assert self._shadows is not None and trees is not None
-                    with stage("shadow"):
-                        visibility = self._shadows.trace(scene, trees, shadow_rays, skips, "shade.shadows")
-                with stage("shade"):
-                    run(
-                        kernels.add_light,
-                        count,
-                        *(blocked, contributions, visibility, skips, arrivals, wave.colors.light),
-                        *((nothing, nothing) if images is None else (images.direct[number], images.arrived[number])),
-                    )
-        if self._lit.has_shadow_only:
-            run(
+                direct, arrived = images.direct[number], images.arrived[number]
+                direct.zero_()
+                arrived.zero_()
+            if shadowed or also_unshadowed:
+                for samples_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
+                    contributions, visibility = self._contributions(scene, wave, number, samples_bsdf, shadowed)
+                    with self._launcher.stage("shade"):
+                        self._launcher.run_banded(
+                            kernels.add_light,
+                            wave.count,
+                            *(shadowed, contributions, visibility, wave.interactions, arrivals),
+                            *(wave.radiance.light, direct, arrived),
+                        )
+        if plan.has_shadow_only:
+            hits = wave.hits
+            self._launcher.run_banded(
                 kernels.darken_captured,
-                count,
-                *(from_camera, data, wave.met.rays, wave.met.hits, wave.met.radiance, arrivals, wave.colors.kept),
+                wave.count,
+                *(wave.is_primary, scene.shading, hits.rays, hits.meshes, hits.gaussians, arrivals, wave.radiance),
             )
+
+    def _contributions(
+        self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool, shadowed: bool
+    ) -> tuple[Any, Any]:
+        """What a light adds at the interactions if nothing blocks it, and how much of that arrives."""
+        contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
+        shadow_rays = self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
+        with self._launcher.stage("shade"):
+            self._launcher.run_banded(
+                kernels.spawn_shadow_rays,
+                wave.count,
+                *(number, samples_bsdf, scene.shading, wave.hits.rays, wave.interactions),
+                *(shadow_rays, contributions),
+            )
+        if not shadowed:
+            return contributions, contributions
+        with self._launcher.stage("shadow"):
+            skips = wave.interactions.shadow_only
+            return contributions, self._shadows.trace(scene, shadow_rays, skips, "light.visibility")

@@ -1,111 +1,86 @@
-"""Lights that nothing blocks, at both surfaces of a ray. One item is one ray."""
+"""Unshadowed lights at the interactions of a wave. One item is one ray, with its two interactions."""
 
 import warp as wp
 
-from lumisplat.device.light.direct_light import from_center, from_environment, from_extent
-from lumisplat.device.light.interaction import (
-    SHADE_OPTIONS,
-    has_mesh,
-    has_ray,
-    has_splats,
-    is_over_light,
-    mesh_point,
-    splat_point,
-    splat_surface,
+from lumisplat.device.light.direct_light import (
+    environment_contribution,
+    light_center_contribution,
+    light_sample_contribution,
 )
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
-from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits
-from lumisplat.device.structs.shading import Interaction, ShadingScene
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import Interaction, Interactions, ShadingScene
 
 wp.set_module_options(SHADE_OPTIONS)
 
 
 @wp.func
-def is_unblocked(number: int, nothing_blocks: bool, scene: wp.array(dtype=ShadingScene)) -> bool:
-    """Whether light ``number`` goes through everything."""
-    return nothing_blocks or scene[0].lights[number].casts_shadow == 0
+def is_unshadowed(number: int, no_shadows: bool, scene: wp.array(dtype=ShadingScene)) -> bool:
+    """Whether nothing blocks light ``number``."""
+    return no_shadows or scene[0].lights[number].casts_shadow == 0
 
 
 @wp.func
-def by_centers(point: Interaction, nothing_blocks: bool, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
-    """What the lights that nothing blocks add by way of a surface, but for the environment."""
+def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
+    """What the unshadowed lights but the environment add at an interaction, all of each from its centre."""
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
-        if is_unblocked(number, nothing_blocks, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
-            total += from_center(number, point, scene).color
+        if is_unshadowed(number, no_shadows, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
+            total += light_center_contribution(number, interaction, scene).color
     return total
 
 
 @wp.func
-def by_samples(
-    point: Interaction, pixel_key: wp.uint32, nothing_blocks: bool, scene: wp.array(dtype=ShadingScene)
+def sampled_light(
+    interaction: Interaction, pixel_key: wp.uint32, no_shadows: bool, scene: wp.array(dtype=ShadingScene)
 ) -> wp.vec3:
-    """What those of them add that chance looks at: the environment, and soft lights."""
+    """What the unshadowed lights add that are sampled: the environment, and soft lights."""
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
-        if is_unblocked(number, nothing_blocks, scene):
+        if is_unshadowed(number, no_shadows, scene):
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                total += from_environment(number, False, point, pixel_key, scene).color
-                total += from_environment(number, True, point, pixel_key, scene).color
+                total += environment_contribution(number, False, interaction, pixel_key, scene).color
+                total += environment_contribution(number, True, interaction, pixel_key, scene).color
             elif scene[0].settings[0].soft != 0:
-                total += from_extent(number, point, pixel_key, scene).color
+                total += light_sample_contribution(number, interaction, pixel_key, scene).color
     return total
 
 
 @wp.kernel
 def add_hard_lights(
     start: int,
-    from_camera: bool,
-    nothing_blocks: bool,
+    no_shadows: bool,
     scene: wp.array(dtype=ShadingScene),
-    rays: RayData,
-    hits: RayMeshHits,
-    radiance: GaussianHits,
+    interactions: Interactions,
     light_inout: wp.array(dtype=wp.vec3),
 ):
-    """Adds the lights that nothing blocks, all of each at its centre.
+    """Adds unshadowed lights, all of each from its centre.
 
     Apart from ``add_sampled_lights``: together, they cost a deferred frame an eighth more.
     """
     i = start + wp.tid()
-    if not has_ray(rays, i):
-        return
-    look = splat_surface(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
-    light = light_inout[i]
-    if has_splats(look, scene):
-        splats = splat_point(i, look, rays, radiance, scene)
-        if splats.shadow_only == 0:
-            light += by_centers(splats, nothing_blocks, scene)
-    if has_mesh(i, look, hits):
-        mesh = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
-        if mesh.exists != 0:
-            light += by_centers(mesh, nothing_blocks, scene)
-    light_inout[i] = light
+    stride = interactions.exists.shape[0] // 2
+    for slot in range(2):
+        j = slot * stride + i
+        if interactions.exists[j] and not interactions.shadow_only[j]:
+            light_inout[i] += hard_light(load_interaction(interactions, j), no_shadows, scene)
 
 
 @wp.kernel
 def add_sampled_lights(
     start: int,
-    from_camera: bool,
-    nothing_blocks: bool,
+    no_shadows: bool,
     scene: wp.array(dtype=ShadingScene),
     rays: RayData,
-    hits: RayMeshHits,
-    radiance: GaussianHits,
+    interactions: Interactions,
     light_inout: wp.array(dtype=wp.vec3),
 ):
-    """Adds those of the lights that nothing blocks at which chance looks."""
+    """Adds unshadowed lights that are sampled."""
     i = start + wp.tid()
-    if not has_ray(rays, i):
-        return
-    look = splat_surface(i, hits, radiance, scene, is_over_light(i, from_camera, hits, scene))
-    light = light_inout[i]
-    if has_splats(look, scene):
-        splats = splat_point(i, look, rays, radiance, scene)
-        if splats.shadow_only == 0:
-            light += by_samples(splats, rays.pixel_key[i], nothing_blocks, scene)
-    if has_mesh(i, look, hits):
-        mesh = mesh_point(i, look.transmittance, rays, hits, scene, scene[0].splats.shape[0])
-        if mesh.exists != 0:
-            light += by_samples(mesh, rays.pixel_key[i], nothing_blocks, scene)
-    light_inout[i] = light
+    stride = interactions.exists.shape[0] // 2
+    for slot in range(2):
+        j = slot * stride + i
+        if interactions.exists[j] and not interactions.shadow_only[j]:
+            interaction = load_interaction(interactions, j)
+            light_inout[i] += sampled_light(interaction, rays.pixel_key[i], no_shadows, scene)

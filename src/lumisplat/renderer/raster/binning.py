@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import warp as wp
 
 from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
-from lumisplat.device.structs.scene import ChunkData, TileRect
+from lumisplat.device.structs.raster import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -46,8 +47,8 @@ class TileLists:
     items: Any
 
 
-class Binning:
-    """What both schedules share.
+class Binning(ABC):
+    """Orders items by depth and lists them per tile.
 
     Args:
         launcher: Runs the kernels.
@@ -60,6 +61,26 @@ class Binning:
         """Of the last finished frame."""
         self.growth = 0
         """How often a list was cut and given more room: a graph captured before is stale."""
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Starts a frame."""
+
+    @abstractmethod
+    def finish(self) -> bool:
+        """Ends a frame; False if a list was cut: there is room now, and the frame has to be drawn again."""
+
+    @abstractmethod
+    def sort(self, keys: Any) -> DepthOrder:
+        """Orders items by key; those that are culled come last or are dropped."""
+
+    @abstractmethod
+    def unsorted(self, count: int) -> DepthOrder:
+        """All items, in their own order."""
+
+    @abstractmethod
+    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+        """Lists the ordered items of each tile; ``name`` is ``raster`` or ``mesh``."""
 
 
 class BinningChunked(Binning):
@@ -196,6 +217,11 @@ class BinningParallel(Binning):
         return TileLists(starts, items)
 
 
+def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
+    """The schedule of a device."""
+    return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
+
+
 def check_pairs(count: int) -> int:
     """The number of (tile, item) pairs, if 32-bit indices reach that far.
 
@@ -205,9 +231,3 @@ def check_pairs(count: int) -> int:
     if count > ITEMS_MAX:
         raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")
     return count
-
-
-def grown_capacity(count: int) -> int:
-    """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
-    step = 1 << max(10, count.bit_length() - 3)
-    return -(-count // step) * step

@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, PAIR_SUM_THREADS
-from lumisplat.device.structs.scene import ChunkData, TileRect
+from lumisplat.device.structs.raster import ChunkData, TileRect
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,7 +2,7 @@
 
 ``project_triangles``: one item is one triangle of one instance. ``raster_tiles`` (CPU): one item is one tile, rows of
 16 pixels as in the splat compositor. ``raster_pixels`` (CUDA): one item is one pixel, one block is one tile.
-``shade_hits``: one item is one pixel; colour and normal of what was hit. ``hits_of_rays``: one item is one ray.
+``shade_pixels``: one item is one pixel; colour and normal of what was hit. ``find_ray_hits``: one item is one ray.
 """
 
 import warp as wp
@@ -13,8 +13,10 @@ from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle, triangle_box
-from lumisplat.device.structs.rays import RayData, RayMeshHits
-from lumisplat.device.structs.scene import CameraData, MeshData, MeshHits, MeshInstanceData, TileRect, Triangle
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
+from lumisplat.device.structs.rays import MeshHits, RayData
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
 
@@ -82,14 +84,14 @@ def raster_tiles(
     winner = TileInts(-1)
     ray_x = RowFloats(0.0)
     for x in range(TILE):
-        ray_x[x] = (float(left + x) + 0.5 - view.center[0]) / view.focal[0]
+        ray_x[x] = (float(left + x) + 0.5 - view.raster_center[0]) / view.focal[0]
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_triangles[j]
         triangle = triangles[index]
         first = wp.max(int(triangle.row_first) - top, 0)
         end = wp.min(int(triangle.row_last) - top + 1, TILE)
         for y in range(first, end):
-            ray_y = (float(top + y) + 0.5 - view.center[1]) / view.focal[1]
+            ray_y = (float(top + y) + 0.5 - view.raster_center[1]) / view.focal[1]
             row0 = triangle.edge0[1] * ray_y + triangle.edge0[2]
             row1 = triangle.edge1[1] * ray_y + triangle.edge1[2]
             row2 = triangle.edge2[1] * ray_y + triangle.edge2[2]
@@ -149,19 +151,20 @@ def raster_pixels(
 
 
 @wp.kernel
-def hits_of_rays(
+def find_ray_hits(
     start: int,
     camera: wp.array(dtype=CameraData),
     splat_instance_count: int,
     triangles: wp.array(dtype=Triangle),
     triangle_of_pixel: wp.array(dtype=int),
     depth_z: wp.array(dtype=float),
-    rays_inout: RayData,
-    hits_out: RayMeshHits,
+    rays: RayData,
+    hits_out: MeshHits,
 ):
     """Item = ray: what its pixel's triangle is to it."""
     i = start + wp.tid()
     view = camera[0]
+    hits_out.t[i] = rays.t_max[i]
     hits_out.face[i] = -1
     position = pixel_of_ray(view.width, i)
     x = position[0]
@@ -178,11 +181,11 @@ def hits_of_rays(
     hits_out.face[i] = triangle.face
     hits_out.instance[i] = triangle.instance - splat_instance_count
     hits_out.weights[i] = wp.vec2(weights[1], weights[2])
-    rays_inout.t_max[i] = depth_z[pixel] * wp.length(ray)
+    hits_out.t[i] = depth_z[pixel] * wp.length(ray)
 
 
 @wp.kernel
-def shade_hits(
+def shade_pixels(
     start: int,
     camera: wp.array(dtype=CameraData),
     instances: wp.array(dtype=MeshInstanceData),
@@ -190,13 +193,13 @@ def shade_hits(
     meshes: MeshData,
     triangles: wp.array(dtype=Triangle),
     triangle_of_pixel: wp.array(dtype=int),
-    hits_out: MeshHits,
+    pixels_out: MeshPixels,
 ):
     """Unlit base colour, encoded for display, and the shading normal towards the viewer."""
     i = start + wp.tid()
-    hits_out.instance[i] = -1
-    hits_out.color[i] = wp.vec3(0.0)
-    hits_out.normal[i] = wp.vec3(0.0)
+    pixels_out.instance[i] = -1
+    pixels_out.color[i] = wp.vec3(0.0)
+    pixels_out.normal[i] = wp.vec3(0.0)
     index = triangle_of_pixel[i]
     if index < 0:
         return
@@ -210,6 +213,6 @@ def shade_hits(
     normal = surface_normal(instance, meshes, corners, weights)
     if wp.dot(normal, view.world_from_camera * ray) > 0.0:
         normal = -normal
-    hits_out.instance[i] = triangle.instance
-    hits_out.color[i] = encode_srgb_color(color)
-    hits_out.normal[i] = normal
+    pixels_out.instance[i] = triangle.instance
+    pixels_out.color[i] = encode_srgb_color(color)
+    pixels_out.normal[i] = normal

@@ -3,8 +3,8 @@
 ``project_splats``: one item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
 ``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
 the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
-one tile. Both read the tile lists and write the surface buffers, and share the functions of ``device/``.
-``pick_tiles`` and ``pick_pixels`` do without order: one splat a pixel, by chance.
+one tile. Both read the tile lists, write pixels or the hits of their rays, and share the functions of ``device/``.
+``sample_tiles`` and ``sample_pixels`` need no order: they select one splat a pixel at random.
 
 The equations are in docs/method/rasterisation.md.
 """
@@ -13,20 +13,14 @@ import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, TILE_PX
 from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
-from lumisplat.device.gaussian.compositing import blend, store_radiance, store_surface
+from lumisplat.device.gaussian.compositing import blend, empty_pixel, store_gaussian_hits, store_pixel
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
 from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
-from lumisplat.device.structs.rays import GaussianHits, LensData
-from lumisplat.device.structs.scene import (
-    BlendState,
-    CameraData,
-    GaussianData,
-    InstanceData,
-    MeshHits,
-    PixelData,
-    Splat,
-    TileRect,
-)
+from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.raster import BlendState, MeshPixels, RasterData, Splat, TileRect
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options(
     {
@@ -77,7 +71,8 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 def project_splats(
     start: int,
     camera: wp.array(dtype=CameraData),
-    instances: wp.array(dtype=InstanceData),
+    settings: wp.array(dtype=RasterData),
+    instances: wp.array(dtype=SplatInstanceData),
     instance_ids: wp.array(dtype=int),
     gaussians: GaussianData,
     splats_out: wp.array(dtype=Splat),
@@ -88,7 +83,7 @@ def project_splats(
     i = start + wp.tid()
     view = camera[0]
     count = gaussians.means.shape[0]
-    splat = project_gaussian(view, instances[instance_ids[i // count]], gaussians, i % count)
+    splat = project_gaussian(view, settings[0], instances[instance_ids[i // count]], gaussians, i % count)
     key = KEY_CULLED
     rect = TileRect()
     if splat.log_opacity > -wp.inf:
@@ -113,12 +108,12 @@ def log_alpha_at(splat: Splat, x: int, y: int) -> float:
 
 
 @wp.func
-def select_splat(splats: wp.array(dtype=Splat), index: int) -> BlendState:
+def opaque_pixel(splats: wp.array(dtype=Splat), index: int) -> BlendState:
     """A pixel that shows one splat, as if it were opaque; index -1: none."""
-    pixel = BlendState()
-    pixel.transmittance = 1.0
-    pixel.splat = index
+    pixel = empty_pixel()
     if index >= 0:
+        pixel.surface = index
+        pixel.first = index
         pixel.transmittance = 0.0
         pixel.color = splats[index].color
         pixel.normal = splats[index].normal
@@ -130,11 +125,11 @@ def select_splat(splats: wp.array(dtype=Splat), index: int) -> BlendState:
 def first_touching(
     splats: wp.array(dtype=Splat), tile_splats: wp.array(dtype=int), begin: int, end: int, x: int, y: int
 ) -> int:
-    """As ``BlendState.splat`` says it for a pixel that reaches no surface: -2 - its first splat; -1 if it has none."""
+    """The first splat of a pixel; -1: it has none."""
     for j in range(begin, end):
         index = tile_splats[j]
         if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
-            return -2 - index
+            return index
     return -1
 
 
@@ -142,16 +137,17 @@ def first_touching(
 def composite_pixels(
     start: int,
     camera: wp.array(dtype=CameraData),
-    instances: wp.array(dtype=InstanceData),
+    settings: wp.array(dtype=RasterData),
+    instances: wp.array(dtype=SplatInstanceData),
     splats: wp.array(dtype=Splat),
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
-    hits: MeshHits,
-    keeps_rays: bool,
-    surface_out: PixelData,
-    radiance_out: GaussianHits,
+    meshes: MeshPixels,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile. Pixels end on the surface, or, if it ``keeps_rays``, as rays' radiance."""
+    """Item = tile * 256 + pixel of the tile. The result goes to the pixel or, ``for_rays``, to the hits of its ray."""
     i = start + wp.tid()
     view = camera[0]
     tile = i // TILE_PIXELS
@@ -160,10 +156,9 @@ def composite_pixels(
     y = position[1]
     if x >= view.width or y >= view.height:
         return
-    mesh_z = hits.depth_z[y * view.width + x]
-    pixel = BlendState()
-    pixel.transmittance = 1.0
-    pixel.splat = -1
+    raster = settings[0]
+    mesh_z = meshes.depth_z[y * view.width + x]
+    pixel = empty_pixel()
     j = int(tile_starts[tile])
     end = tile_starts[tile + 1]
     while j < end:
@@ -174,29 +169,30 @@ def composite_pixels(
         log_alpha = log_alpha_at(splat, x, y)
         if log_alpha >= LOG_ALPHA_MIN:
             pixel = blend(
-                pixel, splat, index, alpha_from_log(log_alpha), view.transmittance_min, view.depth_iso_transmittance
+                pixel, splat, index, alpha_from_log(log_alpha), raster.transmittance_min, raster.depth_iso_transmittance
             )
             if pixel.transmittance <= 0.0:
                 break
         j += 1
-    if keeps_rays:
-        store_radiance(view, splats, pixel, x, y, radiance_out)
+    if for_rays:
+        store_gaussian_hits(view, splats, pixel, x, y, hits_out)
     else:
-        store_surface(view, instances, splats, hits, pixel, x, y, surface_out)
+        store_pixel(view, raster, instances, splats, meshes, pixel, x, y, pixels_out)
 
 
 @wp.kernel
 def composite_tiles(
     start: int,
     camera: wp.array(dtype=CameraData),
-    instances: wp.array(dtype=InstanceData),
+    settings: wp.array(dtype=RasterData),
+    instances: wp.array(dtype=SplatInstanceData),
     splats: wp.array(dtype=Splat),
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
-    hits: MeshHits,
-    keeps_rays: bool,
-    surface_out: PixelData,
-    radiance_out: GaussianHits,
+    meshes: MeshPixels,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
 ):
     """The arithmetic of ``blend``, written as selections over rows of pixels."""
     tile = start + wp.tid()
@@ -206,8 +202,9 @@ def composite_tiles(
     top = corner[1]
     rows = wp.min(TILE, view.height - top)
     columns = wp.min(TILE, view.width - left)
-    t_min = view.transmittance_min
-    iso = view.depth_iso_transmittance
+    raster = settings[0]
+    t_min = raster.transmittance_min
+    iso = raster.depth_iso_transmittance
     transmittance = TileFloats(-1.0)  # pixels outside the image count as finished
     red = TileFloats(0.0)
     green = TileFloats(0.0)
@@ -221,7 +218,7 @@ def composite_tiles(
     for y in range(rows):
         for x in range(columns):
             transmittance[y * TILE + x] = 1.0
-            mesh_z[y * TILE + x] = hits.depth_z[(top + y) * view.width + left + x]
+            mesh_z[y * TILE + x] = meshes.depth_z[(top + y) * view.width + left + x]
             farthest = wp.max(farthest, mesh_z[y * TILE + x])
 
     j = int(tile_starts[tile])
@@ -274,38 +271,39 @@ def composite_tiles(
             pixel.color = wp.vec3(red[i], green[i], blue[i])
             pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
             pixel.transmittance = transmittance[i]
-            pixel.splat = surface[i]
-            if keeps_rays:
-                if pixel.splat < 0 and pixel.transmittance != 1.0:
-                    pixel.splat = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
-                store_radiance(view, splats, pixel, left + x, top + y, radiance_out)
+            pixel.surface = surface[i]
+            if for_rays:
+                pixel.first = -1
+                if pixel.surface < 0 and pixel.transmittance != 1.0:
+                    pixel.first = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
+                store_gaussian_hits(view, splats, pixel, left + x, top + y, hits_out)
             else:
-                store_surface(view, instances, splats, hits, pixel, left + x, top + y, surface_out)
+                store_pixel(view, raster, instances, splats, meshes, pixel, left + x, top + y, pixels_out)
 
 
 @wp.kernel
-def pick_pixels(
+def sample_pixels(
     start: int,
     camera: wp.array(dtype=CameraData),
-    lenses: wp.array(dtype=LensData),
+    samples: wp.array(dtype=SampleData),
     splats: wp.array(dtype=Splat),
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
-    hits: MeshHits,
-    radiance_out: GaussianHits,
+    meshes: MeshPixels,
+    hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: the nearest of the splats that chance accepts, in any order."""
+    """Item = tile * 256 + pixel of the tile: the nearest of the splats that are drawn, in any order."""
     i = start + wp.tid()
     view = camera[0]
-    lens = lenses[0]
+    sample = samples[0]
     tile = i // TILE_PIXELS
     position = tile_pixel(view, i)
     x = position[0]
     y = position[1]
     if x >= view.width or y >= view.height:
         return
-    sample_key = sample_key_of(y * view.width + x, lens.sample, lens.seed)
-    nearest = hits.depth_z[y * view.width + x]
+    sample_key = sample_key_of(y * view.width + x, sample.index, sample.seed)
+    nearest = meshes.depth_z[y * view.width + x]
     winner = int(-1)
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]
@@ -315,24 +313,24 @@ def pick_pixels(
             if log_alpha >= LOG_ALPHA_MIN and draw(sample_key, wp.uint32(index)) < alpha_from_log(log_alpha):
                 nearest = splat.depth
                 winner = index
-    store_radiance(view, splats, select_splat(splats, winner), x, y, radiance_out)
+    store_gaussian_hits(view, splats, opaque_pixel(splats, winner), x, y, hits_out)
 
 
 @wp.kernel
-def pick_tiles(
+def sample_tiles(
     start: int,
     camera: wp.array(dtype=CameraData),
-    lenses: wp.array(dtype=LensData),
+    samples: wp.array(dtype=SampleData),
     splats: wp.array(dtype=Splat),
     tile_starts: wp.array(dtype=int),
     tile_splats: wp.array(dtype=int),
-    hits: MeshHits,
-    radiance_out: GaussianHits,
+    meshes: MeshPixels,
+    hits_out: GaussianHits,
 ):
     """The same, written as selections over rows of pixels."""
     tile = start + wp.tid()
     view = camera[0]
-    lens = lenses[0]
+    sample = samples[0]
     corner = tile_corner(view, tile)
     left = corner[0]
     top = corner[1]
@@ -344,8 +342,8 @@ def pick_tiles(
     for y in range(rows):
         for x in range(columns):
             i = y * TILE + x
-            nearest[i] = hits.depth_z[(top + y) * view.width + left + x]
-            sample_keys[i] = sample_key_of((top + y) * view.width + left + x, lens.sample, lens.seed)
+            nearest[i] = meshes.depth_z[(top + y) * view.width + left + x]
+            sample_keys[i] = sample_key_of((top + y) * view.width + left + x, sample.index, sample.seed)
 
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]
@@ -376,5 +374,5 @@ def pick_tiles(
 
     for y in range(rows):
         for x in range(columns):
-            pixel = select_splat(splats, winner[y * TILE + x])
-            store_radiance(view, splats, pixel, left + x, top + y, radiance_out)
+            pixel = opaque_pixel(splats, winner[y * TILE + x])
+            store_gaussian_hits(view, splats, pixel, left + x, top + y, hits_out)

@@ -1,4 +1,4 @@
-"""The scene's Gaussians as rays meet them: a tree an asset, and over them a tree of the instances."""
+"""The scene's Gaussians as rays hit them: a bounding volume hierarchy (BVH) an asset, and one over the instances."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from typing import Any
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, KERNEL_LINEAR_SLOPE, NODE_WIDTH
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, BvhInstance, KernelData, Node
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node
+from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
-from lumisplat.renderer.scene.device_scene import DeviceScene, SplatAsset, table_dtype
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
-from lumisplat.renderer.scene.materials import shading_overrides
-from lumisplat.renderer.scene.upload import upload_structs
+from lumisplat.renderer.scene.instance_tables import kernel_data
+from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
 class HeldBvh:
-    """The tree of an asset."""
+    """The BVH of an asset."""
 
     gaussians: Gaussians
     data: GaussianData
     """Its arrays on the device, which may be others when it is uploaded again."""
     kernel: KernelData
-    tree: GaussianBvh
+    bvh: GaussianBvh
 
 
 class BvhScene:
-    """Trees of a scene's Gaussians, built when rays first meet them, and refitted when their Gaussians move.
+    """BVHs of a scene's Gaussians, built when rays first need them, and refitted when their Gaussians move.
 
     Args:
         launcher: Runs the kernels.
@@ -46,41 +46,39 @@ class BvhScene:
         self._buffers = Buffers(launcher.device)
         self._held: list[HeldBvh] = []
         self.assets: Any = None
-        """What the instances place, as TreeAsset."""
-        self.instances: Any = None
-        """In scene order, as TreeInstance."""
+        """What the instances place, as AssetBvh."""
         self.tlas_nodes: Any = None
-        """Tree of the instances' world boxes; its leaves are ~instance."""
-
-        self._placed: bytes | None = None
+        """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
+        self._placed: object = None
         self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
     @property
     def bytes(self) -> int:
-        """Memory of the trees, bytes."""
-        return self._buffers.bytes + sum(held.tree.bytes for held in self._held)
+        """Memory of the BVHs, bytes."""
+        return self._buffers.bytes + sum(held.bvh.bytes for held in self._held)
 
     @property
     def held(self) -> list[HeldBvh]:
-        """The trees, in the order of the device scene's assets."""
+        """The assets' BVHs, in their order."""
         return self._held
 
-    def sync(self, scene: Scene, device_scene: DeviceScene, config: RenderConfig, *, lit: bool = False) -> None:
-        """Builds or refits what changed, and writes where the instances are.
+    def sync(self, scene: Scene, assets: list[SplatAsset], config: RenderConfig) -> None:
+        """Builds or refits what changed, and the top level if an instance has moved.
 
         Args:
-            scene: What ``device_scene`` was synchronised with last.
-            device_scene: Its Gaussians on the device.
+            scene: What places the assets.
+            assets: Its Gaussians on the device.
             config: Its kernel settings are those that the bounds follow.
-            lit: Whether the frame is; then sets that reflect light show their own albedo and normals.
+
+        Raises:
+            DeviceError: The device is out of memory.
         """
-        assets = device_scene.assets
         if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
-            before, self._held = self._held, []  # until all are there: a tree may have moved on when the next one fails
+            before, self._held = self._held, []  # until all are there: one may be refitted when the next one fails
             self._placed = None
             try:
-                self._held = [self._tree_of(place, assets, before, config) for place in range(len(assets))]
+                self._held = [self._bvh_of(place, assets, before, config) for place in range(len(assets))]
                 rows = self._asset_rows() or [AssetBvh()]  # an array without elements has no address
                 self.assets = upload_structs(rows, AssetBvh, self._launcher.device)
             except DeviceError:
@@ -89,22 +87,19 @@ class BvhScene:
                 raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
-        table = self._instance_table(scene, places, config, lit) if places else np.zeros(0)
-        if table.tobytes() == self._placed:
+        placed = places, [instance.transform.tobytes() for instance in scene.splats]
+        if placed == self._placed:
             return  # nothing has moved
         self._placed = None  # until all of it is there
-        self.instances = self._buffers.get("instances", BvhInstance, len(places))
-        if places:
-            self.instances.assign(table)
-        extents = (self._held[p].tree.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
+        extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
         self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
         self.tlas_nodes.assign(nodes)
-        self._placed = table.tobytes()
+        self._placed = placed
 
-    def _tree_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
-        """The tree that there is; that of the asset whose place this one took, refitted; or a new one."""
+    def _bvh_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
+        """The BVH that is held; that of the asset whose place this one took, refitted; or a new one."""
         gaussians, data = assets[place].gaussians, assets[place].data
         held = next((held for held in before if held.gaussians is gaussians), None)
         if held is not None:
@@ -118,40 +113,20 @@ class BvhScene:
             and there.gaussians.count == gaussians.count
             and there.kernel.degree == kernel.degree
         ):
-            there.tree.refit(data)
-            return HeldBvh(gaussians, data, kernel, there.tree)
+            there.bvh.refit(data)
+            return HeldBvh(gaussians, data, kernel, there.bvh)
         return HeldBvh(gaussians, data, kernel, GaussianBvh(self._launcher, data, kernel))
 
     def _asset_rows(self) -> list[AssetBvh]:
         rows = []
         for held in self._held:
             row = AssetBvh()
-            row.nodes, row.particles, row.gaussians = held.tree.nodes, held.tree.particles, held.data
+            row.nodes, row.particles, row.gaussians = held.bvh.nodes, held.bvh.particles, held.data
             rows.append(row)
         return rows
 
-    def _instance_table(self, scene: Scene, places: list[int], config: RenderConfig, lit: bool) -> np.ndarray:
-        world_from_object = np.array([instance.transform for instance in scene.splats])
-        object_from_world = np.linalg.inv(world_from_object)
-        scales = np.array([instance.scale for instance in scene.splats])
-        table = np.zeros(len(places), dtype=table_dtype(BvhInstance))
-        table["object_from_world"] = object_from_world[:, :3, :3]
-        table["object_from_world_offset"] = object_from_world[:, :3, 3]
-        table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
-        table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
-        table["asset"] = places
-        table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
-        table["sh_degree"] = [min(config.trace.sh_degree, instance.sh_degree) for instance in scene.splats]
-        for name, values in shading_overrides(scene, lit).items():
-            table[name] = values
-        for row, place in zip(table, places, strict=True):
-            kernel = self._held[place].kernel
-            for name in ("degree", "falloff", "min_response", "adaptive"):
-                row["kernel"][name] = getattr(kernel, name)
-        return table
-
     def _world_boxes(self, scene: Scene, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        bounds = [held.tree.bounds() for held in self._held]
+        bounds = [held.bvh.bounds() for held in self._held]
         lows, highs = np.full((len(places), 3), FAR), np.full((len(places), 3), -FAR)
         for i, (instance, place) in enumerate(zip(scene.splats, places, strict=True)):
             low, high = bounds[place]
@@ -161,17 +136,6 @@ class BvhScene:
                 margin = BOX_MARGIN * np.abs(world).max(axis=0)
                 lows[i], highs[i] = world.min(axis=0) - margin, world.max(axis=0) + margin
         return lows, highs
-
-
-def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
-    """How the Gaussians of a capture respond: by the setting, or by the capture's own degree."""
-    trace = config.trace
-    kernel = KernelData()
-    kernel.degree = gaussians.kernel_degree if trace.kernel_degree is None else trace.kernel_degree
-    kernel.falloff = KERNEL_LINEAR_SLOPE if kernel.degree == 0 else 4.5 / 3.0**kernel.degree
-    kernel.min_response = trace.min_response
-    kernel.adaptive = int(trace.adaptive_clamping)
-    return kernel
 
 
 def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:

@@ -1,48 +1,60 @@
-"""The table from which a camera's rays are generated, sample by sample."""
+"""The camera on the device, written anew for each sample."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.config import RenderConfig
-from lumisplat.constants import SUBPIXEL_STEPS
-from lumisplat.device.camera import camera as rays
-from lumisplat.device.structs.rays import LensData
-from lumisplat.renderer.scene.device_scene import table_dtype
+from lumisplat.constants import JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
+CENTER = (0.5, 0.5)
+"""Of a pixel."""
+
 _MODELS = {
-    CameraModel.PINHOLE: rays.PINHOLE,
-    CameraModel.FISHEYE: rays.FISHEYE,
-    CameraModel.ORTHOGRAPHIC: rays.ORTHOGRAPHIC,
+    CameraModel.PINHOLE: PINHOLE,
+    CameraModel.FISHEYE: FISHEYE,
+    CameraModel.ORTHOGRAPHIC: ORTHOGRAPHIC,
 }
 
 
-def lens_table(camera: Camera, config: RenderConfig, sample: int) -> np.ndarray:
-    """The 1-element table that kernels read a camera's rays from.
+def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
+    """The 1-element table from which kernels read the camera.
 
     Args:
-        camera: What they leave.
-        config: Its seed, and whether samples spread over their pixel.
-        sample: Number of the sample, from 0.
+        camera: What it describes.
+        offset: Where in each pixel the sample lies, 0..1.
     """
-    table = np.zeros(1, dtype=table_dtype(LensData))
+    row = table = np.zeros(1, dtype=table_dtype(CameraData))
+    size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
+    center = np.array([camera.cx, camera.cy])
+    raster_center = center + 0.5 - np.array(offset)
+    margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
     turn = camera.shutter_turn
     angle = np.linalg.norm(turn)
-    table["world_from_camera"] = camera.world_from_camera[:3, :3]
-    table["eye"] = camera.eye
-    table["shutter"] = camera.camera_from_world_end is not None
-    table["turn_axis"] = turn / angle if angle > 0.0 else turn
-    table["turn_angle"] = angle
-    table["motion"] = camera.shutter_motion
-    table["focal"], table["center"] = (camera.fx, camera.fy), (camera.cx, camera.cy)
-    table["model"] = _MODELS[camera.model]
-    table["width"], table["height"] = camera.width, camera.height
-    table["near"] = camera.near
-    table["aperture"], table["focus_distance"] = camera.aperture, camera.focus_distance
-    table["offset"] = subpixel(sample) if config.trace.jitter else subpixel(0)
-    table["sample"], table["seed"] = sample, config.seed
+    row["world_from_camera"] = camera.world_from_camera[:3, :3]
+    row["eye"] = camera.eye
+    row["model"] = _MODELS[camera.model]
+    row["focal"], row["center"] = focal, center
+    row["offset"], row["raster_center"] = offset, raster_center
+    row["jacobian_min"] = -raster_center / focal - margin
+    row["jacobian_max"] = (size - raster_center) / focal + margin
+    row["width"], row["height"] = camera.width, camera.height
+    row["tiles_x"], row["tiles_y"] = tile_grid(camera)
+    row["near"] = camera.near
+    row["aperture"], row["focus_distance"] = camera.aperture, camera.focus_distance
+    row["shutter"] = camera.camera_from_world_end is not None
+    row["turn_axis"] = turn / angle if angle > 0.0 else turn
+    row["turn_angle"] = angle
+    row["motion"] = camera.shutter_motion
     return table
+
+
+def tile_grid(camera: Camera) -> tuple[int, int]:
+    """Tiles across and down."""
+    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
 
 
 def subpixel(sample: int) -> tuple[float, float]:

@@ -12,8 +12,8 @@ import numpy as np
 import warp as wp
 
 from lumisplat.constants import REBUILD_COST, STRAY_SHARE, TREE_SURFACE_LEVELS
-from lumisplat.device.structs.bvh import Box, ChildLinks, KernelData, Node, Particle
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.bvh import Box, ChildLinks, Node, Particle
+from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.renderer.scene import gaussian_bvh_kernels as kernels
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher

@@ -10,8 +10,8 @@ import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, SAH_BINS
 from lumisplat.device.gaussian.particle import particle_box, particle_of
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, KernelData, Node, Particle
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, Node, Particle
+from lumisplat.device.structs.scene import GaussianData, KernelData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 

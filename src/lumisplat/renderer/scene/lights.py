@@ -26,8 +26,8 @@ from lumisplat.device.structs.light import (
     EnvironmentData,
     LightData,
 )
-from lumisplat.renderer.scene.device_scene import table_dtype
 from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import (
     Light,
@@ -63,18 +63,19 @@ class LightTable:
         self._brightest = 1.0
         self._key: object = None
 
-    def sync(self, scene: Scene, camera: Camera, buffers: Buffers) -> None:
+    def sync(self, scene: Scene, camera: Camera, buffers: Buffers, *, is_lit: bool = True) -> None:
         """Writes the lights as they are now. A scene without any has one at the camera's eye.
 
         Args:
             scene: What holds them.
             camera: Where that one goes.
             buffers: Where the arrays live; the same ones in every call.
+            is_lit: Whether the frame is; else there are none.
         """
-        lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled]
+        lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled and is_lit]
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
         table = light_table([light for _, light in lights])
-        if not scene.lights:
+        if is_lit and not scene.lights:
             self.names, table = ("headlight",), headlight_table(camera)
         self.count = len(table)
         self.lights = buffers.get("lights", LightData, max(self.count, 1))

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from lumisplat.constants import SHADOW_ONLY_AMBIENT
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
-from lumisplat.renderer.scene.upload import TextureKey, texture_key
+from lumisplat.device.structs.shading import MaterialData
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, SplatInstance
 
+TextureFirst = Callable[[np.ndarray], int]
+
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
-def is_untouched(instance: SplatInstance) -> bool:
+def emits_capture_only(instance: SplatInstance) -> bool:
     """Whether a splat set shines as captured, whatever the lights."""
     material = material_of(instance)
     if instance.shadow_only or isinstance(material, MaterialPbr):
@@ -34,7 +38,7 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
 
     Normals: those that reflect light. Albedo: those of them that do not shine by themselves, too.
     """
-    takes = [lit and not is_untouched(instance) for instance in scene.splats]
+    takes = [lit and not emits_capture_only(instance) for instance in scene.splats]
     return {
         "own_normals": [t and i.gaussians.normals is not None for t, i in zip(takes, scene.splats, strict=True)],
         "own_colors": [
@@ -44,22 +48,22 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     }
 
 
-def material_table(scene: Scene, texture_first: dict[TextureKey, int], dtype: Any) -> np.ndarray:
-    """One row of ``dtype``, that of MaterialData, an instance: splats first, then meshes.
+def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool) -> np.ndarray:
+    """One row of MaterialData an instance: splats first, then meshes.
 
     Args:
         scene: Whose instances they are.
-        texture_first: First texel of each texture.
-        dtype: NumPy's view of MaterialData.
+        texture_first: Gives the first texel of a texture.
+        is_lit: Whether the frame is; else all splats shine as captured.
     """
-    table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=dtype)
+    table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
     rows: list[Any] = list(table)
     for row, splats in zip(rows, scene.splats, strict=False):
         material = material_of(splats)
         ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
         _fill(row, material)
-        row["untouched"] = is_untouched(splats)
-        row["keeps"] = splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
+        row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
+        row["keeps_capture"] = not is_lit or splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
         if splats.shadow_only:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
@@ -84,11 +88,11 @@ def _fill(row: Any, material: Material) -> None:
         row[name] = getattr(material, name)
 
 
-def _fill_textures(row: Any, mesh: Mesh, texture_first: dict[TextureKey, int]) -> None:
+def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
     if mesh.uvs is None or not isinstance(mesh.material, MaterialPbr):
         return
     for name in _TEXTURES:
         texture = getattr(mesh.material, name)
         if texture is not None:
-            row[name]["first"] = texture_first[texture_key(texture)]
+            row[name]["first"] = texture_first(texture)
             row[name]["height"], row[name]["width"] = texture.shape[:2]

@@ -67,7 +67,7 @@ def textures_of(material: Material) -> list[Any]:
     return [getattr(material, name) for name in names]
 
 
-def build_triangle_tree(mesh: Mesh, device: str) -> Any:
+def build_triangle_bvh(mesh: Mesh, device: str) -> Any:
     """A bounding volume hierarchy over a mesh's triangles in its own space; item k is triangle k.
 
     Boxes are grown so that rounding never takes a ray past a triangle that it meets.
@@ -81,9 +81,9 @@ def build_triangle_tree(mesh: Mesh, device: str) -> Any:
     return wp.Bvh(wp.array(lows, dtype=wp.vec3, device=device), wp.array(highs, dtype=wp.vec3, device=device))
 
 
-def upload_structs(rows: list[Any], dtype: Any, device: str) -> Any:
-    """An array of structs, some of whose fields may be arrays."""
-    return wp.array(rows, dtype=dtype, device=device)
+def upload_array(values: np.ndarray, device: str) -> Any:
+    """A copy of an array on the device."""
+    return wp.array(values, device=device)
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:

@@ -21,8 +21,9 @@ from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
 from lumisplat.device.light.shadow import shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, BvhInstance, Node, ShadowData, Slabs
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node, ShadowData, Slabs
 from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options(PACKET_OPTIONS)
 
@@ -48,13 +49,13 @@ def shadow_kernel(lanes: int, hits: int) -> Any:
     def shade_by_gaussians(
         start: int,
         settings: wp.array(dtype=ShadowData),
-        instances: wp.array(dtype=BvhInstance),
+        instances: wp.array(dtype=SplatInstanceData),
         assets: wp.array(dtype=AssetBvh),
         tlas_nodes: wp.array(dtype=Node),
         radius_max: float,
         rays: RayData,
         limits: wp.array(dtype=float),
-        skips: wp.array(dtype=int),
+        skips: wp.array(dtype=wp.bool),
         light_inout: wp.array(dtype=wp.vec3),
     ):
         """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
@@ -67,7 +68,7 @@ def shadow_kernel(lanes: int, hits: int) -> Any:
         waiting = Floats(-FAR)  # limits of the rays that have not been followed yet
         live = int(0)
         for lane in range(LANES):
-            if limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
+            if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
                 waiting[lane] = wp.min(limits[first + lane], FAR)
                 live += 1
         while live > 0:
@@ -103,7 +104,7 @@ def shadow_kernel(lanes: int, hits: int) -> Any:
             owner[0] = -1
             top = int(1)
             current = int(-2)
-            instance = BvhInstance()
+            instance = SplatInstanceData()
             slabs = Slabs()
             end = Floats()
             ox = Floats()
@@ -136,7 +137,7 @@ def shadow_kernel(lanes: int, hits: int) -> Any:
                         dy[lane] = d[1]
                         dz[lane] = d[2]
                         end[lane] = limit[lane]
-                        if blind != 0 and skips[first + lane] != 0:
+                        if blind != 0 and skips[first + lane]:
                             end[lane] = -FAR
                     slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
                 node = Node()

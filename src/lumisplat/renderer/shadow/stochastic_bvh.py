@@ -1,8 +1,8 @@
-"""Host pass: trees for one stochastic sample of shadows.
+"""Host pass: bounding volume hierarchies for one stochastic sample of shadows.
 
 For one sample, a Gaussian is an opaque ellipsoid: it ends where its alpha is below the number drawn for it, mostly far
-inside of where it ends altogether, or it is not there at all. Trees that follow that are met by a fraction of the
-rays. They only save time: what rays meet in them is decided by the numbers themselves.
+inside of where it ends altogether, or it is not there at all. Boxes around that are hit by a fraction of the rays. They
+only save time: what rays hit in them is decided by the numbers themselves.
 """
 
 from __future__ import annotations
@@ -11,16 +11,15 @@ from typing import Any
 
 from lumisplat.constants import SHRINK_INSTANCES_MAX, SHRINK_RAYS_PER_GAUSSIAN
 from lumisplat.device.structs.bvh import AssetBvh, Node
-from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.scene.upload import upload_structs
 from lumisplat.renderer.shadow import stochastic_bvh_kernels
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import upload_structs
 
 
 class StochasticBvh:
-    """Keeps the trees of the last sample.
+    """Keeps the hierarchies of the last sample.
 
     Args:
         launcher: Runs the kernels.
@@ -31,47 +30,52 @@ class StochasticBvh:
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: Any = None
-        """The assets that the trees were shrunk from."""
+        """The assets whose hierarchies were shrunk."""
         self._assets: Any = None
         self._nodes: list[Any] = []
         self._is_fresh = False
         self._rays = 0
         """Of the sample so far."""
 
-    def forget(self) -> None:
-        """Another sample begins."""
+    def begin_sample(self) -> None:
+        """Before the rays of another sample."""
         self._is_fresh, self._rays = False, 0
 
-    def assets(self, scene: DeviceScene, trees: BvhScene, settings: Any, *, ray_count: int) -> Any:
-        """The scene's assets with trees for the sample that ``settings`` tell; the whole trees while few rays came."""
-        if trees.assets is self._whole and self._is_fresh:
+    def assets(self, scene: DeviceScene, settings: Any, *, ray_count: int) -> Any:
+        """The scene's assets for the sample in ``settings``: whole as long as shrinking costs more than it saves."""
+        whole = scene.bvh.assets
+        if whole is self._whole and self._is_fresh:
             return self._assets
         self._rays += ray_count
         if self._rays < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
-            return trees.assets
-        nodes = []
-        for place, (asset, held) in enumerate(zip(scene.assets, trees.held, strict=True)):
-            tree = held.tree
-            if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
-                nodes.append(tree.nodes)
-                continue
-            nodes.append(self._buffers.get(f"{self._name}.nodes{place}", Node, tree.nodes.shape[0]))
-            for first, count in reversed(tree.levels):
-                self._launcher.run_banded(
-                    stochastic_bvh_kernels.shrink_nodes,
-                    count,
-                    *(first, settings, asset.instance_ids, trees.instances, tree.particles, tree.nodes, nodes[-1]),
-                )
-        if trees.assets is not self._whole or [n.ptr for n in nodes] != [n.ptr for n in self._nodes]:
-            self._assets = self._upload(trees, nodes)
-            self._whole, self._nodes = trees.assets, nodes
+            return whole
+        nodes = self._shrunk_nodes(scene, settings)
+        if whole is not self._whole or [n.ptr for n in nodes] != [n.ptr for n in self._nodes]:
+            self._assets = self._upload(scene, nodes)
+            self._whole, self._nodes = whole, nodes
         self._is_fresh = True
         return self._assets
 
-    def _upload(self, trees: BvhScene, nodes: list[Any]) -> Any:
+    def _shrunk_nodes(self, scene: DeviceScene, settings: Any) -> list[Any]:
+        nodes = []
+        for place, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
+            bvh = held.bvh
+            if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
+                nodes.append(bvh.nodes)
+                continue
+            nodes.append(self._buffers.get(f"{self._name}.nodes{place}", Node, bvh.nodes.shape[0]))
+            for first, count in reversed(bvh.levels):
+                self._launcher.run_banded(
+                    stochastic_bvh_kernels.shrink_nodes,
+                    count,
+                    *(first, settings, asset.instance_ids, scene.splat_instances, bvh.particles, bvh.nodes, nodes[-1]),
+                )
+        return nodes
+
+    def _upload(self, scene: DeviceScene, nodes: list[Any]) -> Any:
         rows = []
-        for held, shrunk in zip(trees.held, nodes, strict=True):
+        for held, shrunk in zip(scene.bvh.held, nodes, strict=True):
             row = AssetBvh()
-            row.nodes, row.particles, row.gaussians = shrunk, held.tree.particles, held.data
+            row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
             rows.append(row)
         return upload_structs(rows or [AssetBvh()], AssetBvh, self._launcher.device)

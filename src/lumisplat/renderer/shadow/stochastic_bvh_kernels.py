@@ -7,7 +7,8 @@ from lumisplat.device.gaussian.particle import distance_squared
 from lumisplat.device.gaussian.projection import ALPHA_LIMIT
 from lumisplat.device.light.shadow import shadow_key
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, BvhInstance, Node, Particle, ShadowData
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, Node, Particle, ShadowData
+from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -21,7 +22,7 @@ def shrink_nodes(
     node_first: int,
     settings: wp.array(dtype=ShadowData),
     owners: wp.array(dtype=int),
-    instances: wp.array(dtype=BvhInstance),
+    instances: wp.array(dtype=SplatInstanceData),
     particles: wp.array(dtype=Particle),
     nodes: wp.array(dtype=Node),
     nodes_out: wp.array(dtype=Node),

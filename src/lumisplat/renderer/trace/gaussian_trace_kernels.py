@@ -20,12 +20,14 @@ import warp as wp
 from lumisplat.constants import NODE_WIDTH, PASS_REWIND, TRAVERSE_STACK
 from lumisplat.device.bvh.node_test import enter_children, larger, lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.device.gaussian.compositing import empty_pixel
 from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
-from lumisplat.device.gaussian.ray_compositing import blend_hit, empty_pixel, end_pass, load_pixel, store_pixel
+from lumisplat.device.gaussian.ray_compositing import blend_hit, end_pass, load_pixel, store_pixel
 from lumisplat.device.math.random import draw_mixed, mix
-from lumisplat.device.structs.bvh import FAR, AssetBvh, BvhInstance, Node, Slabs, TraceData
+from lumisplat.device.structs.bvh import FAR, AssetBvh, Node, Slabs, TraceData
 from lumisplat.device.structs.rays import GaussianHits, Ray, RayData
+from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options(PACKET_OPTIONS)
 
@@ -56,11 +58,12 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
     def integrate_gaussians(
         start: int,
         settings: wp.array(dtype=TraceData),
-        instances: wp.array(dtype=BvhInstance),
+        instances: wp.array(dtype=SplatInstanceData),
         assets: wp.array(dtype=AssetBvh),
         tlas_nodes: wp.array(dtype=Node),
         radius_max: float,
         rays: RayData,
+        limits: wp.array(dtype=float),
         radiance_out: GaussianHits,
     ):
         """Longer than a kernel should be: its lists live on the stack, and Warp passes vectors by value."""
@@ -73,10 +76,10 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
         waiting = Floats(-FAR)  # ends of the rays that have not been followed yet
         live = int(0)
         for lane in range(LANES):
-            store_pixel(radiance_out, first + lane, empty_pixel())
             radiance_out.depth[first + lane] = wp.inf
-            if rays.t_max[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
-                waiting[lane] = wp.min(rays.t_max[first + lane], FAR)
+            store_pixel(radiance_out, first + lane, empty_pixel())
+            if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
+                waiting[lane] = wp.min(limits[first + lane], FAR)
                 live += 1
         while live > 0:
             whole = gather(rays, first, waiting, radius_max)
@@ -130,7 +133,7 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
                 owner[0] = -1
                 top = int(1)
                 current = int(-2)
-                instance = BvhInstance()
+                instance = SplatInstanceData()
                 slabs = Slabs()
                 ox = Floats()
                 oy = Floats()
@@ -300,7 +303,7 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
                                     if view.strategy == STRATEGY_HIT:
                                         opacity = float(1.0)
                                     pixel = blend_hit(pixel, view, instances, assets, ray, index, opacity)
-                                    if pixel.splat == index:
+                                    if pixel.surface == index:
                                         radiance_out.depth[first + lane] = larger(hit_t[low], 0.0)
                                     if hit_t[low] > last_t[lane] or (
                                         hit_t[low] == last_t[lane] and index > last_index[lane]
@@ -313,9 +316,9 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
                                         if taken[lane] == view.hits_per_pass:
                                             taken[lane] = 0
                                             pixel = end_pass(pixel, rays.sample_key[first + lane], index)
-                                            if pixel.splat < 0:
+                                            if pixel.surface < 0:
                                                 radiance_out.depth[first + lane] = wp.inf
-                                            elif pixel.splat == index:
+                                            elif pixel.surface == index:
                                                 radiance_out.depth[first + lane] = larger(hit_t[low - 1], 0.0)
                                     if pixel.transmittance <= view.transmittance_min:
                                         limit[lane] = -FAR
@@ -344,9 +347,9 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
                     pixel = load_pixel(radiance_out, first + lane)
                     pixel = end_pass(pixel, rays.sample_key[first + lane], last_index[lane])
                     store_pixel(radiance_out, first + lane, pixel)
-                    if pixel.splat < 0:
+                    if pixel.surface < 0:
                         radiance_out.depth[first + lane] = wp.inf
-                    elif pixel.splat == last_index[lane]:
+                    elif pixel.surface == last_index[lane]:
                         radiance_out.depth[first + lane] = larger(last_t[lane], 0.0)
 
     return integrate_gaussians

@@ -4,8 +4,8 @@ import warp as wp
 
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import meet_triangle
-from lumisplat.device.structs.rays import MeshPlacement, RayData, RayMeshHits
-from lumisplat.device.structs.scene import MeshData
+from lumisplat.device.structs.rays import MeshHits, RayData
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -13,38 +13,39 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def find_mesh_hits(
     start: int,
-    placements: wp.array(dtype=MeshPlacement),
+    instances: wp.array(dtype=MeshInstanceData),
     meshes: MeshData,
-    rays_inout: RayData,
-    hits_out: RayMeshHits,
+    rays: RayData,
+    hits_out: MeshHits,
 ):
-    """Looks between a ray's ``t_min`` and ``t_max``, and moves ``t_max`` to what it finds.
+    """The nearest triangle between a ray's ``t_min`` and ``t_max``.
 
     Equally near triangles: the first instance, then the first face.
     """
     i = start + wp.tid()
-    t_min = rays_inout.t_min[i]
-    nearest = rays_inout.t_max[i]
+    t_min = rays.t_min[i]
+    nearest = rays.t_max[i]
+    hits_out.t[i] = nearest
     hits_out.face[i] = -1
-    if not nearest > t_min:
+    if not rays.is_active[i] or not nearest > t_min:
         return
-    origin = rays_inout.origin[i]
-    direction = rays_inout.direction[i]
+    origin = rays.origin[i]
+    direction = rays.direction[i]
     inverse = inverse_or_large(direction)
     face = int(-1)
     which = int(-1)
     weights = wp.vec2()
-    for number in range(placements.shape[0]):
-        span = box_span(origin, inverse, placements[number].low, placements[number].high)
+    for number in range(instances.shape[0]):
+        span = box_span(origin, inverse, instances[number].low, instances[number].high)
         if span[0] <= span[1] and span[1] > t_min and span[0] < nearest:
-            placement = placements[number]
-            ray = ray_in_mesh(placement, origin, direction, span[0], t_min)
+            instance = instances[number]
+            ray = ray_in_mesh(instance, origin, direction, span[0], t_min)
             limit = nearest - ray.begin
             best = int(-1)
-            query = wp.bvh_query_ray(placement.tree, ray.origin, ray.direction)
+            query = wp.bvh_query_ray(instance.bvh, ray.origin, ray.direction)
             item = int(0)
             while wp.bvh_query_next(query, item, limit):
-                corners = meshes.indices[placement.face_first + item]
+                corners = meshes.indices[instance.face_first + item]
                 hit = meet_triangle(
                     ray.origin,
                     ray.direction,
@@ -60,9 +61,9 @@ def find_mesh_hits(
                     weights = hit.weights
             if best >= 0:
                 nearest = ray.begin + limit
-                face = placement.face_first + best
+                face = instance.face_first + best
                 which = number
-    rays_inout.t_max[i] = nearest
+    hits_out.t[i] = nearest
     hits_out.face[i] = face
     hits_out.instance[i] = which
     hits_out.weights[i] = weights

@@ -1,24 +1,27 @@
-"""Rays and what they met: where primary visibility ends, and light begins."""
+"""Primary hits: the seam between visibility and light.
+
+The rasteriser and the ray tracer both end here, and whatever lights begins here: integrators neither know nor ask
+which of them has found the hits.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lumisplat.device.structs.rays import GaussianHits, RayData, RayMeshHits
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 
 
 @dataclass(frozen=True, slots=True)
 class PrimaryHits:
-    """Rays, a multiple of a packet's, and what stands on them."""
+    """Rays, a multiple of a packet's, and what they hit."""
 
     rays: RayData
-    """``t_max`` is the distance of the nearest mesh; where it is not above ``t_min``, there is none."""
-    hits: RayMeshHits
+    meshes: MeshHits
     """The nearest triangles."""
-    radiance: GaussianHits
-    """What the Gaussians before them give."""
+    gaussians: GaussianHits
+    """What the Gaussians before those give the rays."""
 
     @property
     def count(self) -> int:
-        """Rays, and places for rays."""
+        """Rays, active or not."""
         return self.rays.t_max.shape[0]

@@ -1,0 +1,1 @@
+"""From the samples of rays to the images of a frame."""

@@ -1,0 +1,82 @@
+"""Running means of samples: sample n moves a mean by 1 / (n + 1) of the way.
+
+What is captured and what is light stay apart: docs/method/lighting.md#captured-and-added-light.
+"""
+
+import warp as wp
+
+from lumisplat.device.math.color import captured_color
+from lumisplat.device.structs.film import LitPixels, PixelData
+from lumisplat.device.structs.rays import FirstSurface
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def is_finite(color: wp.vec3) -> bool:
+    """No NaN or infinity in any channel."""
+    return wp.isfinite(color[0] + color[1] + color[2])
+
+
+@wp.func
+def add_sample(
+    pixel: int,
+    sample: int,
+    color: wp.vec3,
+    alpha: float,
+    surface: FirstSurface,
+    pixels: PixelData,
+    nonfinite: wp.array(dtype=int),
+):
+    """Adds a sample's display-referred colour and alpha to a pixel; the surface of the first sample stays.
+
+    Colours that are not finite are black, and counted.
+    """
+    if not is_finite(color):
+        color = wp.vec3(0.0)
+        nonfinite[pixel] = nonfinite[pixel] + 1
+    if sample == 0:
+        pixels.color[pixel] = color
+        pixels.alpha[pixel] = alpha
+        pixels.depth[pixel] = surface.depth
+        pixels.normal[pixel] = surface.normal
+        pixels.gaussian[pixel] = surface.gaussian
+        pixels.instance[pixel] = surface.instance
+    else:
+        share = 1.0 / float(sample + 1)
+        pixels.color[pixel] += share * (color - pixels.color[pixel])
+        pixels.alpha[pixel] += share * (alpha - pixels.alpha[pixel])
+
+
+@wp.func
+def add_light(pixel: int, sample: int, captured_weight: float, light: wp.vec3, lit: LitPixels):
+    """Adds a sample's light, and its share of what was captured, to a lit pixel."""
+    if sample == 0:
+        lit.captured_weight[pixel] = captured_weight
+        lit.light[pixel] = light
+    else:
+        share = 1.0 / float(sample + 1)
+        lit.captured_weight[pixel] += share * (captured_weight - lit.captured_weight[pixel])
+        lit.light[pixel] += share * (light - lit.light[pixel])
+
+
+@wp.func
+def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array(dtype=wp.vec3)):
+    """Adds a sample of any colour to an image's pixel."""
+    if sample == 0:
+        image[pixel] = color
+    else:
+        image[pixel] += (color - image[pixel]) / float(sample + 1)
+
+
+@wp.func
+def develop(pixel: int, pixels: PixelData, lit: LitPixels, capture_factor: wp.array(dtype=wp.vec3)):
+    """Makes the linear colour of a lit pixel after its last sample, from what was captured and light.
+
+    What shadows take from the captured goes to the light. It is a share of the mean, with a mean of its own: means of
+    display-referred colours and of linear ones do not subtract. ``capture_factor`` may have no elements.
+    """
+    captured = captured_color(pixels.color[pixel], lit.captured_weight[pixel])
+    if capture_factor:
+        lit.light[pixel] += wp.cw_mul(captured, capture_factor[pixel] - wp.vec3(1.0))
+    lit.color[pixel] = wp.max(captured + lit.light[pixel], wp.vec3(0.0))

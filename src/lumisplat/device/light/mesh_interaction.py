@@ -1,0 +1,147 @@
+"""The mesh that a ray ends on: its interaction, and what it emits (docs/method/lighting.md#surfaces)."""
+
+import warp as wp
+
+from lumisplat.constants import SPLAT_ROUGHNESS_MIN
+from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.material.specular_bounce import spawn_point
+from lumisplat.device.math.color import is_black, sample_texture
+from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.structs.light import BSDF_PBR
+from lumisplat.device.structs.rays import MeshHits, RayData
+from lumisplat.device.structs.scene import MeshData
+from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, TextureData
+
+wp.set_module_options({"enable_backward": False})
+
+ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
+
+
+@wp.func
+def texel(meshes: MeshData, values: wp.array(dtype=float), texture: TextureData, uv: wp.vec2) -> wp.vec3:
+    """A texture's colour, its bytes looked up in ``values``."""
+    return sample_texture(meshes.texels, values, texture.first, texture.width, texture.height, uv)
+
+
+@wp.func
+def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
+    """Texture coordinates at barycentric ``weights``."""
+    return (
+        weights[0] * meshes.uvs[corners[0]] + weights[1] * meshes.uvs[corners[1]] + weights[2] * meshes.uvs[corners[2]]
+    )
+
+
+@wp.func
+def mapped_normal(
+    material: MaterialData,
+    meshes: MeshData,
+    world_from_object: wp.mat33,
+    corners: wp.vec3i,
+    uv: wp.vec2,
+    normal: wp.vec3,
+) -> wp.vec3:
+    """The normal that a normal map makes of a shading normal; both point out of the mesh.
+
+    Tangents follow from how texture coordinates run over the triangle.
+    """
+    edge1 = world_from_object * (meshes.positions[corners[1]] - meshes.positions[corners[0]])
+    edge2 = world_from_object * (meshes.positions[corners[2]] - meshes.positions[corners[0]])
+    d1 = meshes.uvs[corners[1]] - meshes.uvs[corners[0]]
+    d2 = meshes.uvs[corners[2]] - meshes.uvs[corners[0]]
+    area = d1[0] * d2[1] - d2[0] * d1[1]
+    tangent = wp.sign(area) * (d2[1] * edge1 - d1[1] * edge2)
+    upwards = wp.sign(area) * (d2[0] * edge1 - d1[0] * edge2)
+    tangent = tangent - wp.dot(tangent, normal) * normal
+    across = wp.cross(normal, tangent)
+    if not wp.length(tangent) > 0.0:
+        return normal
+    tangent = wp.normalize(tangent)
+    # v runs down the image, y of the map up.
+    across = wp.normalize(across)
+    if wp.dot(across, upwards) < 0.0:
+        across = -across
+    local = 2.0 * texel(meshes, meshes.unit_from_byte, material.normal_texture, uv) - wp.vec3(1.0)
+    scaled = wp.vec3(local[0] * material.normal_scale, local[1] * material.normal_scale, local[2])
+    mapped = scaled[0] * tangent + scaled[1] * across + scaled[2] * normal
+    return unit_or(mapped, 1.0e-6, normal)
+
+
+@wp.func
+def mesh_interaction(
+    i: int, transmittance: float, rays: RayData, hits: MeshHits, scene: wp.array(dtype=ShadingScene)
+) -> Interaction:
+    """The interaction of ray ``i`` with the mesh that it ends on, seen through what the Gaussians before it let pass.
+
+    It does not exist where the mesh reflects nothing but what mirrors do.
+    """
+    interaction = Interaction()
+    number = hits.instance[i]
+    material = scene[0].materials[scene[0].splats.shape[0] + number]
+    instance = scene[0].mesh_instances[number]
+    meshes = scene[0].meshes
+    corners = meshes.indices[hits.face[i]]
+    weights = hit_weights(hits.weights[i])
+    color = surface_color(instance, meshes, corners, weights)
+    roughness = material.roughness
+    metallic = material.metallic
+    normal = surface_normal(instance, meshes, corners, weights)
+    interaction.occlusion = 1.0
+    if material.metallic_roughness_texture.width + material.normal_texture.width + material.occlusion_texture.width > 0:
+        uv = hit_uv(meshes, corners, weights)
+        if material.metallic_roughness_texture.width > 0:
+            factors = texel(meshes, meshes.unit_from_byte, material.metallic_roughness_texture, uv)
+            # Only smooth materials mirror: a texel of 0 is a narrow highlight, not none.
+            roughness = wp.max(roughness * factors[1], wp.min(roughness, ROUGHNESS_MIN))
+            metallic *= factors[2]
+        if material.normal_texture.width > 0:
+            normal = mapped_normal(material, meshes, instance.world_from_object, corners, uv, normal)
+        if material.occlusion_texture.width > 0:
+            arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
+            interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
+    # Rough surfaces do not let light through: what they do not reflect specularly is scattered back.
+    transmission = wp.where(material.roughness == 0.0, material.transmission, 0.0)
+    interaction.bsdf = bsdf_of(
+        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission
+    )
+    if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
+        return interaction
+    interaction.exists = True
+    interaction.wo = -rays.direction[i]
+    interaction.geometric_normal = face_normal(instance, meshes, corners)
+    if wp.dot(interaction.geometric_normal, interaction.wo) < 0.0:
+        interaction.geometric_normal = -interaction.geometric_normal
+        normal = -normal
+    # A shading normal may turn away from the view at a silhouette: there, the triangle's own is better.
+    facing = wp.dot(normal, interaction.wo) > 0.0
+    interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
+    interaction.position = rays.origin[i] - hits.t[i] * interaction.wo
+    interaction.weight = transmittance
+    return interaction
+
+
+@wp.func
+def mesh_spawn_point(i: int, side: wp.vec3, hits: MeshHits, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
+    """Where rays start that leave the mesh on which ray ``i`` ends, on the side to which ``side`` points."""
+    corners = scene[0].meshes.indices[hits.face[i]]
+    instance = scene[0].mesh_instances[hits.instance[i]]
+    return spawn_point(instance, scene[0].meshes, corners, hit_weights(hits.weights[i]), side)
+
+
+@wp.func
+def mesh_emission(i: int, hits: MeshHits, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
+    """What the mesh that ray ``i`` ends on shows without lights: emission and ambient light, linear."""
+    number = hits.instance[i]
+    material = scene[0].materials[scene[0].splats.shape[0] + number]
+    meshes = scene[0].meshes
+    corners = meshes.indices[hits.face[i]]
+    weights = hit_weights(hits.weights[i])
+    emission = material.emissive
+    if material.model == BSDF_PBR:
+        if material.emissive_texture.width > 0 and not is_black(emission):
+            uv = hit_uv(meshes, corners, weights)
+            emission = wp.cw_mul(emission, texel(meshes, meshes.linear_from_byte, material.emissive_texture, uv))
+        return emission
+    emission = emission + material.ambient
+    if is_black(emission):
+        return emission
+    return wp.cw_mul(emission, surface_color(scene[0].mesh_instances[number], meshes, corners, weights))

@@ -1,0 +1,120 @@
+"""The surface of the Gaussians on a ray (docs/method/lighting.md#surfaces)."""
+
+import warp as wp
+
+from lumisplat.constants import NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
+from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.math.color import decode_srgb_color, over
+from lumisplat.device.structs.light import BSDF_PBR
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
+from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface
+
+wp.set_module_options({"enable_backward": False})
+
+NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
+ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
+
+
+@wp.func
+def is_over_light(i: int, from_camera: bool, meshes: MeshHits, scene: wp.array(dtype=ShadingScene)) -> bool:
+    """Whether what is behind the Gaussians is light (a mesh, the environment) or nothing, and not the background."""
+    if meshes.face[i] >= 0:
+        return True
+    if from_camera:
+        return scene[0].settings[0].camera_sees != SEES_BACKGROUND
+    return scene[0].environment.exists != 0
+
+
+@wp.func
+def splat_surface(
+    i: int, gaussians: GaussianHits, scene: wp.array(dtype=ShadingScene), over_light: bool
+) -> SplatSurface:
+    """What the Gaussians before the nearest mesh show ray ``i``.
+
+    Where their material needs a surface and they reach none, they are left out (docs/method/lighting.md#surfaces).
+
+    Args:
+        i: The ray.
+        gaussians: What it hit.
+        scene: The scene.
+        over_light: What is behind is light, not the background that colours were captured over.
+    """
+    surface = SplatSurface()
+    surface.instance = -1
+    surface.gaussian = -1
+    surface.transmittance = gaussians.transmittance[i]
+    color = gaussians.color[i]
+    index = gaussians.gaussian[i]
+    emits_capture_only = int(1)
+    keeps_capture = int(1)
+    if index >= 0:
+        surface.instance = instance_of(scene[0].splats, index)
+        emits_capture_only = scene[0].materials[surface.instance].emits_capture_only
+        if gaussians.depth[i] < wp.inf:
+            surface.gaussian = index - scene[0].splats[surface.instance].first
+            keeps_capture = scene[0].materials[surface.instance].keeps_capture
+        elif emits_capture_only == 0:
+            color = wp.vec3(0.0)
+            surface.transmittance = 1.0
+            surface.instance = -1
+    alpha = 1.0 - surface.transmittance
+    if emits_capture_only == 0 and surface.gaussian >= 0:
+        surface.albedo = decode_srgb_color(color / alpha)
+    if keeps_capture == 0:
+        # None of it shines as captured: light decides about all of it.
+        color = wp.vec3(0.0)
+    if over_light:
+        surface.captured = color
+        surface.weight = wp.where(keeps_capture != 0, alpha, 0.0)
+    else:
+        surface.captured = over(color, surface.transmittance, scene[0].settings[0].background)
+        surface.weight = wp.where(keeps_capture != 0, 1.0, surface.transmittance)
+    return surface
+
+
+@wp.func
+def reflects_light(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> bool:
+    """Whether light may change what Gaussians show: there is a surface, and not one that shines as captured."""
+    if surface.gaussian < 0:
+        return False
+    return scene[0].materials[surface.instance].emits_capture_only == 0
+
+
+@wp.func
+def splat_interaction(
+    i: int, surface: SplatSurface, rays: RayData, gaussians: GaussianHits, scene: wp.array(dtype=ShadingScene)
+) -> Interaction:
+    """The interaction of ray ``i`` with the surface of its Gaussians, if that ``reflects_light``."""
+    interaction = Interaction()
+    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    asset = scene[0].splats[surface.instance].asset
+    interaction.exists = True
+    interaction.wo = -rays.direction[i]
+    interaction.position = rays.origin[i] - gaussians.depth[i] * interaction.wo
+    interaction.normal = unit_or(gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo)
+    if wp.dot(interaction.normal, interaction.wo) < 0.0:
+        interaction.normal = interaction.wo
+    interaction.geometric_normal = interaction.normal
+    roughness = scene[0].materials[surface.instance].roughness
+    metallic = scene[0].materials[surface.instance].metallic
+    if scene[0].materials[surface.instance].model == BSDF_PBR:
+        if scene[0].attributes[asset].roughness.shape[0] > 0:
+            roughness = scene[0].attributes[asset].roughness[surface.gaussian]
+        if scene[0].attributes[asset].metallic.shape[0] > 0:
+            metallic = scene[0].attributes[asset].metallic[surface.gaussian]
+    interaction.bsdf = bsdf_of(
+        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0
+    )
+    interaction.weight = 1.0 - surface.transmittance
+    interaction.occlusion = 1.0
+    interaction.shadow_only = scene[0].materials[surface.instance].shadow_only != 0
+    return interaction
+
+
+@wp.func
+def shadow_offset(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> float:
+    """Distance from the Gaussians' surface within which others do not shadow it, scene units."""
+    asset = scene[0].splats[surface.instance].asset
+    largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
+    return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute

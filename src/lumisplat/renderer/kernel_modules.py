@@ -1,0 +1,46 @@
+"""Which kernel modules a plan needs: only those are compiled at a first use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lumisplat.config import RenderConfig, Shadows
+from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.integrators import specular_wave_kernels
+from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
+from lumisplat.renderer.raster import binning_kernels, mesh_raster_kernels, splat_raster_kernels
+from lumisplat.renderer.scene import gaussian_bvh_kernels
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
+from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
+from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels
+from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
+from lumisplat.runtime.launcher import Launcher
+
+
+def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[Any]:
+    """The kernel modules of a frame."""
+    modules: list[Any] = []
+    if plan.rasterises:
+        modules += [splat_raster_kernels, binning_kernels, mesh_raster_kernels]
+    if plan.is_sampled:
+        modules += [camera_ray_kernels, surface_kernels, film_kernels]
+    if plan.follows_rays:
+        modules += [gaussian_bvh_kernels]
+    if plan.traces_rays:
+        modules += [mesh_trace_kernels, trace_kernel_of(launcher, config).module, specular_wave_kernels]
+    if plan.is_lit:
+        modules += [unshadowed_light_kernels, direct_light_kernels]
+    if plan.is_lit and config.shadows is not Shadows.OFF:
+        modules += shadow_modules(launcher, config)
+    return modules
+
+
+def transmittance_modules(launcher: Launcher) -> list[Any]:
+    """The kernel modules of transmittance along rays."""
+    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules(launcher, RenderConfig())]
+
+
+def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
+    """The kernel modules of shadow rays."""
+    return [mesh_shadow_kernels, stochastic_bvh_kernels, shadow_kernel_of(launcher, config).module]

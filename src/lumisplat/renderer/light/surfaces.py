@@ -1,0 +1,89 @@
+"""Host pass: what a wave shows without lights, and its interactions, written once for all that lights it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from lumisplat.device.structs.shading import Interactions, RayRadiance
+from lumisplat.renderer.light import surface_kernels as kernels
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+
+class Surfaces:
+    """Makes waves of hits.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    def shade(
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        hits: PrimaryHits,
+        number: int,
+        *,
+        weights: Any = None,
+        may_branch: bool,
+    ) -> RayWave:
+        """A wave of rays with what they see but for lights and branches.
+
+        Args:
+            scene: What there is.
+            plan: Of the frame.
+            hits: What the rays hit.
+            number: Of the wave.
+            weights: Of its rays, as `RayWave` has them; None in the first wave.
+            may_branch: Smooth meshes send rays on where these are worth following.
+        """
+        wave = self._wave(plan, hits, number, weights, may_branch)
+        if wave.is_primary:
+            wave.path_weights.fill_(1.0)
+        with self._launcher.stage("shade"):
+            self._launcher.run_banded(
+                kernels.shade_surfaces,
+                wave.count,
+                *(wave.is_primary, may_branch, scene.shading, hits.rays, hits.meshes, hits.gaussians),
+                *(wave.path_weights, wave.radiance, wave.interactions, wave.branches),
+            )
+        return wave
+
+    def _wave(self, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any, may_branch: bool) -> RayWave:
+        count, get = hits.count, self._buffers.get
+        return RayWave(
+            number,
+            hits,
+            interactions=self._interactions(plan, count),
+            radiance=self._radiance(plan, count, number),
+            path_weights=get(f"wave.path_weights{number % 2}", wp.float32, count),
+            may_branch=may_branch,
+            weights=weights,
+            branches=get(f"wave.{number}.branches", wp.int32, 2 * count),
+            branch_ends=get(f"wave.{number}.branch_ends", wp.int32, 2 * count),
+        )
+
+    def _interactions(self, plan: FramePlan, count: int) -> Interactions:
+        if not plan.is_lit:
+            return Interactions()
+        without = () if plan.spawns_shadow_rays else ("spawn_point", "spawn_t_min")
+        return self._buffers.struct("interactions", Interactions, 2 * count, without)
+
+    def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
+        """Layers are those of the first wave; only what shadows leave of captured colours is part of all."""
+        without = set() if plan.has_shadow_only else {"capture_factor"}
+        if number > 0 or "reflection" not in plan.aovs:
+            without |= {"reflection"}
+        if number > 0 or not {"albedo", "emission"} & plan.aovs:
+            without |= {"albedo", "emission"}
+        return self._buffers.struct(f"wave.{number}.radiance", RayRadiance, count, without)

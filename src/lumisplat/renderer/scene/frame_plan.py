@@ -1,0 +1,66 @@
+"""What a frame needs, decided once: everything after it reads the plan instead of asking the settings again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class FramePlan:
+    """The passes of a frame."""
+
+    is_lit: bool
+    """Lights light what reflects."""
+    rasterises: bool
+    """Primary hits are rasterised; otherwise traced."""
+    follows_rays: bool
+    """Some rays go through the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
+    traces_rays: bool
+    """Some of them find hits to be shaded: those from the camera or from mirrors."""
+    casts_shadows: bool
+    """Some light is shadowed by what its shadow rays hit."""
+    spawns_shadow_rays: bool
+    """Rays towards lights start at interactions: for shadows, or for images of what each light gives."""
+    is_sampled: bool
+    """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
+    max_bounces: int
+    """How often rays are followed that smooth meshes reflect and refract."""
+    has_shadow_only: bool
+    """Some set is only darkened by shadows."""
+    aovs: frozenset[str]
+    """Further images that the frame has."""
+    for_camera: bool
+    """Rays are those of pixels, which see a background."""
+
+    @classmethod
+    def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
+        """The plan of a frame of a scene."""
+        is_lit = bool(scene.lights) if config.lighting is None else config.lighting
+        rasterises = config.pipeline is not Pipeline.TRACE
+        only_rasterises = config.pipeline is Pipeline.RASTER
+        casts = any(light.enabled and light.casts_shadow for light in scene.lights)
+        casts_shadows = is_lit and casts and config.shadows is not Shadows.OFF
+        aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
+        is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
+        return cls(
+            is_lit=is_lit,
+            rasterises=rasterises,
+            follows_rays=casts_shadows or not only_rasterises,
+            traces_rays=not only_rasterises,
+            casts_shadows=casts_shadows,
+            spawns_shadow_rays=casts_shadows or "lights" in aovs,
+            is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
+            max_bounces=0 if only_rasterises else config.max_bounces,
+            has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
+            aovs=aovs,
+            for_camera=True,
+        )
+
+    @classmethod
+    def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
+        """The plan of rays that a caller gives: they see no background, and have no further images."""
+        plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=()), scene)
+        return replace(plan, for_camera=False)

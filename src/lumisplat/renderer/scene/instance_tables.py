@@ -1,0 +1,108 @@
+"""The instances of a scene: one row a splat instance, one a mesh instance, written every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lumisplat.config import Antialiasing, RenderConfig
+from lumisplat.constants import KERNEL_LINEAR_SLOPE
+from lumisplat.device.structs.scene import KernelData, MeshInstanceData, SplatInstanceData
+from lumisplat.renderer.scene.materials import shading_overrides
+from lumisplat.renderer.scene.mesh_assets import MeshAssets
+from lumisplat.runtime.struct_tables import table_dtype
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.scene import Scene
+
+
+def splat_instance_table(
+    scene: Scene, assets: Sequence[Gaussians], camera: Camera, config: RenderConfig, *, is_lit: bool
+) -> np.ndarray:
+    """The rows of a scene's splat instances.
+
+    Args:
+        scene: What places them.
+        assets: The distinct Gaussian sets, in the order of the device's.
+        camera: From where the frame is seen.
+        config: Its settings.
+        is_lit: Whether it is; then sets that reflect light show their own albedo and normals.
+    """
+    table = np.zeros(len(scene.splats), dtype=table_dtype(SplatInstanceData))
+    if not scene.splats:
+        return table
+    asset_index = {id(gaussians): index for index, gaussians in enumerate(assets)}
+    world_from_object = np.array([instance.transform for instance in scene.splats])
+    object_from_world = np.linalg.inv(world_from_object)
+    camera_from_object = camera.camera_from_world @ world_from_object
+    scales = np.array([instance.scale for instance in scene.splats])
+    table["camera_from_object"] = camera_from_object[:, :3, :3]
+    table["camera_from_object_offset"] = camera_from_object[:, :3, 3]
+    table["object_from_world"] = object_from_world[:, :3, :3]
+    table["object_from_world_offset"] = object_from_world[:, :3, 3]
+    table["world_from_object"] = world_from_object[:, :3, :3] / scales[:, None, None]
+    table["scale"] = scales
+    table["eye"] = (object_from_world @ [*camera.eye, 1.0])[:, :3]
+    table["first"] = np.cumsum([0, *(instance.gaussians.count for instance in scene.splats[:-1])])
+    table["asset"] = [asset_index[id(instance.gaussians)] for instance in scene.splats]
+    table["sh_degree"] = [instance.sh_degree for instance in scene.splats]
+    table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
+    for name, values in shading_overrides(scene, is_lit).items():
+        table[name] = values
+    forced = config.raster.antialiasing is Antialiasing.ON
+    by_file = config.raster.antialiasing is Antialiasing.AUTO
+    table["antialiased"] = [forced or (by_file and instance.gaussians.antialiased) for instance in scene.splats]
+    for row, instance in zip(table, scene.splats, strict=True):
+        kernel = kernel_data(instance.gaussians, config)
+        for name in ("degree", "falloff", "min_response", "adaptive"):
+            row["kernel"][name] = getattr(kernel, name)
+    return table
+
+
+def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.ndarray:
+    """The rows of a scene's mesh instances; boxes and hierarchies are those that ``assets`` has for rays, or none."""
+    table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
+    if not scene.meshes:
+        return table
+    transforms = np.array([instance.transform for instance in scene.meshes])
+    camera_from_object = camera.camera_from_world @ transforms
+    object_from_world = np.linalg.inv(transforms[:, :3, :3])
+    normal_matrices = object_from_world.transpose(0, 2, 1)
+    table["camera_from_object"] = camera_from_object[:, :3, :3]
+    table["camera_from_object_offset"] = camera_from_object[:, :3, 3]
+    table["world_from_object"] = transforms[:, :3, :3]
+    table["world_from_object_normal"] = normal_matrices / np.abs(normal_matrices).max(axis=(1, 2), keepdims=True)
+    table["object_from_world"] = object_from_world
+    table["position"] = transforms[:, :3, 3]
+    table["first"] = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes[:-1])])
+    for number, instance in enumerate(scene.meshes):
+        mesh, material, row = instance.mesh, instance.mesh.material, table[number : number + 1]
+        row["face_first"] = assets.face_first(mesh)
+        row["has_normals"] = mesh.normals is not None
+        row["base_color"] = material.base_color
+        texture = material.base_color_texture
+        if texture is not None and mesh.uvs is not None:
+            row["texture_first"] = assets.texture_first(texture)
+            row["texture_height"], row["texture_width"] = texture.shape[:2]
+        row["material"]["smooth"] = material.is_smooth
+        if isinstance(material, MaterialPbr):
+            for name in ("metallic", "specular", "ior", "transmission"):
+                row["material"][name] = getattr(material, name)
+        bvh = assets.bvh(mesh)
+        if bvh is not None:
+            row["low"], row["high"] = bvh.world_box(instance.transform)
+            row["bvh"] = bvh.bvh.id
+    return table
+
+
+def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
+    """How the Gaussians of a capture respond to rays: by the setting, or by the capture's own degree."""
+    trace = config.trace
+    kernel = KernelData()
+    kernel.degree = gaussians.kernel_degree if trace.kernel_degree is None else trace.kernel_degree
+    kernel.falloff = KERNEL_LINEAR_SLOPE if kernel.degree == 0 else 4.5 / 3.0**kernel.degree
+    kernel.min_response = trace.min_response
+    kernel.adaptive = int(trace.adaptive_clamping)
+    return kernel

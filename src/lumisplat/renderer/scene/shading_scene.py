@@ -1,0 +1,127 @@
+"""What shading reads of a scene: materials, what Gaussians carry for light, lights and settings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config import RenderConfig, Shadows
+from lumisplat.device.structs.shading import (
+    SEES_BACKGROUND,
+    SEES_ENVIRONMENT,
+    SEES_NOTHING,
+    MaterialData,
+    ShadingScene,
+    ShadingSettings,
+    SplatAttributes,
+)
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.lights import LightTable
+from lumisplat.renderer.scene.materials import material_table
+from lumisplat.renderer.scene.splat_assets import SplatAsset
+from lumisplat.renderer.scene.upload import as_device_array
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.struct_tables import table_dtype, upload_structs
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.lights import Light
+from lumisplat.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from lumisplat.renderer.scene.device_scene import DeviceScene
+
+
+class ShadingTables:
+    """Device tables of what light meets, and of the lights.
+
+    Args:
+        buffers: Holds the tables.
+        config: Settings.
+        device: Warp device name.
+    """
+
+    def __init__(self, buffers: Buffers, config: RenderConfig, device: str) -> None:
+        self._buffers, self._config, self._device = buffers, config, device
+        self._table = LightTable()
+        self._attributes_of: list[int] | None = None
+        self._row = ShadingScene()
+        self.data: Any = None
+        """What kernels take: a 1-element ShadingScene array."""
+        self.lights: tuple[Light, ...] = ()
+        """Those that are on; none where a headlight stands in for them."""
+        self.has_headlight = False
+        """Whether there is one because there are no lights at all."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the lights that are on, in order."""
+        return self._table.names
+
+    def sync(self, scene: Scene, camera: Camera, plan: FramePlan, device_scene: DeviceScene) -> None:
+        """Writes the tables.
+
+        Args:
+            scene: What ``device_scene`` has just been brought up to date with.
+            camera: From where it is seen.
+            plan: Of the frame.
+            device_scene: Its assets and instances on the device.
+        """
+        self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit)
+        self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()
+        self.has_headlight = plan.is_lit and not scene.lights
+        self._sync_attributes(device_scene.assets)
+        row = self._row
+        row.materials = self._write(
+            "shading.materials", MaterialData, material_table(scene, device_scene.texture_first, is_lit=plan.is_lit)
+        )
+        row.settings = self._write("shading.settings", ShadingSettings, self._settings(plan))
+        row.sample = device_scene.sample
+        row.splats = device_scene.splat_instances
+        row.mesh_instances = device_scene.mesh_instances
+        row.meshes = device_scene.mesh_data
+        row.lights = self._table.lights
+        row.environment = self._table.environment
+        self.data = upload_structs([row], ShadingScene, self._device)
+
+    def _write(self, name: str, struct: Any, rows: np.ndarray) -> Any:
+        array = self._buffers.get(name, struct, len(rows))
+        if len(rows):
+            array.assign(rows)
+        return array
+
+    def _sync_attributes(self, assets: list[SplatAsset]) -> None:
+        identities = [id(asset.data) for asset in assets]
+        if identities != self._attributes_of:
+            rows = [attribute_row(asset, self._device) for asset in assets]
+            # An array without elements has no address.
+            self._row.attributes = upload_structs(rows or [SplatAttributes()], SplatAttributes, self._device)
+            self._attributes_of = identities
+
+    def _settings(self, plan: FramePlan) -> np.ndarray:
+        config = self._config
+        row = table = np.zeros(1, dtype=table_dtype(ShadingSettings))
+        row["is_lit"] = plan.is_lit
+        row["background"] = config.background or (0.0, 0.0, 0.0)
+        row["camera_sees"] = SEES_BACKGROUND
+        if not plan.for_camera or config.background is None:
+            row["camera_sees"] = SEES_NOTHING
+        elif self._table.environment.exists and self._table.environment.visible:
+            row["camera_sees"] = SEES_ENVIRONMENT
+        row["has_shadow_only"] = plan.has_shadow_only
+        row["light_count"] = self._table.count
+        row["soft"] = config.shadows is Shadows.SOFT
+        row["shadow_offset"] = config.shadow.offset
+        row["shadow_offset_absolute"] = config.shadow.offset_absolute
+        return table
+
+
+def attribute_row(asset: SplatAsset, device: str) -> SplatAttributes:
+    """What the Gaussians of an asset carry for light."""
+    row = SplatAttributes()
+    row.scales = asset.data.scales
+    for name in ("roughness", "metallic"):
+        values = getattr(asset.gaussians, name)
+        if values is not None:
+            setattr(row, name, as_device_array(values, wp.float32, device))
+    return row

@@ -1,0 +1,36 @@
+"""Host pass: the rays of a camera's pixels."""
+
+from __future__ import annotations
+
+from lumisplat.constants import PACKET_RAYS, RAY_BLOCK_PX
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace import camera_ray_kernels as kernels
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+
+
+class CameraRays:
+    """Starts one ray a pixel.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    def start(self, scene: DeviceScene, camera: Camera) -> RayData:
+        """The rays of the scene's current sample, in square blocks of pixels."""
+        count = ray_count(camera)
+        rays = self._buffers.struct("camera.rays", RayData, count)
+        with self._launcher.stage("rays"):
+            self._launcher.run_banded(kernels.start_rays, count, scene.camera, scene.sample, rays)
+        return rays
+
+
+def ray_count(camera: Camera) -> int:
+    """Rays of an image: whole blocks."""
+    return PACKET_RAYS * (-(-camera.width // RAY_BLOCK_PX)) * (-(-camera.height // RAY_BLOCK_PX))

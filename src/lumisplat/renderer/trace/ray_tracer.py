@@ -1,0 +1,41 @@
+"""Host pass: what rays hit, among meshes and Gaussians."""
+
+from __future__ import annotations
+
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+
+
+class RayTracer:
+    """Finds the hits of rays.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings; they do not change.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher = launcher
+        self._meshes = MeshTracer(launcher, buffers)
+        self._gaussians = GaussianTracer(launcher, buffers, config)
+
+    def find_hits(self, scene: DeviceScene, rays: RayData, name: str) -> PrimaryHits:
+        """The nearest mesh on each ray, and what the Gaussians before it give the ray.
+
+        Args:
+            scene: Up to date for rays.
+            rays: A multiple of ``PACKET_RAYS``.
+            name: Of the buffers that hold the result.
+        """
+        with self._launcher.stage("mesh"):
+            meshes = self._meshes.find(scene, rays, f"{name}.meshes")
+        with self._launcher.stage("gaussians"):
+            gaussians = self._gaussians.find(scene, rays, meshes.t, f"{name}.gaussians")
+        return PrimaryHits(rays, meshes, gaussians)
