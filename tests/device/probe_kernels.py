@@ -4,7 +4,8 @@ import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
 from lumisplat.device.math.random import branch_key, draw, sample_key_of
-from lumisplat.device.structs.rays import LensData, Ray
+from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.rays import Ray
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,8 +29,8 @@ def probe_random(
 
 
 @wp.kernel
-def probe_rays(lens: wp.array(dtype=LensData), rays: wp.array(dtype=Ray)):
+def probe_rays(cameras: wp.array(dtype=CameraData), samples: wp.array(dtype=SampleData), rays: wp.array(dtype=Ray)):
     """The rays of all pixels."""
     i = wp.tid()
-    view = lens[0]
-    rays[i] = camera_ray(view, i % view.width, i // view.width)
+    camera = cameras[0]
+    rays[i] = camera_ray(camera, samples[0], i % camera.width, i // camera.width)

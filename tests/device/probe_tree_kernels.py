@@ -11,9 +11,9 @@ from lumisplat.device.gaussian.particle import (
     particle_of,
     reach_squared,
 )
-from lumisplat.device.structs.bvh import Box, BvhInstance, Children, KernelData, Node, Particle, Slabs
+from lumisplat.device.structs.bvh import Box, Children, Node, Particle, Slabs
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -56,7 +56,7 @@ def probe_particles(
 def probe_bundles(
     rays: RayData,
     limits: wp.array(dtype=Floats),
-    instances: wp.array(dtype=BvhInstance),
+    instances: wp.array(dtype=SplatInstanceData),
     nodes: wp.array(dtype=Node),
     begins: wp.array(dtype=float),
     origins: wp.array(dtype=wp.vec3),

@@ -8,11 +8,10 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumisplat.config import RenderConfig
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
 from lumisplat.device.gaussian.projection import alpha_from_log, gaussian_normal, projection_jacobian
-from lumisplat.device.structs.scene import CameraData
-from lumisplat.renderer.scene.device_scene import camera_table
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.renderer.scene.camera_table import camera_table
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera
 
@@ -24,8 +23,8 @@ def camera_data(**changes: object) -> CameraData:
     """What kernels see of a camera."""
     camera = front_camera(**changes)  # type: ignore[arg-type]
     data = CameraData()
-    row = camera_table(camera, RenderConfig())[0]
-    for name in ("focal", "center", "jacobian_min", "jacobian_max"):
+    row = camera_table(camera)[0]
+    for name in ("focal", "raster_center", "jacobian_min", "jacobian_max"):
         setattr(data, name, wp.vec2(*(float(value) for value in row[name])))
     return data
 

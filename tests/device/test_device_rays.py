@@ -10,15 +10,14 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.config import RenderConfig, TraceConfig
 from lumisplat.constants import SUBPIXEL_STEPS
 from lumisplat.device.camera.camera import camera_ray, disk_point, turned
 from lumisplat.device.gaussian.compositing import pixel_ray
-from lumisplat.device.structs.rays import LensData, Ray
-from lumisplat.device.structs.scene import CameraData
-from lumisplat.renderer.scene.camera_table import lens_table, subpixel
-from lumisplat.renderer.scene.device_scene import table_dtype
+from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.rays import Ray
+from lumisplat.renderer.scene.camera_table import camera_table, subpixel
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.camera_oracle import camera_rays, unit
 from support.scenes.raster_scenes import front_camera, rotation
 
@@ -31,12 +30,19 @@ def device_rays(
     camera: ls.Camera, sample: int = 0, seed: int = 0, jitter: bool = True, device: str = "cpu"
 ) -> np.ndarray:
     """The rays of all pixels, (H, W) records."""
-    config = RenderConfig(seed=seed, trace=TraceConfig(jitter=jitter))
-    lens = wp.zeros(1, dtype=LensData, device=device)
-    lens.assign(lens_table(camera, config, sample))
+    cameras = wp.zeros(1, dtype=CameraData, device=device)
+    cameras.assign(camera_table(camera, subpixel(sample if jitter else 0)))
+    samples = wp.array([sample_of(sample, seed)], dtype=SampleData, device=device)
     rays = wp.zeros(camera.width * camera.height, dtype=Ray, device=device)
-    Launcher(device, threads=1).run(probe_kernels.probe_rays, rays.shape[0], lens, rays)
+    Launcher(device, threads=1).run(probe_kernels.probe_rays, rays.shape[0], cameras, samples, rays)
     return rays.numpy().reshape(camera.height, camera.width)
+
+
+def sample_of(index: int, seed: int) -> SampleData:
+    """What kernels know of a sample."""
+    sample = SampleData()
+    sample.index, sample.seed = index, wp.uint32(seed)
+    return sample
 
 
 def moved_pose(angle: float = 0.7, eye: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> np.ndarray:
@@ -89,7 +95,7 @@ def test_pinhole_rays_are_those_of_the_raster() -> None:
     """Both pipelines look through the same points: the centres of the pixels, from the same near plane."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0, near=0.25)
     data = CameraData()
-    data.focal, data.center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
+    data.focal, data.raster_center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
     rays = device_rays(camera)
     for y, x in ((0, 0), (47, 63), (13, 5)):
         through = np.array(pixel_ray(data, x, y))
@@ -102,16 +108,16 @@ def test_functions_run_in_python() -> None:
     """A pixel's ray called from Python is the kernel's."""
     camera = lens_camera(FISHEYE)
     rays = device_rays(camera, 3, 5)
-    row = lens_table(camera, RenderConfig(seed=5), 3)[0]
-    lens = LensData()
+    row = camera_table(camera, subpixel(3))[0]
+    data, sample = CameraData(), sample_of(3, 5)
     for name in row.dtype.names:
-        kind = type(getattr(lens, name))
+        kind = type(getattr(data, name))
         value = row[name].tolist()
-        setattr(lens, name, kind(*np.ravel(value).tolist()) if row[name].ndim else kind(value))
-    ray = camera_ray(lens, 11, 20)
+        setattr(data, name, kind(*np.ravel(value).tolist()) if row[name].ndim else kind(value))
+    ray = camera_ray(data, sample, 11, 20)
     np.testing.assert_allclose(np.array(ray.origin), rays["origin"][20, 11], atol=1e-6)
     np.testing.assert_allclose(np.array(ray.direction), rays["direction"][20, 11], atol=1e-6)
-    assert np.array_equal(np.array(camera_ray(lens, 0, 0).direction), (0.0, 0.0, 0.0))
+    assert np.array_equal(np.array(camera_ray(data, sample, 0, 0).direction), (0.0, 0.0, 0.0))
 
 
 # --- Models, by hand ---
@@ -309,6 +315,6 @@ def test_turned_is_a_rotation() -> None:
 
 def test_the_table_is_the_struct() -> None:
     """Every field of the struct is filled: a forgotten one would stay zero."""
-    table = lens_table(lens_camera(FISHEYE), RenderConfig(seed=3), 4)
-    assert table.shape == (1,) and table.dtype == table_dtype(LensData)
+    table = camera_table(lens_camera(FISHEYE), subpixel(4))
+    assert table.shape == (1,) and table.dtype == table_dtype(CameraData)
     assert [name for name in table.dtype.names if not np.any(table[name])] == []

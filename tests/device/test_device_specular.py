@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
 from lumisplat.device.material.specular_bounce import bounce_of
-from lumisplat.device.structs.rays import Bounce, SmoothData
+from lumisplat.device.structs.rays import Bounce
+from lumisplat.device.structs.scene import SmoothData
 from lumisplat.math.color import encode_srgb
 
 component = st.floats(-1.0, 1.0)

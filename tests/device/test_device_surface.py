@@ -8,10 +8,11 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumisplat.device.gaussian.compositing import blend, pixel_ray
+from lumisplat.device.gaussian.compositing import blend, empty_pixel, pixel_ray
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle
-from lumisplat.device.structs.scene import BlendState, CameraData, Splat
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import BlendState, Splat
 from lumisplat.math.color import encode_srgb as encode_srgb_host
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera
@@ -22,9 +23,7 @@ points = st.tuples(unit, unit, st.floats(0.5, 3.0))
 
 def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> BlendState:
     """A pixel after splats of those alphas, the i-th one of colour (i, 1, 0)."""
-    pixel = BlendState()
-    pixel.transmittance = 1.0
-    pixel.splat = -1
+    pixel = empty_pixel()
     for i, alpha in enumerate(alphas):
         splat = Splat()
         splat.color = wp.vec3(float(i), 1.0, 0.0)
@@ -45,9 +44,9 @@ def test_blend_conserves_light(alphas: list[float]) -> None:
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12), st.floats(0.0, 1.0))
 def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
-    """The surface is the first accepted splat after which the transmittance is below the threshold."""
+    """The surface is the first accepted splat after which the transmittance is below the threshold, if there is one."""
     pixel = blended(alphas, iso=iso)
-    remaining, expected = np.float32(1.0), -1
+    remaining, expected, first = np.float32(1.0), -1, -1
     for i, alpha in enumerate(alphas):
         after = remaining - remaining * np.float32(alpha)
         if after <= np.float32(1e-4):
@@ -56,10 +55,9 @@ def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
             return  # Rounding may decide.
         if after < iso and expected < 0:
             expected = i
-        elif expected == -1:
-            expected = -2 - i
+        first = i if first < 0 else first
         remaining = after
-    assert pixel.splat == expected
+    assert (pixel.surface, pixel.first) == (expected, first)
 
 
 def test_blend_stops_and_says_so() -> None:
@@ -73,7 +71,7 @@ def test_rays_pass_through_pixel_centres() -> None:
     """Rays have z = 1, and project back to the centre at +0.5."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0)
     data = CameraData()
-    data.focal, data.center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
+    data.focal, data.raster_center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
     rays = oracles.pixel_rays(camera)
     for y, x in ((0, 0), (47, 63), (13, 5)):
         np.testing.assert_allclose(np.array(pixel_ray(data, x, y)), rays[y, x], atol=1e-6)

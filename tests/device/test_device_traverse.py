@@ -13,8 +13,9 @@ import pytest
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.structs.bvh import FAR, BvhInstance, Children, Node, Slabs
+from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs
 from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.renderer.scene.bvh_scene import empty_node
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -50,7 +51,7 @@ class Found:
 
 def placed(world_from_object: np.ndarray) -> np.ndarray:
     """Rows of TreeInstance as the scene writes them, (B,)."""
-    table = np.zeros(len(world_from_object), np.dtype(BvhInstance.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(len(world_from_object), np.dtype(SplatInstanceData.numpy_dtype()))  # type: ignore[attr-defined]
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
     table["object_from_world_offset"] = object_from_world[:, :3, 3]
@@ -126,7 +127,7 @@ def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
     limits = wp.array(np.where(bundles.alive, 1.0, -1.0), dtype=probe_tree_kernels.Floats, device=device)
     inputs = (
         limits,
-        wp.array(bundles.instances, dtype=BvhInstance, device=device),
+        wp.array(bundles.instances, dtype=SplatInstanceData, device=device),
         wp.array(nodes, dtype=Node, device=device),
         wp.array(bundles.begins, dtype=float, device=device),
     )

@@ -17,7 +17,8 @@ from lumisplat.renderer.trace import gaussian_trace_kernels
 MODULES = [
     module.name
     for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")
-    if module.name.endswith("_kernels") and not module.name.endswith((".trace_kernels", ".shadow_kernels"))
+    if module.name.endswith("_kernels")
+    and not module.name.endswith((".gaussian_trace_kernels", ".gaussian_shadow_kernels"))
 ]
 
 

@@ -47,7 +47,7 @@ class Renderer:
         self.config = config
         self._launcher = launcher
         self._buffers = buffers = Buffers(launcher.device)
-        self._scene = DeviceScene(launcher, config)
+        self._scene = DeviceScene(launcher, buffers, config)
         self._binning = binning_of(launcher, buffers)
         rasters: dict[str, Any] = {
             "binning": self._binning,

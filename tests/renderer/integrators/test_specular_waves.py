@@ -85,9 +85,9 @@ def test_rough_meshes_show_their_colour(rig: RayRig) -> None:
 
 
 def test_scenes_without_meshes(rig: RayRig) -> None:
-    """The background, and black where there is no ray."""
+    """The background, also where a pixel has no ray."""
     seen = rig.colors(ls.Scene(), np.zeros((2, 3)), np.eye(3)[:2], background=WHITE, t_max=np.array([np.inf, 0.0]))
-    np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(seen, [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 
 
 def test_a_mirror_at_45_degrees(rig: RayRig) -> None:

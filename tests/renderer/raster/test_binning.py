@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.scene import TileRect
+from lumisplat.device.structs.raster import TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity
 from lumisplat.runtime.buffers import Buffers

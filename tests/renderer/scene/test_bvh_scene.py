@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
-from lumisplat.renderer.scene import bvh_scene, device_scene
+from lumisplat.renderer.scene import bvh_scene, splat_assets
 from lumisplat.renderer.scene.bvh_scene import tree_of_boxes
 from support.compare.images import assert_close, assert_images_alike
 from support.compare.ways import renderer_of
@@ -43,7 +43,7 @@ def assert_as_new(warm: ls.Renderer, way: str, scene: ls.Scene) -> None:
 
 def held(renderer: ls.Renderer) -> list[int]:
     """Identities of the trees, by asset."""
-    return [id(one.tree) for one in renderer._trees._held]
+    return [id(one.bvh) for one in renderer._scene.bvh._held]
 
 
 # --- Assets ---
@@ -58,7 +58,7 @@ def test_instances_share_the_tree_of_their_asset(way: str) -> None:
     renderer.render(scene, view())
     trees = held(renderer)
     assert len(trees) == 2
-    rows = renderer._trees.instances.numpy()
+    rows = renderer._scene.splat_instances.numpy()
     assert rows["asset"].tolist() == [0, 1, 0] and rows["first"].tolist() == [0, 50, 80]
     for row, place in zip(rows, places, strict=True):
         inverse = np.linalg.inv(place)
@@ -76,11 +76,11 @@ def test_an_asset_in_another_ones_place_is_followed(way: str) -> None:
     warm = renderer_of(way, TRACE)
     assert_as_new(warm, way, ls.Scene([first, second]))
     trees = held(warm)
-    second_nodes = warm._trees._held[1].tree.nodes.numpy().tobytes()
+    second_nodes = warm._scene.bvh._held[1].bvh.nodes.numpy().tobytes()
     moved = replace(first, means=first.means + np.float32(0.05))
     assert_as_new(warm, way, ls.Scene([moved, second]))
     assert held(warm) == trees
-    assert warm._trees._held[1].tree.nodes.numpy().tobytes() == second_nodes
+    assert warm._scene.bvh._held[1].bvh.nodes.numpy().tobytes() == second_nodes
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_other_changes_build_what_is_new(way: str, change: str) -> None:
     warm = renderer_of(way, TRACE)
     warm.render(ls.Scene([first, second]), view())
     a, b = held(warm)
-    kept = warm._trees._held  # so that a new tree cannot have an old one's identity
+    kept = warm._scene.bvh._held  # so that a new tree cannot have an old one's identity
     other = random_gaussians(7, 60)
     scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
         "count": ([random_gaussians(7, 61), second], [None, b]),
@@ -131,7 +131,7 @@ def test_memory_counts_the_trees() -> None:
     renderer = renderer_of("cpu", TRACE)
     frame = renderer.render(ls.Scene([gaussians]), view())
     assert frame.stats is not None
-    assert frame.stats.memory_bytes >= 64 * 3000 + renderer._trees.bytes > 64 * 3000 + 224 * 3000 / NODE_WIDTH
+    assert frame.stats.memory_bytes >= 64 * 3000 + renderer._scene.bvh.bytes > 64 * 3000 + 224 * 3000 / NODE_WIDTH
 
 
 @pytest.mark.parametrize(
@@ -169,11 +169,11 @@ def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -
         raise RuntimeError("out of memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(device_scene, "upload_gaussians", refuse)
+        patch.setattr(splat_assets, "upload_gaussians", refuse)
         with pytest.raises(ls.DeviceError, match="no room"):
             renderer.render(ls.Scene([second]), view())
     renderer.render(ls.Scene([first]), view())
-    row = renderer._trees.assets.numpy()[0]["gaussians"]["rotations"]["data"]
+    row = renderer._scene.bvh.assets.numpy()[0]["gaussians"]["rotations"]["data"]
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 
@@ -188,7 +188,7 @@ def test_a_failed_build_leaves_nothing_stale(way: str, monkeypatch: pytest.Monke
 
     moved = replace(first, means=first.means + np.float32(0.3))
     with monkeypatch.context() as patch:
-        patch.setattr(bvh_scene, "GaussianTree", refuse)
+        patch.setattr(bvh_scene, "GaussianBvh", refuse)
         with pytest.raises(ls.DeviceError, match="out of memory"):
             renderer.render(ls.Scene([moved, second]), view())
     assert_as_new(renderer, way, ls.Scene([first]))

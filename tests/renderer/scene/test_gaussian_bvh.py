@@ -12,8 +12,8 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.constants import ALPHA_MIN, BOX_MARGIN, NODE_WIDTH, TRAVERSE_STACK, TREE_SURFACE_LEVELS
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
-from lumisplat.renderer.scene.bvh_scene import kernel_data
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
+from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
 from support.compare.ways import renderer_of
@@ -276,7 +276,7 @@ def test_refitted_images_are_those_of_a_new_tree(way: str) -> None:
         fresh = renderer_of(way, TRACE).render(ls.Scene([step]), front_camera(24, 18, 22.0))
         for name in ("color", "alpha", "depth", "normal", "gaussian_index"):
             np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
-        tree = warm._trees._held[0].tree
+        tree = warm._scene.bvh._held[0].bvh
         trees.append((id(tree), tree.cost_built))
     assert len({number for number, _ in trees}) == 1, "followed by one tree"
     costs = [cost for _, cost in trees]

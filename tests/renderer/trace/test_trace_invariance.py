@@ -310,10 +310,10 @@ def test_buffers_settle(way: str) -> None:
     """After its first frame a renderer allocates nothing more for frames of that size, nor for smaller ones."""
     warm, scene = renderer_of(way, settings()), full_scene()
     warm.render(scene, view(33, 27))
-    settled = warm._buffers.allocations, warm._trees.bytes
+    settled = warm._buffers.allocations, warm._scene.bvh.bytes
     for size in ((33, 27), (24, 18), (33, 27)):
         warm.render(scene, view(*size))
-    assert (warm._buffers.allocations, warm._trees.bytes) == settled
+    assert (warm._buffers.allocations, warm._scene.bvh.bytes) == settled
 
 
 # --- Place ---

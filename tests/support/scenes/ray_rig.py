@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from lumisplat.config import RenderConfig
-from lumisplat.device.structs.rays import GaussianHits, RayData
-from lumisplat.renderer.integrators.specular_waves import SpecularWaves
+from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
+from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
@@ -46,25 +48,25 @@ class RayRig:
         color: tuple[float, float, float] = (0.0, 0.0, 0.0),
         transmittance: float = 1.0,
     ) -> None:
-        launcher = Launcher(device, threads)
+        self._launcher = Launcher(device, threads)
         self.buffers = Buffers(device)
-        self.scene = DeviceScene(device)
-        self.mesh_hits = MeshTracer(launcher, self.buffers)
-        self.bounces = SpecularWaves(launcher, self.buffers, self.mesh_hits)
+        self._config = RenderConfig(pipeline=Pipeline.TRACE)
+        self.scene = DeviceScene(self._launcher, Buffers(device), self._config)
         self.color, self.transmittance = color, transmittance
+        self._meshes = MeshTracer(self._launcher, self.buffers)
         self.waves: list[SimpleNamespace] = []
-        """The rays of each wave of the last call: the fields of ``RayData`` as NumPy arrays."""
+        """The rays of each wave of the last call: the fields of ``RayData`` as NumPy arrays, and where they end."""
 
     def hits(self, scene: Scene, origins: np.ndarray, directions: np.ndarray, **limits: float | np.ndarray) -> Hits:
         """The nearest triangles; ``t_min`` and ``t_max`` are 0 and infinite unless given."""
-        self._sync(scene, (0.0, 0.0, 0.0))
+        self._sync(scene, RenderConfig(pipeline=Pipeline.TRACE))
         rays = self._rays(origins, directions, **limits)
-        hits = self.mesh_hits.find(self.scene, rays, "test.hits")
+        hits = self._meshes.find(self.scene, rays, "test.hits")
         face, weights = hits.face.numpy().copy(), hits.weights.numpy()
         missed = face < 0
         instance = np.where(missed, -1, hits.instance.numpy())
         weights = np.where(missed[:, None], 0.0, np.column_stack([1.0 - weights.sum(axis=1), weights]))
-        return Hits(rays.t_max.numpy().copy(), face, instance, weights)
+        return Hits(hits.t.numpy().copy(), face, instance, weights)
 
     def colors(
         self,
@@ -77,22 +79,30 @@ class RayRig:
         **limits: float | np.ndarray,
     ) -> np.ndarray:
         """What rays see, mirrors and glass included, shape (N, 3)."""
-        self._sync(scene, background)
+        config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces)
+        plan = self._sync(scene, config)
         self.waves = []
-        rays = self._rays(origins, directions, **limits)
-        hits = self.mesh_hits.find(self.scene, rays, "test.hits")
-        radiance = self._radiance(rays, "test.radiance")
-        colors = self.bounces.resolve(
-            self.scene,
-            PrimaryHits(rays, hits, radiance),
-            trace=lambda wave: self._radiance(wave, "test.wave"),
-            bounces=bounces,
-        )
-        return colors.numpy().copy()
+        hits = self.find_hits(self.scene, self._rays(origins, directions, **limits), "test")
+        tracer: Any = self
+        integrator = WhittedIntegrator(self._launcher, self.buffers, config, tracer)
+        return integrator.radiance(self.scene, plan, hits, 0).captured.numpy().copy()
 
-    def _sync(self, scene: Scene, background: tuple[float, float, float]) -> None:
-        self.scene.sync(scene, front_camera(), RenderConfig(background=background))
-        self.scene.sync_rays(scene)
+    def find_hits(self, scene: DeviceScene, rays: RayData, name: str) -> PrimaryHits:
+        """Stands in for the ray tracer's: meshes, and the same Gaussians before all of them."""
+        meshes = self._meshes.find(scene, rays, f"{name}.meshes")
+        self._record(rays, meshes)
+        gaussians = self.buffers.struct(f"{name}.gaussians", GaussianHits, rays.t_max.shape[0])
+        gaussians.color.fill_(self.color)
+        gaussians.transmittance.fill_(self.transmittance)
+        return PrimaryHits(rays, meshes, gaussians)
+
+    def _sync(self, scene: Scene, config: RenderConfig) -> FramePlan:
+        if config != self._config:
+            self.scene, self._config = DeviceScene(self._launcher, Buffers(self._launcher.device), config), config
+        plan = FramePlan.of(config, scene)
+        self.scene.sync(scene, front_camera(), plan)
+        self.scene.begin_sample(None, 0, is_last=True)
+        return plan
 
     def _rays(
         self,
@@ -105,6 +115,7 @@ class RayRig:
         rays = self.buffers.struct("test.rays", RayData, count)
         rays.origin.assign(np.asarray(origins, np.float32))
         rays.direction.assign(np.asarray(directions, np.float32))
+        rays.is_active.assign(np.broadcast_to(np.greater(t_max, t_min), count))
         rays.t_min.assign(np.full(count, t_min, np.float32))
         rays.t_max.assign(np.full(count, t_max, np.float32))
         rays.path_length.zero_()
@@ -112,14 +123,8 @@ class RayRig:
         rays.pixel_key.assign(np.arange(count, dtype=np.uint32))
         return rays
 
-    def _radiance(self, rays: RayData, name: str) -> GaussianHits:
-        self._record(rays)
-        radiance = self.buffers.struct(name, GaussianHits, rays.t_max.shape[0])
-        radiance.color.fill_(self.color)
-        radiance.transmittance.fill_(self.transmittance)
-        return radiance
-
-    def _record(self, rays: RayData) -> None:
-        there = rays.t_max.numpy() > rays.t_min.numpy()
-        fields = ("origin", "direction", "t_max", "path_length", "sample_key")
-        self.waves.append(SimpleNamespace(**{name: getattr(rays, name).numpy()[there] for name in fields}))
+    def _record(self, rays: RayData, meshes: MeshHits) -> None:
+        active = rays.is_active.numpy()
+        fields = ("origin", "direction", "path_length", "sample_key")
+        wave = {name: getattr(rays, name).numpy()[active] for name in fields}
+        self.waves.append(SimpleNamespace(**wave, t_max=meshes.t.numpy()[active]))

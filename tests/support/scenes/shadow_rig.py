@@ -12,8 +12,8 @@ from lumisplat.config import RenderConfig, ShadowConfig
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.ray_queries import whole_packets
-from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -38,8 +38,7 @@ class ShadowRig:
         self._device = device
         self._buffers = Buffers(device)
         self._shadows: dict[RenderConfig, ShadowRays] = {}
-        self._scene = DeviceScene(device)
-        self._trees: dict[RenderConfig, BvhScene] = {}
+        self._scenes: dict[RenderConfig, DeviceScene] = {}
         """By the settings that their bounds depend on."""
 
     def light(
@@ -59,17 +58,18 @@ class ShadowRig:
         """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
         config = replace(config or RenderConfig(), shadow=ShadowConfig(**shadow))
         # Shadow settings and the seed have no part in what is on the device.
-        trees = self._trees.setdefault(replace(config, shadow=ShadowConfig(), seed=0), BvhScene(self._launcher))
-        self._scene.sync(scene, front_camera(), config)
-        self._scene.sync_rays(scene)
-        trees.sync(scene, self._scene, config)
+        bounds = replace(config, shadow=ShadowConfig(), seed=0)
+        if bounds not in self._scenes:
+            self._scenes[bounds] = DeviceScene(self._launcher, Buffers(self._device), config)
+        on_device = self._scenes[bounds]
+        on_device.sync(scene, front_camera(), FramePlan.of_rays(config, scene))
         if config not in self._shadows:
             self._shadows[config] = ShadowRays(self._launcher, Buffers(self._device), config)
         shadows = self._shadows[config]
         origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
         rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
         shadows.begin_sample(sample)
-        light = shadows.trace(self._scene, trees, rays, skipping, "light", opaque=opaque)
+        light = shadows.trace(on_device, rays, skipping, "light", opaque=opaque)
         return light.numpy()[: len(origins)].astype(float)
 
     def _rays(
@@ -78,19 +78,19 @@ class ShadowRig:
         count = max(len(origins), len(directions))
         places = whole_packets(max(count, PACKET_RAYS))
         rays = self._buffers.struct("test.rays", RayData, places)
-        skipping = self._buffers.get("test.skips", wp.int32, places)
+        skipping = self._buffers.get("test.skips", wp.bool, places)
         rays.origin.assign(_padded(np.broadcast_to(origins, (count, 3)), places))
         rays.direction.assign(_padded(np.broadcast_to(directions, (count, 3)), places))
         rays.t_min.assign(_padded(np.broadcast_to(t_min, count), places))
-        # What is not used is no ray.
-        rays.t_max.assign(_padded(np.broadcast_to(t_max, count), places, fill=-np.inf))
+        rays.t_max.assign(_padded(np.broadcast_to(t_max, count), places))
+        rays.is_active.assign(_padded(np.broadcast_to(np.greater(t_max, 0.0), count), places).astype(bool))
         rays.path_length.zero_()
         rays.sample_key.zero_()
-        skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(np.int32))
+        skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(bool))
         return rays, skipping
 
 
-def _padded(rows: np.ndarray, count: int, fill: float = 0.0) -> np.ndarray:
-    padded = np.full((count, *rows.shape[1:]), fill, np.float32)
+def _padded(rows: np.ndarray, count: int) -> np.ndarray:
+    padded = np.zeros((count, *rows.shape[1:]), np.float32)
     padded[: len(rows)] = rows
     return padded

@@ -1,4 +1,4 @@
-"""Data of shading: materials, interactions of rays with surfaces, what rays see. One struct is one noun of the method."""
+"""Data of shading: materials, interactions of rays, and what rays see. One struct is one noun of the method."""
 
 import warp as wp
 

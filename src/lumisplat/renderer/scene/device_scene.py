@@ -29,17 +29,17 @@ class DeviceScene:
 
     Args:
         launcher: Runs what builds hierarchies.
+        buffers: Holds the tables.
         config: Settings; they do not change.
     """
 
-    def __init__(self, launcher: Launcher, config: RenderConfig) -> None:
-        self._launcher, self._config = launcher, config
-        self._buffers = Buffers(launcher.device)
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
-        self._shading = ShadingTables(self._buffers, config, launcher.device)
+        self._shading = ShadingTables(buffers, config, launcher.device)
         self.bvh = BvhScene(launcher)
         """What rays go through to hit Gaussians; up to date where the plan of the frame follows rays."""
         self.assets: list[SplatAsset] = []
@@ -54,7 +54,8 @@ class DeviceScene:
         """Triangles over all instances."""
         self.has_smooth_meshes = False
         """Whether rays go on from some mesh, reflected or refracted."""
-        self._assets_version = 0
+        self.version = 0
+        """Changes whenever the arrays of assets did, so that captured graphs can tell."""
 
     @property
     def mesh_data(self) -> MeshData:
@@ -72,15 +73,9 @@ class DeviceScene:
         return self._shading
 
     @property
-    def version(self) -> tuple[int, int]:
-        """Changes whenever device arrays or what they stand for did, so that captured graphs can tell."""
-        return self._assets_version, self._buffers.allocations
-
-    @property
     def bytes(self) -> int:
-        """Device memory of assets, tables and hierarchies, bytes."""
-        assets = sum(asset.bytes for asset in self.assets) + self._meshes.bytes
-        return assets + self._buffers.bytes + self.bvh.bytes
+        """Device memory of assets and hierarchies, bytes."""
+        return sum(asset.bytes for asset in self.assets) + self._meshes.bytes + self.bvh.bytes
 
     def sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         """Uploads the assets that are new, drops those no longer used, and writes all tables that the plan needs.
@@ -117,9 +112,9 @@ class DeviceScene:
                 self.assets = sync_splat_assets(scene, self.assets, self._launcher.device)
                 self._meshes.sync(scene)
                 self._structure = structure
-                self._assets_version += 1
+                self.version += 1
             if plan.is_sampled and self._meshes.sync_bvhs():
-                self._assets_version += 1
+                self.version += 1
         except DeviceError:
             raise
         except RuntimeError as error:
