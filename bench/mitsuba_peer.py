@@ -37,8 +37,9 @@ def main(name: str) -> None:
     scene, camera = ls.Scene(splats=[gaussians]), preset.camera()
     raster = ls.render(scene, camera, device="cpu").color
     # The peer's rules: Gaussians in the order in which rays enter their hulls, which end at alpha 0.01.
-    trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, min_response=0.01, transmittance_min=MITSUBA_T)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, samples=16)
+    trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=MITSUBA_T)
+    response = ls.ResponseConfig(min_response=0.01)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, response=response, samples=16)
     traced = ls.render(scene, camera, config, device="cpu").color
     row = {
         "peer": f"mitsuba {mi.__version__}",

@@ -82,8 +82,8 @@ def start(method, samples: int, aovs: tuple[str, ...] = ()):
         pipeline=ls.Pipeline.HYBRID,
         max_bounces=0,
         samples=samples,
-        shadow=ls.ShadowConfig(method=method),
-        trace=ls.TraceConfig(jitter=False),
+        shadow_rays=ls.ShadowConfig(method=method),
+        jitter=False,
         aovs=aovs,
     )
     return ls.create_renderer(config, device="cpu")

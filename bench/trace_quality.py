@@ -30,8 +30,7 @@ def convergence() -> dict[str, dict[str, float]]:
     if not BIKER.is_file():
         return {}
     scene, camera = ls.Scene(splats=[ls.load(BIKER)]), TRACE[0].camera()
-    trace = ls.TraceConfig(jitter=False)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
     exact = ls.render(scene, camera, config, device="cpu").color
     rows = {}
     for name, counts in SAMPLES.items():
@@ -40,9 +39,8 @@ def convergence() -> dict[str, dict[str, float]]:
         frame = None
         for samples in counts:
             more = samples - (frame.samples if frame else 0)
-            renderer = ls.create_renderer(
-                replace(config, trace=replace(trace, strategy=strategy), samples=more), device="cpu"
-            )
+            settings = replace(config, trace=ls.TraceConfig(strategy=strategy), samples=more)
+            renderer = ls.create_renderer(settings, device="cpu")
             frame = renderer.render(scene, camera, resume=frame)
             row[str(samples)] = float(-10.0 * np.log10(np.mean((frame.color - exact) ** 2)))
     return rows

@@ -103,25 +103,25 @@ def configured(work: Workplace, monkeypatch: pytest.MonkeyPatch, *args: str) -> 
 
 
 def test_settings_of_the_ray_tracer(work, monkeypatch, caplog):
-    """Every option arrives at its setting; those that both pipelines have at both."""
+    """Every option arrives at its setting; those that several stages have at all of them."""
     config = configured(work, monkeypatch, "render", "@mesh.obj", "--pipeline", "trace", *TRACE_OPTIONS)
     assert config == ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
         samples=3,
+        jitter=False,
         seed=7,
         max_bounces=5,
         raster=ls.RasterConfig(sh_degree=1, transmittance_min=0.01),
         trace=ls.TraceConfig(
             strategy=ls.TraceStrategy.STOCHASTIC_PASS,
             hits_per_pass=32,
-            kernel_degree=4,
-            min_response=0.0113,
             hit_distance=ls.HitDistance.HULL,
             normal_method=ls.NormalMethod.ELLIPSOID,
             sh_degree=1,
             transmittance_min=0.01,
-            jitter=False,
         ),
+        response=ls.ResponseConfig(kernel_degree=4, min_response=0.0113),
+        shadow_rays=ls.ShadowConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=0.01),
     )
     assert not caplog.records
 

@@ -47,7 +47,7 @@ frames = 4
 [animation.lighting]
 relight = false
 
-[animation.lighting.shadow]
+[animation.lighting.shadow_map]
 resolution = 64
 bins = 32
 

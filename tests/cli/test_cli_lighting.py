@@ -52,10 +52,10 @@ background = "none"
 shadows = "soft"
 tone_map = "agx"
 
-[render.trace]
+[render.response]
 min_response = 0.0113
 
-[render.shadow]
+[render.shadow_rays]
 offset = 4
 """
 
@@ -100,8 +100,8 @@ FILE_CONFIG = ls.RenderConfig(
     background=None,
     shadows=ls.Shadows.SOFT,
     tone_map=ls.ToneMap.AGX,
-    trace=ls.TraceConfig(min_response=0.0113),
-    shadow=ls.ShadowConfig(offset=4),
+    response=ls.ResponseConfig(min_response=0.0113),
+    shadow_rays=ls.ShadowConfig(offset=4),
 )
 
 
@@ -147,7 +147,7 @@ def test_every_light_option_arrives(work, monkeypatch):
         shadows=ls.Shadows.SOFT,
         tone_map=ls.ToneMap.NEUTRAL,
         raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
-        shadow=ls.ShadowConfig(
+        shadow_rays=ls.ShadowConfig(
             method=ls.ShadowMethod.STOCHASTIC,
             hits=8,
             offset=2.5,
@@ -296,6 +296,19 @@ def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list
     assert not list(unused_options(config, scene, [], TraceOptions(), LightOptions()))
 
 
+@pytest.mark.parametrize(
+    ("method", "unused"),
+    [(ls.ShadowMethod.EXACT, "--hit-distance, --hits-per-pass"), (ls.ShadowMethod.FIRST_HITS, "--hits-per-pass")],
+    ids=lambda value: getattr(value, "value", None),
+)
+def test_what_shadow_rays_use_of_the_options_of_rays(method: ls.ShadowMethod, unused: str) -> None:
+    """Where Gaussians are hit, if first hits count; how many a traced ray collects, never."""
+    config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=method))
+    rays = TraceOptions(hit_distance="hull", hits_per_pass=8)
+    (line,) = unused_options(config, LAMP, [], rays, LightOptions())
+    assert line == f"not used by --pipeline raster: {unused} (they are of --pipeline trace and hybrid)"
+
+
 def test_lit_pictures_come_out(work):
     """From a scene file with a lamp, through all three pipelines: the mesh is lit, and brighter with more exposure."""
     args = ("render", "@scene.toml", "-o", "@a.png", "--frame", "far", "--device", "cpu", "--background", "black")
@@ -331,18 +344,18 @@ DEFAULTS: dict[str, Any] = {
     "samples": CONFIG.samples,
     "seed": CONFIG.seed,
     "max_bounces": CONFIG.max_bounces,
-    "min_response": CONFIG.trace.min_response,
+    "min_response": CONFIG.response.min_response,
     "hit_distance": CONFIG.trace.hit_distance,
     "normals": CONFIG.trace.normal_method,
     "hits_per_pass": CONFIG.trace.hits_per_pass,
     "lighting": "auto" if CONFIG.lighting is None else CONFIG.lighting,
     "shadows": CONFIG.shadows,
-    "shadow_method": CONFIG.shadow.method,
-    "shadow_hits": CONFIG.shadow.hits,
-    "shadow_offset": CONFIG.shadow.offset,
-    "shadow_offset_absolute": CONFIG.shadow.offset_absolute,
-    "shadow_threshold": CONFIG.shadow.transmittance_threshold,
-    "shadow_color": CONFIG.shadow.color_strength,
+    "shadow_method": CONFIG.shadow_rays.method,
+    "shadow_hits": CONFIG.shadow_rays.hits,
+    "shadow_offset": CONFIG.shadow_rays.offset,
+    "shadow_offset_absolute": CONFIG.shadow_rays.offset_absolute,
+    "shadow_threshold": CONFIG.shadow_rays.transmittance_threshold,
+    "shadow_color": CONFIG.shadow_rays.color_strength,
     "tone_map": CONFIG.tone_map,
     "environment_rotation": 0,
 }
@@ -368,7 +381,7 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown
     assert "environment 1 x image 4 x 2" in shown
     assert "names near, far" in shown
-    assert "pipeline trace background None trace.min_response 0.0113 shadows soft shadow.offset 4" in shown
+    assert "pipeline trace background None response.min_response 0.0113 shadows soft shadow_rays.offset 4" in shown
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.config.renamed import RENAMED
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 WHOLE = "expected a whole number from"
@@ -42,7 +47,9 @@ WHOLE = "expected a whole number from"
         (ls.RenderConfig, {"background": ("r", "g", "b")}, "background is 'r', expected 0.0 to 1.0"),
         (ls.RenderConfig, {"lighting": 1}, "lighting is 1, expected True or False"),
         (ls.RenderConfig, {"shadows": True}, "shadows is True, expected a Shadows such as Shadows.OFF"),
-        (ls.RenderConfig, {"shadow": None}, "shadow is None, expected a ShadowConfig"),
+        (ls.RenderConfig, {"shadow_rays": None}, "shadow_rays is None, expected a ShadowConfig"),
+        (ls.RenderConfig, {"response": ls.TraceConfig()}, "expected a ResponseConfig"),
+        (ls.RenderConfig, {"jitter": 3}, "jitter is 3, expected True or False"),
         (ls.RenderConfig, {"tone_map": "agx"}, "tone_map is 'agx', expected a ToneMap such as ToneMap.AGX"),
         (ls.RenderConfig, {"aovs": "albedo"}, "aovs is 'albedo', expected some of albedo, emission"),
         (ls.RenderConfig, {"aovs": ("depth",)}, "aovs is ('depth',), expected some of"),
@@ -52,6 +59,8 @@ WHOLE = "expected a whole number from"
         (ls.ShadowConfig, {"hits": 17}, "hits is 17, expected 4, 8, 16 or 32"),
         (ls.ShadowConfig, {"offset": -1.0}, "offset is -1.0, expected 0.0 to 100.0"),
         (ls.ShadowConfig, {"offset_absolute": np.inf}, "offset_absolute is inf, expected 0.0 to 1000000.0"),
+        (ls.ShadowConfig, {"hit_distance": "hull"}, "expected a HitDistance such as HitDistance.HULL"),
+        (ls.ShadowConfig, {"transmittance_min": 1.5}, "transmittance_min is 1.5, expected 0.0 to 1.0"),
         (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
         (ls.ShadowConfig, {"color_strength": 6.0}, "color_strength is 6.0, expected 0.0 to 5.0"),
         (ls.RasterConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a RasterStrategy such as"),
@@ -59,19 +68,18 @@ WHOLE = "expected a whole number from"
         (ls.RasterConfig, {"dilation": "0.3"}, "dilation is '0.3', expected 0.0 to 10.0"),
         (ls.RasterConfig, {"dilation": True}, "dilation is True, expected 0.0 to 10.0"),
         (ls.TraceConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),
-        (ls.TraceConfig, {"kernel_degree": 2.5}, f"kernel_degree is 2.5, {WHOLE} 0 to 5"),
-        (ls.TraceConfig, {"kernel_degree": True}, f"kernel_degree is True, {WHOLE} 0 to 5"),
+        (ls.ResponseConfig, {"kernel_degree": 2.5}, f"kernel_degree is 2.5, {WHOLE} 0 to 5"),
+        (ls.ResponseConfig, {"kernel_degree": True}, f"kernel_degree is True, {WHOLE} 0 to 5"),
         (ls.TraceConfig, {"hits_per_pass": 16.0}, "hits_per_pass is 16.0, expected 4, 8, 16 or 32"),
         (ls.TraceConfig, {"hits_per_pass": np.eye(9)}, "expected 4, 8, 16 or 32"),
-        (ls.TraceConfig, {"jitter": 3}, "jitter is 3, expected True or False"),
-        (ls.TraceConfig, {"adaptive_clamping": None}, "adaptive_clamping is None, expected True or False"),
-        (ls.TraceConfig, {"min_response": "a"}, "min_response is 'a', expected 0.0 to 0.97"),
+        (ls.ResponseConfig, {"adaptive_clamping": None}, "adaptive_clamping is None, expected True or False"),
+        (ls.ResponseConfig, {"min_response": "a"}, "min_response is 'a', expected 0.0 to 0.97"),
         (ls.TraceConfig, {"acceptance_scale": 5e-4}, "acceptance_scale is 0.0005, expected 0.001 to 1.0"),
         (ls.AvatarLightingConfig, {"direct": 1.1}, "direct is 1.1, expected 0.0 to 1.0"),
         (ls.AvatarLightingConfig, {"shadows": 1}, "shadows is 1, expected True or False"),
         (ls.AvatarLightingConfig, {"relight": None}, "relight is None, expected True or False"),
         (ls.AvatarLightingConfig, {"light_count": 0}, f"light_count is 0, {WHOLE} 1 to 64"),
-        (ls.AvatarLightingConfig, {"shadow": ls.ShadowConfig()}, "expected a DeepShadowConfig"),
+        (ls.AvatarLightingConfig, {"shadow_map": ls.ShadowConfig()}, "expected a DeepShadowConfig"),
         (ls.AvatarLightingConfig, {"transfer": 1.0}, "transfer is 1.0, expected a RelightConfig"),
         (ls.AvatarLightingConfig, {"estimation": {}}, "estimation is {}, expected a LightEstimationConfig"),
         (ls.LightEstimationConfig, {"radius": 0.0}, "radius is 0.0, expected 1e-06 to"),
@@ -92,6 +100,21 @@ def test_wrong_settings_are_refused(kind: type, settings: dict[str, object], mes
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", [ls.RenderConfig, ls.TraceConfig, ls.AvatarLightingConfig])
+def test_renamed_settings_are_refused_with_their_new_names(kind: type) -> None:
+    """What 0.1 called otherwise, also in ``replace``; the new name is that of a setting."""
+    for old, new in RENAMED[kind.__name__].items():
+        message = f"{kind.__name__}.{old} is now {new}"
+        with pytest.raises(ls.ConfigError, match=f"^{re.escape(message)}$"):
+            kind(**{old: None})
+        with pytest.raises(ls.ConfigError, match=f"^{re.escape(message)}$"):
+            replace(kind(), **{old: None})
+        owner, *path = new.split(".")
+        assert functools.reduce(getattr, path, getattr(ls, owner)()) is not None or path[-1] == "kernel_degree"
+    with pytest.raises(TypeError, match="unexpected keyword argument 'sampels'"):
+        kind(sampels=4)
+
+
 def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
     """Further images count once, in any order and from any iterable."""
     asked = ls.RenderConfig(aovs=(name for name in ("hits", "albedo", "hits")))  # type: ignore[arg-type]
@@ -105,26 +128,30 @@ def test_numbers_of_numpy_are_settings() -> None:
     trace = ls.TraceConfig(
         strategy=ls.TraceStrategy.STOCHASTIC_PASS,
         hits_per_pass=np.int64(8),
-        kernel_degree=two,
         sh_degree=one,
-        min_response=np.float64(0.1),
-        jitter=np.bool_(False),
+        transmittance_min=np.float32(0),
     )
-    background = np.array([0.5, 0.25, 0.0])
     config = ls.RenderConfig(
-        pipeline=ls.Pipeline.TRACE, trace=trace, samples=two, seed=np.uint32(7), max_bounces=one, background=background
+        pipeline=ls.Pipeline.TRACE,
+        trace=trace,
+        response=ls.ResponseConfig(kernel_degree=two, min_response=np.float64(0.1)),
+        samples=two,
+        jitter=np.bool_(False),
+        seed=np.uint32(7),
+        max_bounces=one,
+        background=np.array([0.5, 0.25, 0.0]),
     )
     plain = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
         trace=ls.TraceConfig(
             strategy=ls.TraceStrategy.STOCHASTIC_PASS,
             hits_per_pass=8,
-            kernel_degree=2,
             sh_degree=1,
-            min_response=0.1,
-            jitter=False,
+            transmittance_min=0.0,
         ),
+        response=ls.ResponseConfig(kernel_degree=2, min_response=0.1),
         samples=2,
+        jitter=False,
         seed=7,
         max_bounces=1,
         background=(0.5, 0.25, 0.0),

@@ -24,15 +24,10 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 DEGREES = range(6)
 
 
-def trace_config(**changes: object) -> ls.RenderConfig:
-    """Settings of the ray tracer."""
-    return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(**changes))  # type: ignore[arg-type]
-
-
 def kernel_of(degree: int, min_response: float = 0.0, adaptive: bool = True) -> KernelData:
     """What kernels see of the settings."""
-    config = trace_config(kernel_degree=degree, min_response=min_response, adaptive_clamping=adaptive)
-    return kernel_data(random_gaussians(0, 1), config)
+    response = ls.ResponseConfig(kernel_degree=degree, min_response=min_response, adaptive_clamping=adaptive)
+    return kernel_data(random_gaussians(0, 1), ls.RenderConfig(response=response))
 
 
 def response(degree: int, distance: np.ndarray | float) -> np.ndarray:

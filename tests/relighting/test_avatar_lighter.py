@@ -41,7 +41,7 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
 
 def config(**changes: object) -> ls.AvatarLightingConfig:
     """Small maps, all light direct, nothing relit."""
-    return ls.AvatarLightingConfig(**{"shadow": SHADOW, "direct": 1.0, "relight": False} | changes)  # type: ignore[arg-type]
+    return ls.AvatarLightingConfig(**{"shadow_map": SHADOW, "direct": 1.0, "relight": False} | changes)  # type: ignore[arg-type]
 
 
 def lighter(scene: ls.Scene, lights: object = (LIGHT,), **changes: object) -> ls.AvatarLighter:
@@ -110,9 +110,9 @@ def test_each_set_takes_its_own_shadow() -> None:
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # The same bins for both, and no samples that would depend on a receiver's number.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.ReceiverSampling.CENTER)
-    scene = lighter(ls.Scene(splats=sets), shadow=same).light([puppet()])
+    scene = lighter(ls.Scene(splats=sets), shadow_map=same).light([puppet()])
     assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
-    alone = lighter(ls.Scene(splats=[sets[1]]), shadow=same).light([puppet()])
+    alone = lighter(ls.Scene(splats=[sets[1]]), shadow_map=same).light([puppet()])
     left = [light_left(sets[1].gaussians, s.gaussians) for s in (scene.splats[1], alone.splats[0])]
     assert left[0].min() < 0.05
     np.testing.assert_allclose(left[0], left[1], atol=0.01)
@@ -315,7 +315,7 @@ def test_the_region_walks_with_the_actor() -> None:
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
     near = replace(SHADOW, region_radius=1.2)
-    stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow=near)
+    stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow_map=near)
     stage.light([puppet(-1.5)])
     left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
     assert left[ground.means[:, 0] > 1.2].min() < 0.05
@@ -325,7 +325,7 @@ def test_the_region_walks_with_the_actor() -> None:
 def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     """Nothing is darkened, and a line says why."""
     ground = floor()
-    stage = lighter(ls.Scene(splats=[ground]), shadow=replace(SHADOW, region_radius=0.5))
+    stage = lighter(ls.Scene(splats=[ground]), shadow_map=replace(SHADOW, region_radius=0.5))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         frames = [stage.light([puppet()]) for _ in range(2)]
     assert all(frame.splats[0].gaussians is ground for frame in frames)

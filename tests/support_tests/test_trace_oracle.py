@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumisplat.config import HitDistance, NormalMethod, TraceConfig, TraceStrategy
+from lumisplat.config import HitDistance, NormalMethod, ResponseConfig, TraceConfig, TraceStrategy
 from lumisplat.math.color import encode_srgb
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
@@ -148,7 +148,7 @@ def test_degrees_agree_at_three() -> None:
 )
 def test_reach_is_where_it_ends(degree: int, opacity: float, settings: dict, least: float) -> None:
     """The reach is the distance at which alpha is 1/255 or the response its minimum: hit just inside, not outside."""
-    threshold = response_threshold(np.array([opacity]), TraceConfig(**settings))
+    threshold = response_threshold(np.array([opacity]), ResponseConfig(**settings))
     reach = reach_of(threshold, np.array([degree]))[0]
     assert response(reach, degree) == pytest.approx(least, rel=1e-12)
     gaussians = replace(one_gaussian(scale=0.5, opacity=opacity), kernel_degree=degree)

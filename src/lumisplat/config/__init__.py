@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole
-from lumisplat.config.relighting import NormalEstimate, RelightConfig
-from lumisplat.config.render import (
-    AOVS,
-    Antialiasing,
+from lumisplat.config.raster import Antialiasing, RasterConfig, RasterStrategy
+from lumisplat.config.rays import (
     HitDistance,
     NormalMethod,
-    Pipeline,
-    RasterConfig,
-    RasterStrategy,
-    RenderConfig,
+    ResponseConfig,
     ShadowConfig,
     ShadowMethod,
-    Shadows,
-    ToneMap,
     TraceConfig,
     TraceStrategy,
 )
+from lumisplat.config.relighting import NormalEstimate, RelightConfig
+from lumisplat.config.render import AOVS, Pipeline, RenderConfig, Shadows, ToneMap
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 
 __all__ = [
@@ -40,6 +35,7 @@ __all__ = [
     "ReceiverSampling",
     "RelightConfig",
     "RenderConfig",
+    "ResponseConfig",
     "ShadowConfig",
     "ShadowMethod",
     "Shadows",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole
 from lumisplat.config.relighting import RelightConfig
+from lumisplat.config.renamed import refuse_renamed
 from lumisplat.config.shadow_maps import DeepShadowConfig
 
 
@@ -47,6 +48,7 @@ class LightEstimationConfig:
         check_range("irradiance", self.irradiance, 1e-6, 1e6)
 
 
+@refuse_renamed
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvatarLightingConfig:
     """Settings of an `AvatarLighter`.
@@ -57,8 +59,8 @@ class AvatarLightingConfig:
 
     shadows: bool = True
     """Whether actors darken the captured scene."""
-    shadow: DeepShadowConfig = field(default_factory=DeepShadowConfig)
-    """Of the deep shadow map of each light."""
+    shadow_map: DeepShadowConfig = field(default_factory=DeepShadowConfig)
+    """Settings of the deep shadow map of each light."""
     direct: float = 0.7
     """Share of a receiver's light that comes from the lights, 0..1: the rest is never in shadow. With 1 and one light,
     shadows are as in Mir et al. (2026), black where nothing passes."""
@@ -73,7 +75,7 @@ class AvatarLightingConfig:
 
     def __post_init__(self) -> None:
         check_flag("shadows", self.shadows)
-        check_kind("shadow", self.shadow, DeepShadowConfig)
+        check_kind("shadow_map", self.shadow_map, DeepShadowConfig)
         check_range("direct", self.direct, 0.0, 1.0)
         check_flag("relight", self.relight)
         check_kind("transfer", self.transfer, RelightConfig)

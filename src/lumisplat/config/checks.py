@@ -14,19 +14,19 @@ from lumisplat.errors import ConfigError
 def check_range(name: str, value: object, low: float, high: float) -> None:
     """Raises ConfigError unless ``value`` is a number with ``low <= value <= high`` (NaN never is)."""
     if not is_number(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {told(value)}, expected {low} to {high}")
+        raise ConfigError(f"{name} is {quoted(value)}, expected {low} to {high}")
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:
     """Raises ConfigError unless ``value`` is an integer, Python's or NumPy's, with ``low <= value <= high``."""
     if not is_whole(value) or not low <= value <= high:
-        raise ConfigError(f"{name} is {told(value)}, expected a whole number from {low} to {high}")
+        raise ConfigError(f"{name} is {quoted(value)}, expected a whole number from {low} to {high}")
 
 
 def check_flag(name: str, value: object) -> None:
     """Raises ConfigError unless ``value`` is a bool, Python's or NumPy's."""
     if not isinstance(value, bool | np.bool_):
-        raise ConfigError(f"{name} is {told(value)}, expected True or False")
+        raise ConfigError(f"{name} is {quoted(value)}, expected True or False")
 
 
 def check_enum(name: str, value: object, kind: type[Enum]) -> None:
@@ -34,13 +34,13 @@ def check_enum(name: str, value: object, kind: type[Enum]) -> None:
     if not isinstance(value, kind):
         meant = {member.value: member for member in kind}.get(str(value), next(iter(kind)))
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ConfigError(f"{name} is {told(value)}, expected {article} {kind.__name__} such as {meant}")
+        raise ConfigError(f"{name} is {quoted(value)}, expected {article} {kind.__name__} such as {meant}")
 
 
 def check_kind(name: str, value: object, kind: type) -> None:
     """Raises ConfigError unless ``value`` is a ``kind``."""
     if not isinstance(value, kind):
-        raise ConfigError(f"{name} is {told(value)}, expected a {kind.__name__}")
+        raise ConfigError(f"{name} is {quoted(value)}, expected a {kind.__name__}")
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -53,6 +53,6 @@ def is_whole(value: object) -> TypeGuard[int]:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-def told(value: object) -> str:
+def quoted(value: object) -> str:
     """A value in a message of one line."""
     return str(value) if is_number(value) else " ".join(reprlib.repr(value).split())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_number, told
+from lumisplat.config.checks import is_number, quoted
 from lumisplat.constants import SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
 from lumisplat.math.arrays import FloatArray, float_array, normalised, refuse_rows
@@ -100,7 +100,7 @@ def check_radius(radius: object) -> None:
         ConfigError: ``radius`` is not a finite number above 0.
     """
     if not is_number(radius) or not 0.0 < radius < np.inf:
-        raise ConfigError(f"radius is {told(radius)}, expected metres above 0")
+        raise ConfigError(f"radius is {quoted(radius)}, expected metres above 0")
 
 
 def _instances(subject: Lit) -> Iterator[SplatInstance]:

@@ -57,9 +57,9 @@ class ActorShadows:
         progress: Progress | None = None,
     ) -> None:
         self._receivers, self._lights = list(receivers), tuple(lights)
-        self._direct, self._radius = config.direct, config.shadow.region_radius
+        self._direct, self._radius = config.direct, config.shadow_map.region_radius
         # A map's region stays where its first casters were; actors walk out of it, so the radius is applied here.
-        self._config = replace(config.shadow, region_radius=None)
+        self._config = replace(config.shadow_map, region_radius=None)
         self._device, self._progress = device, progress
         self._turned = MeshesAsGaussians()
         self._maps: list[DeepShadowMap] = []

@@ -83,7 +83,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
-    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.jitter``."""
+    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.strategy``."""
     names = []
     for field in fields(one):
         here, there = getattr(one, field.name), getattr(other, field.name)

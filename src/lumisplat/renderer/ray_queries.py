@@ -77,7 +77,8 @@ class RayQueries:
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._tracer, self._integrator = tracer, integrator
-        self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow=ShadowConfig()), "transmit")
+        exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
+        self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
     def query(self, scene: DeviceScene, plan: FramePlan, origins: FloatArray, directions: FloatArray) -> RayHits:
         """What rays see; ``directions`` are unit vectors."""

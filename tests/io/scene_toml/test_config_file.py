@@ -34,17 +34,20 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
     },
     ls.TraceConfig: {
         "hits_per_pass": HITS,
-        "kernel_degree": st.none() | st.integers(0, 5),
-        "min_response": st.floats(0.0, 0.97),
         "sh_degree": st.integers(0, 3),
         "transmittance_min": between(0.0, 1.0),
         "depth_iso_transmittance": between(0.0, 1.0),
         "acceptance_scale": between(1e-3, 1.0),
     },
+    ls.ResponseConfig: {
+        "kernel_degree": st.none() | st.integers(0, 5),
+        "min_response": st.floats(0.0, 0.97),
+    },
     ls.ShadowConfig: {
         "hits": HITS,
         "offset": between(0.0, 100.0),
         "offset_absolute": between(0.0, 1e6),
+        "transmittance_min": between(0.0, 1.0),
         "transmittance_threshold": st.floats(0.0, 0.99),
         "color_strength": between(0.0, 5.0),
     },
@@ -89,14 +92,18 @@ def test_what_a_file_looks_like(tmp_path: Path) -> None:
     render = document["render"]
     assert set(document) == {"render"} and set(render) == {field.name for field in fields(ls.RenderConfig)}
     assert (render["background"], render["lighting"], render["pipeline"]) == ("none", "auto", "raster")
-    assert render["trace"]["kernel_degree"] == "auto" and render["shadow"]["method"] == "exact"
+    assert render["response"]["kernel_degree"] == "auto" and render["shadow_rays"]["method"] == "exact"
     assert render["aovs"] == ["albedo", "hits"]
 
 
 def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
     """They come back as Python's."""
-    trace = ls.TraceConfig(min_response=np.float64(0.1), jitter=np.bool_(False), kernel_degree=np.int64(4))  # type: ignore[arg-type]
-    config = ls.RenderConfig(trace=trace, samples=np.int32(3), background=np.array([0.5, 0.25, 0.0]))  # type: ignore[arg-type]
+    config = ls.RenderConfig(
+        response=ls.ResponseConfig(min_response=np.float64(0.1), kernel_degree=np.int64(4)),  # type: ignore[arg-type]
+        samples=np.int32(3),  # type: ignore[arg-type]
+        jitter=np.bool_(False),  # type: ignore[arg-type]
+        background=np.array([0.5, 0.25, 0.0]),  # type: ignore[arg-type]
+    )
     ls.save_config(tmp_path / "a.toml", config)
     assert ls.load_config(tmp_path / "a.toml") == config
 
@@ -104,8 +111,10 @@ def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
 def test_settings_of_a_scene_file(tmp_path: Path) -> None:
     """What the file says nothing about stays at its default; the rest of the file does not matter here."""
     text = '[[splats]]\npath = "lost.ply"\n[render]\npipeline = "hybrid"\nbackground = [1, 0.5, 0]\n'
-    text += "[render.shadow]\nhits = 8\n"
-    expected = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, background=(1.0, 0.5, 0.0), shadow=ls.ShadowConfig(hits=8))
+    text += "[render.shadow_rays]\nhits = 8\n"
+    expected = ls.RenderConfig(
+        pipeline=ls.Pipeline.HYBRID, background=(1.0, 0.5, 0.0), shadow_rays=ls.ShadowConfig(hits=8)
+    )
     assert ls.load_config(write_scene(tmp_path, text)) == expected
     assert ls.load_config(write_scene(tmp_path, "# nothing")) == ls.RenderConfig()
 
@@ -129,12 +138,25 @@ def test_settings_of_a_scene_file(tmp_path: Path) -> None:
         ("aovs = ['depth']", "line 2, render: aovs is ('depth',), expected some of albedo"),
         ("aovs = [['hits']]", "line 2, render: aovs is"),
         ("trace = 3", "line 2, render: trace is 3, expected a table"),
-        ("[render.trace]\njitter = 1", "line 3, render.trace: jitter is 1, expected true or false"),
+        ("jitter = 1", "line 2, render: jitter is 1, expected true or false"),
+        ("[render.trace]\njitter = false", "line 3, render.trace: 'jitter' is now render.jitter"),
+        (
+            "[render.trace]\nmin_response = 0.1",
+            "line 3, render.trace: 'min_response' is now render.response.min_response",
+        ),
+        ("[render.shadow]\nmethod = 'exact'", "line 2, render: 'shadow' is now render.shadow_rays"),
+        ("shadow.hits = 8", "line 2, render: 'shadow' is now render.shadow_rays"),
         ("[render.trace]\nhits_per_pass = 17", "line 3, render.trace: hits_per_pass is 17, expected 4, 8, 16 or 32"),
-        ("[render.trace]\nkernel_degree = 'none'", "line 3, render.trace: kernel_degree is 'none', expected a whole"),
+        (
+            "[render.response]\nkernel_degree = 'none'",
+            "line 3, render.response: kernel_degree is 'none', expected a whole",
+        ),
         ("[render.raster]\ndilation = -1", "line 3, render.raster: dilation is -1, expected 0.0 to 10.0"),
-        ("[render.shadow]\nmethod = 'exakt'", "line 3, render.shadow: method is 'exakt', did you mean 'exact'?"),
-        ("[render.shaddow]\n", "line 2, render: unknown 'shaddow', did you mean 'shadow'?"),
+        (
+            "[render.shadow_rays]\nmethod = 'exakt'",
+            "line 3, render.shadow_rays: method is 'exakt', did you mean 'exact'?",
+        ),
+        ("[render.shaddow_rays]\n", "line 2, render: unknown 'shaddow_rays', did you mean 'shadow_rays'?"),
     ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, text: str, problem: str) -> None:

@@ -132,7 +132,7 @@ exposure = 1
 samples = 2
 background = "none"
 aovs = ["hits"]
-[render.shadow]
+[render.shadow_rays]
 offset = 3
 """
 

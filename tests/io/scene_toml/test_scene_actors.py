@@ -42,12 +42,12 @@ def test_everything_of_an_actor_is_read(folder):
         "[[actors.keyframes]]\ntime = 0\nposition = [0, 0, 1]\nscale = 2\n"
         "[[actors.keyframes]]\ntime = 4\nposition = [0, 0, 3]\n"
         "[[cameras]]\neye = [0, 0, 5]\ntarget = [0, 0, 0]\n"
-        "[animation]\nfps = 5\n[animation.lighting]\ndirect = 0.25\nshadow = { bins = 16 }\n",
+        "[animation]\nfps = 5\n[animation.lighting]\ndirect = 0.25\nshadow_map = { bins = 16 }\n",
     )
     (actor,) = animation.actors
     assert (actor.name, actor.clip, actor.speed) == ("one", "carry", 2.0)
     assert not (actor.loop or actor.casts_shadow or actor.relight)
-    assert animation.lighting.direct == 0.25 and animation.lighting.shadow.bins == 16
+    assert animation.lighting.direct == 0.25 and animation.lighting.shadow_map.bins == 16
     assert (animation.fps, animation.frame_count) == (5.0, 20)  # until the last keyframe
     assert len(animation.cameras) == 1
     assert len(animation.scene.splats) == 1
@@ -157,6 +157,10 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation]\nduration = 1e308", "line 5, animation: has inf frames"),
         (ACTOR + "[animation]\nrate = 5", "line 5, animation: unknown 'rate'"),
         (ACTOR + "[animation.lighting]\ndirekt = 0.5", "line 5, animation.lighting: unknown 'direkt', did you mean"),
+        (
+            ACTOR + "[animation.lighting]\nshadow.bins = 16",
+            "line 5, animation.lighting: 'shadow' is now animation.lighting.shadow_map",
+        ),
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],
 )

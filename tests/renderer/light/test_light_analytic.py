@@ -71,7 +71,7 @@ def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipe
     ]
     camera = above()
     samples = 64 if shadows is ls.Shadows.SOFT else 1
-    settings = {"shadows": shadows, "samples": samples, "trace": ls.TraceConfig(jitter=False)}
+    settings = {"shadows": shadows, "samples": samples, "jitter": False}
     frame = lit(ls.Scene((), [floor(matte(0.8))], lights), camera, pipeline, aovs=("lights",), **settings)
     points = floor_points(camera)
     expected = []

@@ -151,12 +151,11 @@ def test_soft_shadows_average_to_the_light() -> None:
 def test_stochastic_splats_average_to_sorted_ones() -> None:
     """In unlit frames, to the blend of all; jitter off, so that only chance differs."""
     captures = replace(scene(), meshes=(), lights=())
-    still = ls.TraceConfig(jitter=False)
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
     chance = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
     errors = []
     for samples in (16, 256):
-        settings = config(ls.Pipeline.RASTER, raster=chance, trace=still, samples=samples)
+        settings = config(ls.Pipeline.RASTER, raster=chance, jitter=False, samples=samples)
         errors.append(
             np.sqrt(np.mean((ls.render(captures, camera(), settings, device="cpu").color - exact.color) ** 2))
         )
@@ -177,8 +176,8 @@ def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
 @pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
 def test_stochastic_samples_are_lit_one_by_one(strategy: ls.TraceStrategy) -> None:
     """Close to the sorted frame on surfaces as thin as these: the mean of lit samples, not a lit mean."""
-    settings = config(trace=ls.TraceConfig(strategy=strategy, jitter=False), shadows=ls.Shadows.OFF, samples=64)
-    exact = replace(settings, trace=ls.TraceConfig(jitter=False), samples=1)
+    settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
+    exact = replace(settings, trace=ls.TraceConfig(), samples=1)
     floor = replace(scene(), meshes=(), splats=scene().splats[:1])
     samples, one = (ls.render(floor, camera(), each, device="cpu") for each in (settings, exact))
     inside = one.alpha > 0.995

@@ -207,10 +207,10 @@ def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
     scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
-    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT, jitter=False)
+    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
     for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), None):
-        common = {"shadows": ls.Shadows.OFF, "background": background}
-        exact = lit(scene, trace=ls.TraceConfig(jitter=False), **common)
+        common = {"shadows": ls.Shadows.OFF, "background": background, "jitter": False}
+        exact = lit(scene, **common)
         mean = lit(scene, trace=chance, samples=256, **common)
         assert 0.6 < exact.alpha.mean() < 0.99
         np.testing.assert_allclose(mean.color.mean(axis=(0, 1)), exact.color.mean(axis=(0, 1)), rtol=0.03)
@@ -234,7 +234,7 @@ def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.P
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
     screen = np.array([[-9.0, -9.0, -3.0], [9.0, -9.0, -3.0], [9.0, 9.0, -3.0], [-9.0, 9.0, -3.0]])
     blocker = ls.Mesh(screen, [[0, 2, 1], [0, 3, 2]])
-    settings = {"samples": samples, "trace": ls.TraceConfig(jitter=True)}
+    settings = {"samples": samples, "jitter": True}
     free = lit(ls.Scene(splats=[stripes], lights=[sun]), pipeline, **settings)
     dark = lit(ls.Scene(splats=[stripes], meshes=[blocker], lights=[sun]), pipeline, **settings)
     # Half of the light is ambient: 0.5 pi of 1.5 pi.

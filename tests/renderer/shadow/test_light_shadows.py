@@ -104,8 +104,7 @@ def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
     ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
     camera = above(height=4.0, eye=(0.0, 0.01), fov_y=0.3, width=64, rows=64)
     scene = ls.Scene((), [floor(matte(0.8)), ball], [light])
-    trace = ls.TraceConfig(jitter=False)
-    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), trace=trace)
+    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), jitter=False)
     assert frame.light_shadow is not None
     points = floor_points(camera)
     distance = np.hypot(points[..., 0], points[..., 2])
@@ -135,8 +134,7 @@ def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
     lid = parallelogram((-9.0, height, 9.0), (9.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
     camera = ls.Camera.look_at((2.0, 1.5, 0.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=64, height=48, fov_y=0.25)
     scene = ls.Scene((), [floor(matte(0.8)), lid], [light])
-    trace = ls.TraceConfig(jitter=False)
-    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), trace=trace)
+    frame = lit(scene, camera, pipeline, shadows=ls.Shadows.SOFT, samples=128, aovs=("lights",), jitter=False)
     assert frame.light_shadow is not None
     x = floor_points(camera)[..., 0]
     on_floor = frame.instance_index == 0
@@ -231,7 +229,7 @@ STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5
 def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.ShadowMethod) -> None:
     """Along each shadow ray the product of 1 - alpha; also of the nearest eight of four, and by chance on average."""
     samples = 64 if method is ls.ShadowMethod.STOCHASTIC else 1
-    settings = {"samples": samples, "shadow": ls.ShadowConfig(method=method), "trace": ls.TraceConfig(jitter=False)}
+    settings = {"samples": samples, "shadow_rays": ls.ShadowConfig(method=method), "jitter": False}
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), **settings)
     assert frame.light_shadow is not None
@@ -260,7 +258,7 @@ def test_opaque_enough_counts_as_black_and_the_rest_is_stretched(pipeline: ls.Pi
     """The threshold of docs/method/shadows.md: (T - threshold) / (1 - threshold), at least 0."""
     shadow = ls.ShadowConfig(transmittance_threshold=0.3)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
-    frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow=shadow)
+    frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow_rays=shadow)
     assert frame.light_shadow is not None
     passed = (1.0 - alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))).prod(axis=0)
     expected = np.clip((passed - 0.3) / 0.7, 0.0, 1.0)
@@ -274,7 +272,7 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
     """Stained glass: towards the mean colour of the Gaussians, brightest channel 1, by strength times darkness."""
     shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
-    frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow=shadow)
+    frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow_rays=shadow)
     assert frame.light_shadow is not None
     each = alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))
     passed = (1.0 - each).prod(axis=0)

@@ -66,7 +66,7 @@ def assert_as_twin(
     t_max = np.where(rng.random(len(origins)) < 0.5, rng.uniform(1.0, 4.0, len(origins)), np.inf)
     t_min, t_max = t_min.astype(np.float32), t_max.astype(np.float32)
     found = rig.light(scene, origins, along, config, t_min=t_min, t_max=t_max, **shadow)
-    twin_config = replace(config, shadow=ls.ShadowConfig(**shadow))
+    twin_config = replace(config, shadow_rays=ls.ShadowConfig(**shadow))
     expected = shadow_oracle.light(scene, origins, along, twin_config, t_min=t_min, t_max=t_max)
     sure = np.isfinite(expected.slack)
     assert sure.mean() > 0.8
@@ -103,10 +103,24 @@ def test_product_is_the_twins(rig: ShadowRig, degree: int) -> None:
     assert_as_twin(rig, scene, seed=10 + degree)
 
 
-@pytest.mark.parametrize("trace", [{"min_response": 0.2}, {"kernel_degree": 5}, {"hit_distance": ls.HitDistance.HULL}])
-def test_product_follows_the_settings_of_rays(rig: ShadowRig, trace: dict[str, Any]) -> None:
+@pytest.mark.parametrize("response", [{"min_response": 0.2}, {"kernel_degree": 5}])
+def test_product_follows_the_response(rig: ShadowRig, response: dict[str, Any]) -> None:
     """Where Gaussians end, and how they respond, is what it is for rays from the camera."""
-    assert_as_twin(rig, placed_scene(), ls.RenderConfig(trace=ls.TraceConfig(**trace)), seed=20)
+    assert_as_twin(rig, placed_scene(), ls.RenderConfig(response=ls.ResponseConfig(**response)), seed=20)
+
+
+def test_product_does_not_depend_on_where_gaussians_are_hit(rig: ShadowRig) -> None:
+    """It is that of all which peak before the light."""
+    assert_as_twin(rig, placed_scene(), seed=20, hit_distance=ls.HitDistance.HULL)
+
+
+def test_settings_of_the_tracer_do_not_steer_shadows(rig: ShadowRig) -> None:
+    """Nor those of the rasteriser: the same bits, of the product and of the first hits."""
+    trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
+    others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
+    for shadow in ({"color_strength": 1.0}, {"method": FIRST, "hits": 4}):
+        plain, same = (rig.light(placed_scene(), *rays_around(22), config, **shadow) for config in (None, others))
+        np.testing.assert_array_equal(plain, same)
 
 
 def test_order_does_not_matter(rig: ShadowRig) -> None:
@@ -127,8 +141,8 @@ def test_darker_than_the_least_transmittance_is_black(rig: ShadowRig) -> None:
     """Above it the product is exact, at it and below there is nothing; without one there is no end."""
     scene = ls.Scene([stack(0.95, 0.95, 0.95)])
     for least, expected in ((1e-4, 0.05**3), (1.2e-4, 0.05**3), (1.3e-4, 0.0), (0.0, 0.05**3)):
-        config = ls.RenderConfig(trace=ls.TraceConfig(transmittance_min=least))
-        assert rig.light(scene, ORIGIN, AHEAD, config)[0] == pytest.approx(np.full(3, expected), rel=1e-4)
+        light = rig.light(scene, ORIGIN, AHEAD, transmittance_min=least)[0]
+        assert light == pytest.approx(np.full(3, expected), rel=1e-4)
 
 
 def test_threads_do_not_change_a_bit() -> None:
@@ -217,8 +231,7 @@ def test_first_hits_never_darken_more(rig: ShadowRig) -> None:
     np.testing.assert_allclose(many, exact, atol=rounding)
     assert (np.abs(many - exact) < 2e-6).mean() > 0.99
     assert_as_twin(rig, placed_scene(), seed=63, method=FIRST, hits=4)
-    hull = ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.HitDistance.HULL))
-    assert_as_twin(rig, placed_scene(), hull, seed=64, method=FIRST, hits=4)
+    assert_as_twin(rig, placed_scene(), seed=64, method=FIRST, hits=4, hit_distance=ls.HitDistance.HULL)
 
 
 # --- Meshes ---
@@ -447,12 +460,12 @@ def test_schedules_draw_the_same() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-@pytest.mark.parametrize("trace", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
+@pytest.mark.parametrize("response", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
 def test_shrunk_trees_change_nothing(
-    rig: ShadowRig, degree: int, trace: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every ray meets in them what it meets in the whole ones, whatever the kernel and the number of instances."""
-    config = ls.RenderConfig(trace=ls.TraceConfig(**trace))
+    config = ls.RenderConfig(response=ls.ResponseConfig(**response))
     asset = replace(random_gaussians(85, 150, center=(0, 0, 0), scale_range=(0.01, 0.4)), kernel_degree=degree)
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.5 + 0.3 * i, (0.2 * i, -0.1 * i, 4.0)) for i in range(3)]
     scene = ls.Scene([*(ls.SplatInstance(asset, pose) for pose in poses), random_gaussians(86, 100)])
@@ -506,8 +519,8 @@ def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
     )
     scene = ls.Scene([floor, one_gaussian((0.0, -0.4, 4.0), 0.25, 0.6)], lights=[ls.LightDirectional((0, 1, 0))])
     camera = ls.Camera.look_at((0.0, -1.0, 0.5), (0.0, 0.3, 4.0), (0, -1, 0), width=24, height=16, fov_y=0.6)
-    still = ls.TraceConfig(jitter=False)  # so that samples differ by their shadows only
-    config = ls.RenderConfig(pipeline=pipeline, trace=still, shadow=ls.ShadowConfig(method=STOCHASTIC))
+    # Without jitter, samples differ by their shadows only.
+    config = ls.RenderConfig(pipeline=pipeline, jitter=False, shadow_rays=ls.ShadowConfig(method=STOCHASTIC))
     renderers = {count: ls.create_renderer(replace(config, samples=count), "cpu") for count in (1, 2, 4)}
     whole = renderers[4].render(scene, camera)
     half = renderers[2].render(scene, camera)

@@ -53,10 +53,9 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 def test_stochastic_frames_converge(data_dir: Path, strategy: ls.TraceStrategy) -> None:
     """The mean of 256 is 40 dB from the sorted frame, of 64 six less: the error falls as the root of their number."""
     scene, camera = view_of(data_dir, "biker.compressed.ply", 160)
-    trace = ls.TraceConfig(jitter=False)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
     exact = ls.render(scene, camera, config, device="cpu").color
-    random = replace(config, trace=replace(trace, strategy=strategy), samples=64)
+    random = replace(config, trace=ls.TraceConfig(strategy=strategy), samples=64)
     some = ls.create_renderer(random, "cpu").render(scene, camera)
     more = ls.create_renderer(replace(random, samples=192), "cpu").render(scene, camera, resume=some)
     assert more.samples == 256

@@ -16,6 +16,7 @@ from lumisplat.renderer.scene.camera_table import subpixel
 from support.compare.images import assert_close
 from support.compare.ways import renderer_of
 from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian, quad, random_gaussians
+from support.scenes.trace_scenes import changed_rays
 
 WAYS = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
 STRATEGIES = list(ls.TraceStrategy)
@@ -40,8 +41,14 @@ def renderer(
     background: tuple[float, float, float] | None = (0.1, 0.2, 0.3),
 ) -> ls.Renderer:
     """One renderer for all tests that need the same."""
-    trace = ls.TraceConfig(strategy=strategy, jitter=jitter)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=background, trace=trace, samples=samples, seed=3)
+    config = ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE,
+        background=background,
+        trace=ls.TraceConfig(strategy=strategy),
+        samples=samples,
+        jitter=jitter,
+        seed=3,
+    )
     return renderer_of(way, config)
 
 
@@ -210,20 +217,19 @@ def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "trace", "names"),
+    ("changes", "names"),
     [
-        ({"seed": 4}, {}, "seed"),
-        ({"max_bounces": 1}, {"jitter": False}, "trace.jitter, max_bounces"),
-        ({}, {"strategy": HIT, "kernel_degree": 4}, "trace.strategy, trace.kernel_degree"),
+        ({"seed": 4}, "seed"),
+        ({"max_bounces": 1, "jitter": False}, "jitter, max_bounces"),
+        ({"strategy": HIT, "kernel_degree": 4}, "trace.strategy, response.kernel_degree"),
     ],
 )
-def test_resume_refuses_other_settings(changes: dict[str, Any], trace: dict[str, Any], names: str) -> None:
+def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> None:
     """All but the number of samples must be as they were; a frame that does not know them is taken at its word."""
     first = renderer("cpu")
     frame = first.render(scene(), view())
     assert frame.config == first.config
-    settings = replace(first.config, trace=replace(first.config.trace, **trace), samples=2, **changes)
-    second = ls.create_renderer(settings, "cpu")
+    second = ls.create_renderer(changed_rays(first.config, samples=2, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=f"they differ in {names}$"):
         second.render(scene(), view(), resume=frame)
     assert second.render(scene(), view(), resume=replace(frame, config=None)).samples == 3

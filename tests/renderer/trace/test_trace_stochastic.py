@@ -16,7 +16,7 @@ from support.oracles import raster_oracle as oracles
 from support.oracles import trace_oracle
 from support.oracles.particle_oracle import world_of
 from support.oracles.trace_oracle import background_of, camera_rays, outcomes_on, trace
-from support.scenes.trace_scenes import Case, copies, small_camera, stochastic_cases, trace_config
+from support.scenes.trace_scenes import Case, changed_rays, copies, small_camera, stochastic_cases, trace_config
 
 HIT, PASS = ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS
 CASES = {case.name: case for case in stochastic_cases()}
@@ -34,12 +34,7 @@ devices = pytest.mark.parametrize("device", DEVICES)
 def random_case(name: str, strategy: ls.TraceStrategy, **changes: object) -> Case:
     """A case with a random strategy, every sample through the pixel's centre."""
     case = CASES[name]
-    return replace(case, config=with_trace(case.config, strategy=strategy, jitter=False, **changes))
-
-
-def with_trace(config: ls.RenderConfig, **changes: object) -> ls.RenderConfig:
-    """Changed settings of the tracer."""
-    return replace(config, trace=replace(config.trace, **changes))  # type: ignore[arg-type]
+    return replace(case, config=changed_rays(case.config, strategy=strategy, jitter=False, **changes))
 
 
 def samples_of(case: Case) -> int:
@@ -201,13 +196,13 @@ def test_wrong_expectations_are_rejected(strategy: ls.TraceStrategy) -> None:
     fainter = ls.Scene([replace(instance.gaussians, opacities=0.95 * instance.gaussians.opacities)])
     wrong = [
         trace_oracle.render(fainter, case.camera, case.config)["color"],
-        trace_oracle.render(case.scene, case.camera, with_trace(case.config, strategy=HIT, acceptance_scale=0.95))[
+        trace_oracle.render(case.scene, case.camera, changed_rays(case.config, strategy=HIT, acceptance_scale=0.95))[
             "color"
         ],
         trace_oracle.render(
             case.scene,
             case.camera,
-            with_trace(case.config, strategy=ls.TraceStrategy.SORTED, transmittance_min=0.5),
+            changed_rays(case.config, strategy=ls.TraceStrategy.SORTED, transmittance_min=0.5),
         )["color"],
     ]
     mean = np.mean([frame.color for frame in frames], axis=0, dtype=np.float64).reshape(-1, 3)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig
+from lumisplat.config import HitDistance, NormalMethod, RenderConfig, ResponseConfig
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, KERNEL_LINEAR_SLOPE
 from lumisplat.scene.scene import Scene
 from support.oracles.mirror_oracle import ROUNDING, Ray, Triangles, triangles_of
@@ -78,7 +78,7 @@ def response(distance: np.ndarray, degree: np.ndarray | int) -> np.ndarray:
     return np.where(degree == 0, linear, np.exp(-4.5 / 3.0**degree * distance**degree))
 
 
-def response_threshold(opacity: np.ndarray, config: TraceConfig) -> np.ndarray:
+def response_threshold(opacity: np.ndarray, config: ResponseConfig) -> np.ndarray:
     """Response below which Gaussians are ignored, (N,); above one for those that never count."""
     inverse = np.divide(1.0, opacity, out=np.full_like(opacity, np.inf), where=opacity > 0.0)
     least = config.min_response * (inverse if config.adaptive_clamping and config.min_response > 0.0 else 1.0)
@@ -102,9 +102,9 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
         gaussians, count = instance.gaussians, instance.gaussians.count
         mean, axes, scales = world_gaussians(instance)
         opacity = gaussians.opacities.astype(np.float64)
-        own = gaussians.kernel_degree if config.trace.kernel_degree is None else config.trace.kernel_degree
-        degree = np.full(count, own)
-        threshold = response_threshold(opacity, config.trace)
+        own, forced = gaussians.kernel_degree, config.response.kernel_degree
+        degree = np.full(count, own if forced is None else forced)
+        threshold = response_threshold(opacity, config.response)
         sh = np.zeros((count, 16, 3))
         sh[:, : min(most, gaussians.sh.shape[1])] = gaussians.sh[:, :most]
         row = {

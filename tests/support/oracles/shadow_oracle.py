@@ -5,7 +5,7 @@ Gaussians are ``particle_oracle``'s. Triangles are all that Moeller and Trumbore
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,11 +41,12 @@ def light(
         scene: What is in the way.
         origins: Shape (N, 3).
         directions: Unit, shape (N, 3).
-        config: Its ``shadow`` and ``trace``.
+        config: Its ``shadow_rays`` and ``response``.
         t_min: Nearer Gaussians do not count; meshes do.
         t_max: Distance of the light.
     """
-    world = world_of(scene, config)
+    trace = replace(config.trace, hit_distance=config.shadow_rays.hit_distance)
+    world = world_of(scene, replace(config, trace=trace))
     count = len(origins)
     rows = [
         one_light(world, Ray(origin, direction, low), high)
@@ -68,14 +69,14 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
     doubtful = every.doubtful | (np.abs(every.peak - t_max) <= error)
     found = picked(every, every.counts & (every.peak < t_max))
     slack = float(every.alpha[doubtful & (every.peak < t_max + error)].sum() + found.alpha_error.sum())
-    shadow = world.config.shadow
+    shadow = world.config.shadow_rays
     if shadow.method is ShadowMethod.FIRST_HITS and len(found) > shadow.hits:
         last, next_one = found.t[shadow.hits - 1 : shadow.hits + 1]
         if next_one - last <= 2.0 * error.max() or doubtful.any():
             return past_meshes, np.inf
         found = picked(found, slice(shadow.hits))
     transmittance = float(np.prod(1.0 - found.alpha))
-    floor = max(world.config.trace.transmittance_min, shadow.transmittance_threshold)
+    floor = max(shadow.transmittance_min, shadow.transmittance_threshold)
     color = past_meshes * shade(transmittance, mean_color(world, found), world.config)
     slope = (1.0 + shadow.color_strength) / (1.0 - shadow.transmittance_threshold)
     near_floor = abs(transmittance - floor) <= slack + 1e-5 * floor
@@ -84,8 +85,8 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
 
 def shade(transmittance: float, color: np.ndarray, config: RenderConfig) -> np.ndarray:
     """Factor of the light that comes through Gaussians of that mean colour, shape (3,)."""
-    shadow = config.shadow
-    if transmittance <= max(config.trace.transmittance_min, shadow.transmittance_threshold):
+    shadow = config.shadow_rays
+    if transmittance <= max(shadow.transmittance_min, shadow.transmittance_threshold):
         return np.zeros(3)
     bright = (transmittance - shadow.transmittance_threshold) / (1.0 - shadow.transmittance_threshold)
     share = min(shadow.color_strength * (1.0 - bright), 1.0)

@@ -56,9 +56,9 @@ class ShadowRig:
         **shadow: Any,
     ) -> np.ndarray:
         """What arrives at the origins, shape (N, 3); ``shadow`` are fields of ``ShadowConfig``."""
-        config = replace(config or RenderConfig(), shadow=ShadowConfig(**shadow))
+        config = replace(config or RenderConfig(), shadow_rays=ShadowConfig(**shadow))
         # Shadow settings and the seed have no part in what is on the device.
-        bounds = replace(config, shadow=ShadowConfig(), seed=0)
+        bounds = replace(config, shadow_rays=ShadowConfig(), seed=0)
         if bounds not in self._scenes:
             self._scenes[bounds] = DeviceScene(self._launcher, Buffers(self._device), config)
         on_device = self._scenes[bounds]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from lumisplat.config import HitDistance, NormalMethod, Pipeline, RenderConfig, TraceConfig
+from lumisplat.config import HitDistance, NormalMethod, Pipeline, RenderConfig
 from lumisplat.demo.shapes import icosphere
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
@@ -46,9 +46,19 @@ def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int
 def trace_config(
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0), bounces: int = 3, **changes: object
 ) -> RenderConfig:
-    """Settings of a traced frame; ``changes`` are fields of ``TraceConfig``."""
-    trace = TraceConfig(**changes)  # type: ignore[arg-type]
-    return RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces, trace=trace)
+    """Settings of a traced frame; ``changes`` as for ``changed_rays``."""
+    config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces)
+    return changed_rays(config, **changes)
+
+
+def changed_rays(config: RenderConfig, **changes: object) -> RenderConfig:
+    """Settings with other fields of ``TraceConfig``, of ``ResponseConfig`` or, of neither, of the frame itself."""
+    groups = {name: {field.name for field in fields(getattr(config, name))} for name in ("trace", "response")}
+    for key, value in changes.items():
+        name = next((name for name, keys in groups.items() if key in keys), None)
+        change = {key: value} if name is None else {name: replace(getattr(config, name), **{key: value})}
+        config = replace(config, **change)  # type: ignore[arg-type]
+    return config
 
 
 def random_ray(rng: np.random.Generator) -> Ray:

@@ -129,7 +129,7 @@ class Animate(DeviceCommand):
             changes["pipeline"] = ls.Pipeline(self.pipeline)
         if self.background is not None:
             changes["background"] = parse_background(self.background)
-        return settled(base, changes | self.trace.changes() | self.light.changes())
+        return settled(base, changes, self.trace.changes(), self.light.changes())
 
     def _animation(self, environment: ls.LightEnvironment | None) -> ls.Animation:
         """The animation of the scene file, with what was given in place of its own."""

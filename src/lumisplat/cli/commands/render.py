@@ -78,7 +78,7 @@ class Render(DeviceCommand):
     sh_degree: Annotated[int | None, setting("0..3", "3")] = None
     """Highest degree of view-dependent colour."""
     transmittance_min: Annotated[float | None, setting("0..1", "0.0001")] = None
-    """A pixel is finished where less than this of what lies behind would show."""
+    """Pixels and rays, also rays to lights, end where less than this of what lies behind would show."""
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
     stats: Flag = False
@@ -121,19 +121,23 @@ class Render(DeviceCommand):
 
     def _config(self, base: ls.RenderConfig, aovs: tuple[str, ...]) -> ls.RenderConfig:
         """The settings of the scene file, and what was given in their place."""
-        shared = without_none({"sh_degree": self.sh_degree, "transmittance_min": self.transmittance_min})
+        end = without_none({"transmittance_min": self.transmittance_min})
+        shared = without_none({"sh_degree": self.sh_degree}) | end
         raster = {
             "strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy),
             "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),
         }
-        changes: dict[str, Any] = {"aovs": (*base.aovs, *aovs), "raster": without_none(raster) | shared}
+        changes: dict[str, Any] = {
+            "aovs": (*base.aovs, *aovs),
+            "raster": without_none(raster) | shared,
+            "trace": shared,
+            "shadow_rays": end,
+        }
         if self.pipeline is not None:
             changes["pipeline"] = ls.Pipeline(self.pipeline)
         if self.background is not None:
             changes["background"] = parse_background(self.background)
-        changes |= self.trace.changes()
-        changes["trace"] |= shared
-        return settled(base, changes | self.light.changes())
+        return settled(base, changes, self.trace.changes(), self.light.changes())
 
     def _loaded_cameras(self, path: Path | None) -> list[ls.Camera]:
         """The cameras of a file; none where there is no file, or where a scene file leaves the choice open."""

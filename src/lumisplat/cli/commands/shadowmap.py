@@ -74,7 +74,7 @@ class ShadowMap(DeviceCommand):
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
         config = ls.AvatarLightingConfig(
-            shadow=self._map_config(), relight=False, **without_none({"direct": self.direct})
+            shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
         scene = ls.Scene(splats=(ls.SplatInstance(capture),))
         lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device)

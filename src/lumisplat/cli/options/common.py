@@ -109,17 +109,19 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> 
     return ls.Scene(splats=tuple(splats), meshes=tuple(meshes), lights=tuple(lights))
 
 
-def settled(base: ls.RenderConfig, changes: Mapping[str, Any]) -> ls.RenderConfig:
-    """Settings with those that were given, nested as the settings are.
+def settled(base: ls.RenderConfig, *changes: Mapping[str, Any]) -> ls.RenderConfig:
+    """Settings with those that were given, nested as the settings are; later changes win.
 
     Raises:
         ConfigError: A value is out of its range.
     """
-    nested = {
-        name: replace(getattr(base, name), **value) if isinstance(value, Mapping) else value
-        for name, value in changes.items()
-    }
-    return replace(base, **nested)
+    for change in changes:
+        nested = {
+            name: replace(getattr(base, name), **value) if isinstance(value, Mapping) else value
+            for name, value in change.items()
+        }
+        base = replace(base, **nested)
+    return base
 
 
 def without_none(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -55,12 +55,12 @@ class LightOptions:
     """Turns --environment about the vertical, counter-clockwise seen from above."""
 
     def changes(self) -> dict[str, Any]:
-        """What was given, by the names of `lumisplat.RenderConfig`; what is of its ``shadow`` in a dictionary there.
+        """What was given, by the names of `lumisplat.RenderConfig`, that of a group in a dictionary there.
 
         Raises:
             ConfigError: A value is out of its range.
         """
-        shadow = {
+        shadow_rays = {
             "method": self.shadow_method and ls.ShadowMethod(self.shadow_method),
             "hits": self.shadow_hits,
             "offset": self.shadow_offset,
@@ -71,7 +71,7 @@ class LightOptions:
         settings = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
-            "shadow": without_none(shadow),
+            "shadow_rays": without_none(shadow_rays),
         }
         lighting = {} if self.lighting is None else {"lighting": _LIGHTING[self.lighting]}
         return lighting | without_none(settings)

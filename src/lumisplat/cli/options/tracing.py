@@ -32,7 +32,8 @@ class TraceOptions:
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
     """Gaussians end where their response times opacity falls to this, if they do not at 1/255 before."""
     hit_distance: Annotated[Literal["peak", "hull"] | None, setting("{peak,hull}", "peak")] = None
-    """Where a ray hits a Gaussian: at its largest response, or where it enters it."""
+    """Where a ray hits a Gaussian: at its largest response, or where it enters it. Also which Gaussians are the first
+    for --shadow-method first-hits."""
     normals: Annotated[Literal["plane", "ellipsoid"] | None, setting("{plane,ellipsoid}", "plane")] = None
     """Normal of a Gaussian: of its plane of largest density, or of its ellipsoid where the ray enters."""
     hits_per_pass: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
@@ -41,22 +42,27 @@ class TraceOptions:
     """All samples through the centre of the pixel: edges stay hard."""
 
     def changes(self) -> dict[str, Any]:
-        """What was given, by the names of `lumisplat.RenderConfig`; what is of its ``trace`` in a dictionary there.
+        """What was given, by the names of `lumisplat.RenderConfig`, that of a group in a dictionary there.
 
         Raises:
             ConfigError: A value is out of its range.
         """
+        hit_distance = self.hit_distance and ls.HitDistance(self.hit_distance)
         trace = {
             "strategy": self.strategy and ls.TraceStrategy(self.strategy),
             "hits_per_pass": self.hits_per_pass,
-            "kernel_degree": self.kernel_degree,
-            "min_response": self.min_response,
-            "hit_distance": self.hit_distance and ls.HitDistance(self.hit_distance),
+            "hit_distance": hit_distance,
             "normal_method": self.normals and ls.NormalMethod(self.normals),
-            "jitter": False if self.no_jitter else None,
         }
-        rays = {name: getattr(self, name) for name in ("samples", "seed", "max_bounces")}
-        return without_none({**rays, "trace": without_none(trace)})
+        response = {"kernel_degree": self.kernel_degree, "min_response": self.min_response}
+        frame = {
+            "samples": self.samples,
+            "jitter": False if self.no_jitter else None,
+            "seed": self.seed,
+            "max_bounces": self.max_bounces,
+        }
+        groups = {"trace": trace, "response": response, "shadow_rays": {"hit_distance": hit_distance}}
+        return without_none(frame) | {name: without_none(group) for name, group in groups.items()}
 
 
 TraceGroup = Annotated[TraceOptions, arg(name="ray"), OmitArgPrefixes]

@@ -10,7 +10,7 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.tracing import TraceOptions
 
 _OF_SAMPLES = ("samples", "seed", "no_jitter")
-_OF_SHADOW_RAYS = ("kernel_degree", "min_response", "hits_per_pass")
+_OF_SHADOW_RAYS = ("kernel_degree", "min_response")
 _OF_SHADOWS = ("shadow_method", "shadow_hits", "shadow_offset", "shadow_offset_absolute", "shadow_threshold")
 
 
@@ -36,6 +36,7 @@ def unused_options(
             used += _OF_SAMPLES
         if shadowed:
             used += _OF_SHADOW_RAYS
+            used += ("hit_distance",) if config.shadow_rays.method is ls.ShadowMethod.FIRST_HITS else ()
         unused = [option for option in given_options(trace) if option not in given_options(trace, used)]
         if unused:
             yield f"not used by --pipeline raster: {', '.join(unused)} (they are of --pipeline trace and hybrid)"

@@ -24,7 +24,7 @@ _LOOK = ls.RenderConfig(
     pipeline=ls.Pipeline.HYBRID,
     shadows=ls.Shadows.SOFT,
     # On average as bright as exact shadows, and twice as fast: with this many samples, nobody sees the difference.
-    shadow=ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
+    shadow_rays=ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
     tone_map=ls.ToneMap.NEUTRAL,
     samples=_SAMPLES,
     max_bounces=6,

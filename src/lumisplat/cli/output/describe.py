@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
 import lumisplat as ls
@@ -145,7 +145,7 @@ def changed_settings(config: ls.RenderConfig) -> str:
     said = []
     for field in fields(config):
         value, rest = getattr(config, field.name), getattr(default, field.name)
-        if isinstance(value, ls.RasterConfig | ls.TraceConfig | ls.ShadowConfig):
+        if is_dataclass(value):
             names = [one.name for one in fields(value) if getattr(value, one.name) != getattr(rest, one.name)]
             said += [f"{field.name}.{name} {_shown(getattr(value, name))}" for name in names]
         elif value != rest:

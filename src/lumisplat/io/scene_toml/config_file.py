@@ -5,7 +5,7 @@ pipeline = "hybrid"             # an enum by its value
 lighting = "auto"               # None by a word: "auto", of the background "none"
 samples = 16
 
-[render.shadow]
+[render.shadow_rays]
 color_strength = 1.0
 """
 
@@ -21,6 +21,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 
 from lumisplat.config import RenderConfig
+from lumisplat.config.renamed import RENAMED
 from lumisplat.errors import ConfigError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
@@ -30,6 +31,9 @@ _Config = TypeVar("_Config")
 
 _NOTHING = {"background": "none"}
 """How None is written, by setting; "auto" for all others."""
+
+_TABLE_OF = {"RenderConfig": "render", "AvatarLightingConfig": "animation.lighting"}
+"""The table of a scene file that holds the fields of a class."""
 
 
 def read_config(document: TomlTable) -> RenderConfig:
@@ -61,6 +65,10 @@ def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
         FormatError: An unknown setting, or a bad value.
     """
     hints = get_type_hints(kind)
+    renamed = RENAMED.get(kind.__name__, {})
+    for key in table.values:
+        if key in renamed:
+            raise table.error(f"{key!r} is now {_toml_path(renamed[key])}", key)
     table.check_keys(hints)
     try:
         return kind(**{key: _setting(table, key, hints[key]) for key in table.values})
@@ -90,6 +98,12 @@ def _setting(table: TomlTable, key: str, hint: Any) -> Any:
             raise table.error(f"{key} is {value!r}, {suggestion(value, members)}", key)
         return members[value]
     return tuple(value) if get_origin(hint) is tuple and isinstance(value, list) else value
+
+
+def _toml_path(path: str) -> str:
+    """A setting as TOML names it: ``render.jitter`` for ``RenderConfig.jitter``."""
+    kind, _, field = path.partition(".")
+    return f"{_TABLE_OF[kind]}.{field}"
 
 
 def _lines(config: Any, name: str) -> Iterator[str]:

@@ -98,7 +98,7 @@ class DeviceScene:
         self._sample["index"], self._sample["is_last"] = index, is_last
         self.sample.assign(self._sample)
         if camera is not None:
-            self.camera.assign(camera_table(camera, subpixel(index if self._config.trace.jitter else 0)))
+            self.camera.assign(camera_table(camera, subpixel(index if self._config.jitter else 0)))
 
     def texture_first(self, texture: np.ndarray) -> int:
         """First texel of a texture among those of all meshes."""

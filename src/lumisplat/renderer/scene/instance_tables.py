@@ -99,10 +99,10 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
     """How the Gaussians of a capture respond to rays: by the setting, or by the capture's own degree."""
-    trace = config.trace
+    response = config.response
     kernel = KernelData()
-    kernel.degree = gaussians.kernel_degree if trace.kernel_degree is None else trace.kernel_degree
+    kernel.degree = gaussians.kernel_degree if response.kernel_degree is None else response.kernel_degree
     kernel.falloff = KERNEL_LINEAR_SLOPE if kernel.degree == 0 else 4.5 / 3.0**kernel.degree
-    kernel.min_response = trace.min_response
-    kernel.adaptive = int(trace.adaptive_clamping)
+    kernel.min_response = response.min_response
+    kernel.adaptive = int(response.adaptive_clamping)
     return kernel

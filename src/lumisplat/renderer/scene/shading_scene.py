@@ -111,8 +111,8 @@ class ShadingTables:
         row["has_shadow_only"] = plan.has_shadow_only
         row["light_count"] = self._table.count
         row["soft"] = config.shadows is Shadows.SOFT
-        row["shadow_offset"] = config.shadow.offset
-        row["shadow_offset_absolute"] = config.shadow.offset_absolute
+        row["shadow_offset"] = config.shadow_rays.offset
+        row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
         return table
 
 

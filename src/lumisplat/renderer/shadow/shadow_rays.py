@@ -33,7 +33,7 @@ class ShadowRays:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         self._kernel = shadow_kernel_of(launcher, config)
-        self._is_stochastic = config.shadow.method is ShadowMethod.STOCHASTIC
+        self._is_stochastic = config.shadow_rays.method is ShadowMethod.STOCHASTIC
         self._stochastic_bvh = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
@@ -94,18 +94,18 @@ class ShadowRays:
 
 def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that takes shadow rays through Gaussians on a device."""
-    hits = config.shadow.hits if config.shadow.method is ShadowMethod.FIRST_HITS else 0
+    hits = config.shadow_rays.hits if config.shadow_rays.method is ShadowMethod.FIRST_HITS else 0
     return gaussian_shadow_kernels.shadow_kernel(1 if launcher.is_parallel else PACKET_RAYS, hits)
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the settings of shadow rays from."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
-    row["stochastic"] = config.shadow.method is ShadowMethod.STOCHASTIC
-    is_first = config.shadow.method is ShadowMethod.FIRST_HITS
-    row["hull"] = is_first and config.trace.hit_distance is HitDistance.HULL
-    row["transmittance_min"] = config.trace.transmittance_min
-    row["threshold"] = config.shadow.transmittance_threshold
-    row["color_strength"] = config.shadow.color_strength
+    row["stochastic"] = config.shadow_rays.method is ShadowMethod.STOCHASTIC
+    is_first = config.shadow_rays.method is ShadowMethod.FIRST_HITS
+    row["hull"] = is_first and config.shadow_rays.hit_distance is HitDistance.HULL
+    row["transmittance_min"] = config.shadow_rays.transmittance_min
+    row["threshold"] = config.shadow_rays.transmittance_threshold
+    row["color_strength"] = config.shadow_rays.color_strength
     row["seed"] = config.seed
     return table

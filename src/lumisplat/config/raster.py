@@ -1,0 +1,62 @@
+"""Settings of the rasteriser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from lumisplat.config.checks import check_enum, check_range, check_whole
+from lumisplat.constants import DEPTH_ISO_TRANSMITTANCE, DILATION_PX2, SH_DEGREE_MAX, TRANSMITTANCE_MIN
+
+
+class RasterStrategy(Enum):
+    """How the rasteriser turns the splats of a pixel into one colour."""
+
+    SORTED = "sorted"
+    """Blends all of them front to back: no noise."""
+    STOCHASTIC = "stochastic"
+    """Accepts each splat with its alpha as probability; the nearest accepted one is the sample. Nothing is sorted, and
+    the mean over samples converges to the exact colour."""
+
+
+class Antialiasing(Enum):
+    """Mip-Splatting's opacity compensation for the screen-space dilation (Yu et al. 2024)."""
+
+    AUTO = "auto"
+    """As each capture's own ``antialiased`` flag says."""
+    OFF = "off"
+    ON = "on"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RasterConfig:
+    """Settings of the rasteriser.
+
+    Read by ``Pipeline.RASTER``, and by ``Pipeline.HYBRID`` for what the camera sees directly. Rays do not read them:
+    of what mirrors and glass show in a hybrid frame, `TraceConfig` has its own ``sh_degree``, ``transmittance_min`` and
+    ``depth_iso_transmittance``.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    strategy: RasterStrategy = RasterStrategy.SORTED
+    """How the splats of a pixel become its colour."""
+    antialiasing: Antialiasing = Antialiasing.AUTO
+    """When to compensate opacity for the dilation."""
+    dilation: float = DILATION_PX2
+    """Variance added to the projected covariance, pixel^2, 0..10."""
+    sh_degree: int = SH_DEGREE_MAX
+    """Highest SH degree that is evaluated, 0..3."""
+    transmittance_min: float = TRANSMITTANCE_MIN
+    """A pixel is finished before the Gaussian that would lower its transmittance to this, 0..1."""
+    depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
+    """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this, 0..1."""
+
+    def __post_init__(self) -> None:
+        check_enum("strategy", self.strategy, RasterStrategy)
+        check_enum("antialiasing", self.antialiasing, Antialiasing)
+        check_range("dilation", self.dilation, 0.0, 10.0)
+        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
+        check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)

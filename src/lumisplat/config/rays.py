@@ -1,0 +1,177 @@
+"""Settings of rays: how Gaussians respond to all of them, how rays from the camera and rays to lights are followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from lumisplat.config.checks import check_enum, check_flag, check_range, check_whole, is_whole, quoted
+from lumisplat.config.renamed import refuse_renamed
+from lumisplat.constants import (
+    DEPTH_ISO_TRANSMITTANCE,
+    HITS_PER_PASS,
+    KERNEL_DEGREE_MAX,
+    SH_DEGREE_MAX,
+    SHADOW_OFFSET,
+    TRANSMITTANCE_MIN,
+)
+from lumisplat.errors import ConfigError
+
+_HIT_COUNTS = (4, 8, 16, 32)
+
+
+class TraceStrategy(Enum):
+    """How a ray turns the Gaussians that it hits into one colour."""
+
+    SORTED = "sorted"
+    """Blends all of them in order, until the transmittance is used up: no noise."""
+    STOCHASTIC_HIT = "stochastic-hit"
+    """Accepts each Gaussian with its alpha as probability; the nearest accepted one is the sample (Hu et al.
+    2025, equations 7-8)."""
+    STOCHASTIC_PASS = "stochastic-pass"
+    """Blends the next ``hits_per_pass`` Gaussians in order; the pass is accepted with its opacity as probability."""
+
+
+class HitDistance(Enum):
+    """Where along a ray a Gaussian is hit: the distance by which hits are ordered."""
+
+    PEAK = "peak"
+    """Where its response is largest."""
+    HULL = "hull"
+    """Where the ray enters the ellipsoid outside which the Gaussian is ignored."""
+
+
+class NormalMethod(Enum):
+    """Normal of a single Gaussian."""
+
+    PLANE = "plane"
+    """Of the plane that approximates its largest densities (Kheradmand et al. 2025)."""
+    ELLIPSOID = "ellipsoid"
+    """Of the ellipsoid outside which it is ignored, where the ray enters it."""
+
+
+class ShadowMethod(Enum):
+    """How a shadow ray finds the transmittance of Gaussians."""
+
+    EXACT = "exact"
+    """The product over all Gaussians on the ray."""
+    FIRST_HITS = "first-hits"
+    """The product over the nearest ``hits`` only, as in NVIDIA's single pass: at times too bright."""
+    STOCHASTIC = "stochastic"
+    """All or nothing: each Gaussian blocks with its alpha as probability, for all rays of a sample alike
+    (docs/method/shadows.md#stochastic-shadows): few samples show blotches. As bright as exact on average, and
+    faster the larger the image is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResponseConfig:
+    """How Gaussians respond to rays, and where they end.
+
+    Read by every ray: from the camera (``Pipeline.TRACE``), from mirrors and glass (``TRACE`` and ``HYBRID``), and to
+    lights (all pipelines). The rasteriser draws every capture with degree 2, to where its alpha is 1/255.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    kernel_degree: int | None = None
+    """Exponent of the distance in the response, 0 (linear) to 5 (quintic), 2 is Gaussian; None: each capture's own."""
+    min_response: float = 0.0
+    """A Gaussian ends where its response falls to this, 0..0.97, if its alpha has not fallen to 1/255 before. 0.0113 is
+    NVIDIA's figure, about the response at three standard deviations."""
+    adaptive_clamping: bool = True
+    """Whether ``min_response`` limits the response times the opacity instead of the response alone."""
+
+    def __post_init__(self) -> None:
+        if self.kernel_degree is not None:
+            check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
+        check_range("min_response", self.min_response, 0.0, 0.97)
+        check_flag("adaptive_clamping", self.adaptive_clamping)
+
+
+@refuse_renamed
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceConfig:
+    """Settings of the ray tracer.
+
+    Read by ``Pipeline.TRACE``, by ``trace_rays`` and ``transmittance``, and by ``Pipeline.HYBRID`` for what mirrors and
+    glass show. Shadow rays do not read them, see `ShadowConfig`.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    strategy: TraceStrategy = TraceStrategy.SORTED
+    """How the Gaussians on a ray become its colour."""
+    hits_per_pass: int = HITS_PER_PASS
+    """Gaussians that a ray collects in a pass, k: one of 4, 8, 16, 32. Of ``STOCHASTIC_PASS``, how many a sample shows;
+    images of the other strategies do not depend on it, only their cost."""
+    hit_distance: HitDistance = HitDistance.PEAK
+    """Where along a ray a Gaussian is hit."""
+    normal_method: NormalMethod = NormalMethod.PLANE
+    """Normal of a single Gaussian."""
+    sh_degree: int = SH_DEGREE_MAX
+    """Highest SH degree that is evaluated, 0..3."""
+    transmittance_min: float = TRANSMITTANCE_MIN
+    """A sorted ray ends behind the Gaussian at which its transmittance falls to this, 0..1: at most so much is lost."""
+    depth_iso_transmittance: float = DEPTH_ISO_TRANSMITTANCE
+    """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this, 0..1."""
+    acceptance_scale: float = 1.0
+    """Random numbers of ``STOCHASTIC_HIT`` are scaled by this, 0.001 to 1: below 1 it accepts sooner, which is
+    faster and biased towards opaque (Hu et al. 2025, figure 4)."""
+
+    def __post_init__(self) -> None:
+        check_enum("strategy", self.strategy, TraceStrategy)
+        _check_hits("hits_per_pass", self.hits_per_pass)
+        check_enum("hit_distance", self.hit_distance, HitDistance)
+        check_enum("normal_method", self.normal_method, NormalMethod)
+        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
+        check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
+        check_range("acceptance_scale", self.acceptance_scale, 1e-3, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadowConfig:
+    """Settings of shadow rays, those from a lit point to a light; the defaults are exact.
+
+    Read by lit frames of all pipelines, unless ``RenderConfig.shadows`` is ``OFF``.
+
+    Raises:
+        ConfigError: A value is of the wrong type or outside its range.
+    """
+
+    method: ShadowMethod = ShadowMethod.EXACT
+    """How the transmittance of Gaussians is found."""
+    hits: int = HITS_PER_PASS
+    """Gaussians that ``FIRST_HITS`` counts: 4, 8, 16 or 32."""
+    hit_distance: HitDistance = HitDistance.PEAK
+    """Where along a shadow ray a Gaussian is hit: which ones are the first of ``FIRST_HITS``. The other methods do not
+    depend on it."""
+    offset: float = SHADOW_OFFSET
+    """A splat surface is not shadowed by Gaussians nearer than this many times its own largest scale, 0..100."""
+    offset_absolute: float = 0.0
+    """Added to that, scene units, 0..1e6."""
+    transmittance_min: float = TRANSMITTANCE_MIN
+    """A shadow ray ends where its transmittance falls to this, 0..1, and counts as black: an early exit. To darken
+    shadows on purpose, raise ``transmittance_threshold``."""
+    transmittance_threshold: float = 0.0
+    """A transmittance below this counts as black, and the rest is stretched to 0..1; 0 (none) to 0.99."""
+    color_strength: float = 0.0
+    """How much partial shadows take on the colour of the Gaussians in the way, 0..5: stained glass."""
+
+    def __post_init__(self) -> None:
+        check_enum("method", self.method, ShadowMethod)
+        _check_hits("hits", self.hits)
+        check_enum("hit_distance", self.hit_distance, HitDistance)
+        check_range("offset", self.offset, 0.0, 100.0)
+        check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
+        check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
+        check_range("transmittance_threshold", self.transmittance_threshold, 0.0, 0.99)
+        check_range("color_strength", self.color_strength, 0.0, 5.0)
+
+
+def _check_hits(name: str, value: object) -> None:
+    """Raises ConfigError unless ``value`` is one of the numbers of hits that kernels hold."""
+    if not is_whole(value) or value not in _HIT_COUNTS:
+        raise ConfigError(f"{name} is {quoted(value)}, expected 4, 8, 16 or 32")
