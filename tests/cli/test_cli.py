@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.cli.options.framing import framing_camera
+from lumisplat.cli.input.framing import framing_camera
 from lumisplat.cli.output.console import progress_bars
 from lumisplat.io.images.image import read_image
 from support.files.cli_files import Workplace

@@ -14,8 +14,8 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.output.frame_folder import STAMP
-from lumisplat.cli.output.named_files import file_marks
 from lumisplat.renderer.renderer import Renderer
 from support.files.cli_files import Workplace
 

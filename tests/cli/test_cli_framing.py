@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.options.framing import bulk_bounds, framing_camera
+from lumisplat.cli.input.framing import bulk_bounds, framing_camera
 from lumisplat.cli.output.pictures import file_stems, plan_shots
 from lumisplat.frame.views import layer_pictures
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians

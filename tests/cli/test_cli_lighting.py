@@ -11,9 +11,9 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.options.common import settled
 from lumisplat.cli.options.lighting import LightOptions
-from lumisplat.cli.options.tracing import TraceOptions
+from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.options.settings import changed_config
 from lumisplat.cli.options.unused import unused_options
 from lumisplat.io.images.image import read_image, write_exr
 from support.files.cli_files import Workplace
@@ -246,7 +246,7 @@ def test_two_environments_of_two_files(work):
 
 
 LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])  # type: ignore[arg-type]
-RAYS = TraceOptions(samples=4, seed=1, no_jitter=True, kernel_degree=4, max_bounces=2, normals="ellipsoid")
+RAYS = RayOptions(samples=4, seed=1, no_jitter=True, kernel_degree=4, max_bounces=2, normals="ellipsoid")
 LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
 
 
@@ -291,9 +291,9 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
 )
 def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
     """A line for each reason; what a frame uses is not in it, and what it always uses never."""
-    config = settled(ls.RenderConfig(), settings)
+    config = changed_config(ls.RenderConfig(), settings)
     assert list(unused_options(config, scene, ["--antialiasing"], RAYS, LIGHT)) == lines
-    assert not list(unused_options(config, scene, [], TraceOptions(), LightOptions()))
+    assert not list(unused_options(config, scene, [], RayOptions(), LightOptions()))
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list
 def test_what_shadow_rays_use_of_the_options_of_rays(method: ls.ShadowMethod, unused: str) -> None:
     """Where Gaussians are hit, if first hits count; how many a traced ray collects, never."""
     config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=method))
-    rays = TraceOptions(hit_distance="hull", hits_per_pass=8)
+    rays = RayOptions(hit_distance="hull", hits_per_pass=8)
     (line,) = unused_options(config, LAMP, [], rays, LightOptions())
     assert line == f"not used by --pipeline raster: {unused} (they are of --pipeline trace and hybrid)"
 
@@ -363,7 +363,7 @@ DEFAULTS: dict[str, Any] = {
 
 def test_the_help_tells_the_defaults_of_the_library() -> None:
     """What an option is called to be without, is what the settings are; none is forgotten here."""
-    told = hints(Render) | hints(TraceOptions) | hints(LightOptions)
+    told = hints(Render) | hints(RayOptions) | hints(LightOptions)
     expected = {name: getattr(value, "value", value) for name, value in DEFAULTS.items()}
     assert told == {name: f"{value:f}".rstrip("0") if value == 1e-4 else str(value) for name, value in expected.items()}
 

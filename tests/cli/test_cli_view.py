@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.options.view import FrameWriter
+from lumisplat.cli.output.frame_writer import FrameWriter
 from lumisplat.io.images.image import read_image
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import front_camera

@@ -58,6 +58,7 @@ LAYERS = (
     "relighting",
     "public",
     "cli.output",
+    "cli.input",
     "cli.options",
     "cli.commands",
     "cli",

@@ -1,6 +1,6 @@
-"""The command line: ``lumisplat render | animate | info | convert | demo | bench | metrics | relight``.
+"""The command line: ``lumisplat render | animate | info | convert | demo | bench | metrics | relight | shadowmap``.
 
-A front end on the public names of the package. A user's mistake ends as one line on standard error and exit status 2.
+It uses public names of the package only. A user's mistake ends as one line on standard error and exit status 2.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
-from lumisplat.cli.options.argument_errors import ArgumentsError, panels_as_errors
-from lumisplat.cli.options.common import Command
+from lumisplat.cli.options.command import Command
+from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
 
@@ -66,12 +66,12 @@ def main(args: Sequence[str] | None = None) -> int:
         Exit status: 0, 2 after a user's mistake, 130 when interrupted.
 
     Raises:
-        BrokenPipeError: Nobody reads what is printed.
+        BrokenPipeError: The reader of standard output has closed it.
     """
     args = list(sys.argv[1:] if args is None else args)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a file name that the terminal cannot show must not end a command
+            stream.reconfigure(errors="replace")  # a file name that the terminal cannot show does not end a command
     if args == ["--version"]:
         print(f"lumisplat {ls.__version__}")
         return 0
@@ -93,12 +93,13 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(command: Command) -> int:
+    """Runs a command; its exit status."""
     try:
         command.run()
     except KeyboardInterrupt as stop:
         print(f"interrupted: {stop}" if stop.args else "interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # nobody reads what is printed: no mistake, and nobody to tell
+    except BrokenPipeError:  # no mistake of the user: the caller ends the process
         raise
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
@@ -109,6 +110,7 @@ def _run(command: Command) -> int:
 
 
 def _one_line(error: BaseException) -> str:
+    """The message of an error without line breaks."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: cannot be read or written: {error.strerror}"
     if isinstance(error, MemoryError):

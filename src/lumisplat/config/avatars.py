@@ -1,4 +1,4 @@
-"""Settings of light that is found in a capture, and of avatars in it."""
+"""Settings of lights that are estimated from a capture, and of the light of avatars in it."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ from lumisplat.config.shadow_maps import DeepShadowConfig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightEstimationConfig:
-    """Settings of `estimate_lights`. Lengths that are None follow from the scene's size.
+    """Settings of `estimate_lights`.
+
+    Lengths that are None follow from the extent of the scene: ``radius`` if that is given, else the distance from the
+    character within which 98 % of the Gaussians lie.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     radius: float | None = None
-    """Gaussians farther than this from the character are not looked at, scene units; None: half as far again as 98 % of
-    them are."""
+    """Gaussians farther than this from the character's centre are ignored, scene units, 1e-6..1e9; None: 1.5 extents."""
     viewpoint_distance: float | None = None
-    """How far from the character's centre the four other viewpoints are, scene units; None: a tenth of ``radius``, or
-    of what 98 % are within."""
+    """Distance of the four outer viewpoints from the character's centre, scene units, 1e-6..1e9; None: a tenth of the
+    extent."""
     emitter_size: float | None = None
-    """Largest size of what counts as a compact emitter, scene units; None: likewise a twelfth. What is nearer to the
-    character is no light."""
+    """Largest size of a compact emitter, scene units, 1e-6..1e9; None: a twelfth of the extent. Gaussians nearer to the
+    character's centre than this are no lights."""
     separation: float | None = None
-    """Least distance of two lights, scene units; None: three times ``emitter_size``."""
+    """Least distance between two lights, scene units, 1e-6..1e9; None: three times ``emitter_size``."""
     compactness: float = 0.5
-    """Share of its score by which a light must stand out from what surrounds it, 0..1; at 0, bright walls and windows
-    count, too."""
+    """Share of its score by which a light must exceed its surroundings, 0..1; at 0, bright walls and windows count as
+    lights, too."""
     weakest: float = 0.05
-    """What scores less than this share of the best is no light, 0..1."""
+    """Gaussians whose score is below this share of the best are no lights, 0..1."""
     irradiance: float = math.pi
-    """What all lights together give a surface at the character's centre that faces each of them, 1e-6..1e6: with pi,
-    white paper is white."""
+    """Irradiance that all lights together give a surface at the character's centre which faces each of them,
+    1e-6..1e6: with pi, white paper is white."""
 
     def __post_init__(self) -> None:
         for name in ("radius", "viewpoint_distance", "emitter_size", "separation"):
@@ -63,15 +65,15 @@ class AvatarLightingConfig:
     """Settings of the deep shadow map of each light."""
     direct: float = 0.7
     """Share of a receiver's light that comes from the lights, 0..1: the rest is never in shadow. With 1 and one light,
-    shadows are as in Mir et al. (2026), black where nothing passes."""
+    shadows are as in Mir et al. (2026), black where no light passes."""
     relight: bool = True
     """Whether actors take on the light of the place where they are."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
-    """How they do: what a probe's light does to Gaussians."""
+    """How a probe's light changes the colours of actors."""
     light_count: int = 3
-    """Lights that are looked for where none are given, 1..64."""
+    """Lights that are estimated if none are given, 1..64."""
     estimation: LightEstimationConfig = field(default_factory=LightEstimationConfig)
-    """How they are found."""
+    """How lights are estimated."""
 
     def __post_init__(self) -> None:
         check_flag("shadows", self.shadows)

@@ -30,7 +30,7 @@ def check_flag(name: str, value: object) -> None:
 
 
 def check_enum(name: str, value: object, kind: type[Enum]) -> None:
-    """Raises ConfigError unless ``value`` is a member of ``kind``; the message names one, the one meant if it can."""
+    """Raises ConfigError unless ``value`` is a member of ``kind``; the message names the one of that value, if any."""
     if not isinstance(value, kind):
         meant = {member.value: member for member in kind}.get(str(value), next(iter(kind)))
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
@@ -54,5 +54,5 @@ def is_whole(value: object) -> TypeGuard[int]:
 
 
 def quoted(value: object) -> str:
-    """A value in a message of one line."""
+    """A value as a message of one line shows it."""
     return str(value) if is_number(value) else " ".join(reprlib.repr(value).split())

@@ -1,4 +1,4 @@
-"""Settings of relighting: what a probe's light does to Gaussians."""
+"""Settings of relighting: how a probe's light changes the colours of Gaussians."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ class NormalEstimate(Enum):
     """Where normals of Gaussians come from."""
 
     AUTO = "auto"
-    """The set's own ``normals``, or without any, `SMALLEST_AXIS`."""
+    """The set's own ``normals``; a set without any uses `SMALLEST_AXIS`."""
     SMALLEST_AXIS = "smallest-axis"
     """Each Gaussian's thinnest axis: sharp, and noisy where Gaussians are round."""
     PCA = "pca"
-    """Of the plane through the means around, weighted by opacity and distance: smooth, and blunt at edges."""
+    """Normal of the plane through the neighbouring means, weighted by opacity and distance: smooth, and blunt at
+    edges."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,17 +29,17 @@ class RelightConfig:
     """
 
     exponent: float = 1.0
-    """Of the cosine lobe about the normal that gathers light, q, 0.1..64: 1 is matt, more is glossier."""
+    """Exponent q of the cosine lobe about the normal that gathers light, 0.1..64: 1 is matt, more is glossier."""
     scale_max: float = 4.0
-    """Factor at which a Gaussian's light is clipped before ``gamma``, t_max, 0..1000."""
+    """Largest factor t_max of a Gaussian's colour, before ``gamma``, 0..1000."""
     gamma: float = 1.0
-    """Global intensity, a linear factor of all light, 0..1000. At 1, surroundings of radiance 1 (display white) leave
-    colours as they are."""
+    """Linear factor of all light, 0..1000. At 1, surroundings of radiance 1 (display white) leave colours as they
+    are."""
     normals: NormalEstimate = NormalEstimate.AUTO
     """Where normals come from if none are given."""
     rows: int = 16
-    """Of the latitude-longitude grid, twice as wide, over which light is summed, 8..128: 16 are within 1 % of a fine
-    one for probes of degree 3 and any exponent."""
+    """Rows of the latitude-longitude grid, twice as wide as high, over which light is summed, 8..128: with 16, the sum
+    is within 1 % of that over a fine grid, for probes of degree 3 and any exponent."""
 
     def __post_init__(self) -> None:
         check_range("exponent", self.exponent, 0.1, 64.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import cast
 
 from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole, quoted
 from lumisplat.config.raster import RasterConfig
@@ -136,7 +137,8 @@ def _checked_background(background: Iterable[float]) -> tuple[float, float, floa
 
 def _checked_aovs(aovs: object) -> tuple[str, ...]:
     """Names of images, in the order of `AOVS`, each once."""
-    names: list[object] | None = None if isinstance(aovs, str) or not isinstance(aovs, Iterable) else list(aovs)
-    if names is None or not all(isinstance(name, str) and name in AOVS for name in names):
-        raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
-    return tuple(name for name in AOVS if name in names)
+    if isinstance(aovs, Iterable) and not isinstance(aovs, str):
+        names = list(cast(Iterable[object], aovs))
+        if all(isinstance(name, str) and name in AOVS for name in names):
+            return tuple(name for name in AOVS if name in names)
+    raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")

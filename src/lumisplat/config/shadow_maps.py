@@ -22,7 +22,7 @@ class Absorption(Enum):
     AVERAGE = "avg"
     """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size."""
     MASS = "mass"
-    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: the same mass for all, so that small ones are black."""
+    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: the same mass for all, so that small Gaussians are black."""
     DIAGONAL = "diag"
     """``tau / ((2 pi)^(3/2) s_x s_y s_z)``: as ``MASS``."""
 
@@ -44,7 +44,7 @@ class ReceiverSampling(Enum):
     STENCIL = "stencil"
     """At its mean and one scale along each axis, 7 points."""
     MONTE_CARLO = "monte-carlo"
-    """At ``samples`` points drawn from it, always the same for a Gaussian of the same number in the list."""
+    """At ``samples`` random points of it, which depend on its index and ``seed`` alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,30 +56,31 @@ class DeepShadowConfig:
     """
 
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
-    """How directions are laid out; light that comes from far away has a plane of its own instead."""
+    """How directions are laid out; a map of parallel light is a plane instead."""
     resolution: int = 2048
     """Texels across and down, a multiple of 8, 8..8192."""
     bins: int = 256
-    """Distances from the light that are tabulated, K, evenly from 0 to ``max_distance``, 1..4096."""
+    """Bins of distance from the light, K, evenly from 0 to ``max_distance``, 1..4096."""
     max_distance: float | None = None
-    """Distance at which they end, scene units; None: behind all receivers, or without any, all casters."""
+    """Distance at which the bins end, scene units, 1e-6..1e9; None: behind all receivers, or without receivers, behind
+    all casters."""
     absorption: Absorption = Absorption.AVERAGE
     """How opacity becomes absorption."""
     strength: float = 1.0
-    """Factor of the absorption, kappa, 0..100."""
+    """Factor kappa of the absorption, 0..100."""
     region: bool = True
-    """Tabulate only the texels and distances where there are receivers."""
+    """Whether only the texels and bins that receivers read are tabulated."""
     region_radius: float | None = None
-    """Nothing is tabulated for receivers farther than this from the casters' centre along x, y or z, scene units: they
-    stay lit, of a map by itself but where nearer ones look at the same texels. None: it is for all."""
+    """Receivers farther than this from the casters' centre along x, y or z are left out, scene units, 1e-6..1e9: they
+    stay lit, except where a map that is used by itself holds the texels of nearer receivers. None: none is left out."""
     culling: bool = True
-    """Look up, tile by tile, which casters a texel's ray can meet, instead of asking them all."""
+    """Whether each tile has a list of the casters that its rays can hit, instead of testing all of them."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
-    """Where receivers look."""
+    """Where the map is read for a receiver."""
     samples: int = 8
-    """Points a receiver looks at, with ``MONTE_CARLO``, 1..1024."""
+    """Points at which the map is read for a receiver, with ``MONTE_CARLO``, 1..1024."""
     seed: int = 0
-    """Of these points, 0..2^32 - 1."""
+    """Seed of these points, 0..2^32 - 1."""
 
     def __post_init__(self) -> None:
         check_enum("layout", self.layout, AtlasLayout)

@@ -1,1 +1,1 @@
-"""One module a command."""
+"""The commands, one a file: options as the fields of a dataclass, and `run`."""

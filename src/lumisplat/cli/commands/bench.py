@@ -13,16 +13,31 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import DeviceCommand, Flag, load_scene, scene_file, setting, settled, without_none
-from lumisplat.cli.options.tracing import PipelineName, StrategyName
+from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.rays import PipelineName, StrategyName
+from lumisplat.cli.options.settings import changed_config, setting, without_none
 from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
 from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
 
 _log = logging.getLogger("lumisplat")
 
 
+@dataclass(frozen=True)
+class _SteadyFrames:
+    """What the frames after the first took, milliseconds: each as a whole, and stage by stage."""
+
+    last: ls.Frame
+    frame_ms: list[float]
+    stage_ms: list[dict[str, float]]
+
+    def stage_medians(self) -> dict[str, float]:
+        """The median of each stage."""
+        return {name: statistics.median(row[name] for row in self.stage_ms) for name in self.stage_ms[0]}
+
+
 @dataclass(frozen=True, kw_only=True)
-class Bench(DeviceCommand):
+class Bench(LoadingCommand, DeviceCommand):
     """Time loading, the first frame and steady frames of your scene, or of the demo.
 
     Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
@@ -39,8 +54,6 @@ class Bench(DeviceCommand):
     """As for render."""
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
     """As for render, with --pipeline trace and hybrid."""
-    drop_invalid: Flag = False
-    """As for render."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Steady frames to time."""
 
@@ -49,54 +62,59 @@ class Bench(DeviceCommand):
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
         file = scene_file(self.scene)
-        config = self._config(ls.RenderConfig() if file is None else ls.load_config(file))
+        config = self._config(scene_settings(file))
         cameras_of = self.cameras or file
         cameras = ls.load_cameras(cameras_of) if cameras_of else []
         with progress_bars() as report:
             started = time.perf_counter()
             renderer = self.start_renderer(report, config)
             ready = time.perf_counter()
-            scene = self._scene(report)
+            scene = self.load_scene(self.scene, report) if self.scene else ls.demo_scene(report)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
-            frame = renderer.render(scene, camera)
+            renderer.render(scene, camera)
             first_ms = 1e3 * (time.perf_counter() - loaded)
-            frame_ms, stages = [], []
-            for done in range(self.repeats):
-                report("timing", done / self.repeats)
-                begun = time.perf_counter()
-                frame = renderer.render(scene, camera)
-                frame_ms.append(1e3 * (time.perf_counter() - begun))
-                stages.append(stage_times(frame))
-        medians = {name: statistics.median(row[name] for row in stages) for name in stages[0]}
+            steady = self._steady_frames(renderer, scene, camera, report)
         rows = [
             ("start, kernels", f"{1e3 * (ready - started):8.1f} ms"),
             ("load" if self.scene else "build demo", f"{1e3 * (loaded - ready):8.1f} ms"),
             ("first frame", f"{first_ms:8.1f} ms"),
-            (f"frame, median of {self.repeats}", f"{statistics.median(frame_ms):8.1f} ms"),
-            *stage_rows(medians),
-            *count_rows(frame, config.pipeline),
+            (f"frame, median of {self.repeats}", f"{statistics.median(steady.frame_ms):8.1f} ms"),
+            *stage_rows(steady.stage_medians()),
+            *count_rows(steady.last, config.pipeline),
         ]
         peak = _peak_bytes()
         if peak is not None:
             rows.append(("peak of the process", byte_size(peak)))
         print_table(f"{renderer.device}, {camera.width} x {camera.height}", rows)
 
-    def _scene(self, report: Report) -> ls.Scene:
-        if not self.scene:
-            return ls.demo_scene(report)
-        return load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
+    def _steady_frames(
+        self, renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera, report: Report
+    ) -> _SteadyFrames:
+        """Renders and times the frames after the first."""
+        frame_ms: list[float] = []
+        stage_ms: list[dict[str, float]] = []
+        frame: ls.Frame | None = None
+        for done in range(self.repeats):
+            report("timing", done / self.repeats)
+            begun = time.perf_counter()
+            frame = renderer.render(scene, camera)
+            frame_ms.append(1e3 * (time.perf_counter() - begun))
+            stage_ms.append(stage_times(frame))
+        assert frame is not None
+        return _SteadyFrames(frame, frame_ms, stage_ms)
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
+        """The settings of the scene file, with those that were given in their place."""
         pipeline = without_none({"pipeline": self.pipeline and ls.Pipeline(self.pipeline)})
         strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
-        config = settled(base, {**pipeline, "trace": strategy})
+        config = changed_config(base, pipeline, {"trace": strategy})
         if strategy and config.pipeline is ls.Pipeline.RASTER:
             _log.warning("not used by --pipeline raster: --strategy (it is of --pipeline trace and hybrid)")
         return config
 
     def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:
-        from lumisplat.cli.options.framing import framing_camera
+        from lumisplat.cli.input.framing import framing_camera
 
         if not cameras:
             cameras = [framing_camera(scene)] if self.scene else ls.demo_cameras()
@@ -104,7 +122,7 @@ class Bench(DeviceCommand):
 
 
 def _peak_bytes() -> int | None:
-    """The largest resident size so far; None where the system does not tell (Windows)."""
+    """The largest resident size so far; None where the system does not report it (Windows)."""
     status = Path("/proc/self/status")
     if status.exists():  # ru_maxrss would include what started this process
         found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text())

@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import DeviceCommand, Flag
+from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.pictures import check_writable, make_folder, plan_shots
 
@@ -41,11 +41,11 @@ class Demo(DeviceCommand):
                 renderer.render(scene, shot.camera).save(shot.path)
                 print(shot.path, flush=True)
             report("rendering", 1.0)
-            self._light(scene, shots[0].camera, report)
+            self._write_lit_pictures(scene, shots[0].camera, report)
 
-    def _light(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
-        """Writes the lit pictures, each as soon as it is there."""
-        from lumisplat.cli.output.demo_light import lit_pictures
+    def _write_lit_pictures(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
+        """Writes the lit pictures, and prints the path of each as soon as it is written."""
+        from lumisplat.cli.output.demo_pictures import lit_pictures
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)

@@ -3,52 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import Command, Flag, size_on_disk
+from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
 
 
 @dataclass(frozen=True, kw_only=True)
-class Info(Command):
+class Info(LoadingCommand):
     """Show what is in captures, meshes, scenes, camera files and environment images."""
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
     """Any file that render takes, cameras and environments too."""
-    drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
 
     def run(self) -> None:
         """Prints a table for each asset."""
-        from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
-
         if not self.files:
             raise ls.ConfigError("no file given")
         for path in self.files:
-            suffix = path.suffix.lower()
-            if suffix == ".json" and path.name != "meta.json":
-                print_table(str(path), camera_rows(ls.load_cameras(path)))
-                continue
-            if suffix in (".hdr", ".pic", ".exr"):
-                print_table(str(path), radiance_rows(ls.load_radiance(path)))
-                continue
-            with progress_bars() as report:
-                asset = ls.load(path, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {path.name}"))
-            size = ("file", byte_size(size_on_disk(path)))
-            if isinstance(asset, ls.Gaussians):
-                print_table(str(path), [("kind", "capture"), size, *gaussian_rows(asset)])
-            elif isinstance(asset, ls.Mesh):
-                print_table(str(path), [("kind", "mesh"), size, *mesh_rows(asset)])
-            else:
-                _print_scene(path, size, asset)
+            self._print(path)
+
+    def _print(self, path: Path) -> None:
+        from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
+
+        suffix = path.suffix.lower()
+        if suffix == ".json" and path.name != "meta.json":
+            print_table(str(path), camera_rows(ls.load_cameras(path)))
+            return
+        if suffix in (".hdr", ".pic", ".exr"):
+            print_table(str(path), radiance_rows(ls.load_radiance(path)))
+            return
+        with progress_bars() as report:
+            asset = self.load_asset(path, report)
+        size = ("file", byte_size(size_on_disk(path)))
+        if isinstance(asset, ls.Gaussians):
+            print_table(str(path), [("kind", "capture"), size, *gaussian_rows(asset)])
+        elif isinstance(asset, ls.Mesh):
+            print_table(str(path), [("kind", "mesh"), size, *mesh_rows(asset)])
+        else:
+            _print_scene(path, size, asset)
 
 
 def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
+    """Tables of a scene as a whole, of its captures and meshes, lights and cameras."""
     from lumisplat.cli.output.describe import box, camera_rows, changed_settings, light_row, mesh_rows, splat_rows
 
     cameras = ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf") else []

@@ -6,19 +6,21 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import Command, Flag
+from lumisplat.cli.input.picture_pairs import Pair, picture_pairs
+from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import Report, print_columns, progress_bars
-from lumisplat.cli.output.picture_pairs import Pair, picture_pairs
 
 if TYPE_CHECKING:
     import numpy as np
+    import numpy.typing as npt
+
+    _Capture = ls.Gaussians | ls.Scene
 
 _OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "flip": "flip"}
 _OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
@@ -29,7 +31,7 @@ _Figures = dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Metrics(Command):
+class Metrics(LoadingCommand):
     """Compare pictures with references, or an avatar's light with a scene's."""
 
     files: Positional[
@@ -42,11 +44,9 @@ class Metrics(Command):
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """The capture or scene.toml that the avatar is compared with: PAA-Y, APF-Y, NCM-ab, lower is better."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """The avatar before it was relit, also where it stands: shows what was gained, original minus relit."""
+    """The avatar before it was relit, also where it stands: shows the gain, original minus relit."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """How far from the avatar's centre the scene counts."""
-    drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
     json: Flag = False
     """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf"."""
 
@@ -66,6 +66,7 @@ class Metrics(Command):
         self._compare_pictures(*self.files)
 
     def _compare_pictures(self, image: Path, reference: Path) -> None:
+        """Prints the figures of each pair of pictures, and their means."""
         names = _wanted(self.metrics)
         pairs = picture_pairs(image, reference)
         with progress_bars() as report:
@@ -76,10 +77,11 @@ class Metrics(Command):
             images = [{"name": pair.name, **_plain(row)} for pair, row in zip(pairs, figures, strict=True)]
             print(json.dumps({"images": images, "mean": _plain(means)}, indent=2))
             return
-        rows = [[pair.name, *_told(row)] for pair, row in zip(pairs, figures, strict=True)]
-        print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *_told(means)]])
+        rows = [[pair.name, *_cells(row)] for pair, row in zip(pairs, figures, strict=True)]
+        print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *_cells(means)]])
 
     def _compare_light(self, scene: Path) -> None:
+        """Prints the figures of an avatar, or of two and the gain."""
         if self.metrics is not None:
             raise ls.ConfigError("--metrics chooses those of pictures: with --scene, all three of light are computed")
         if len(self.files) != 1:
@@ -88,46 +90,55 @@ class Metrics(Command):
         with progress_bars() as report:
             surroundings = self._capture(scene, report)
             avatars = [self._capture(path, report) for path in paths]
-            figures = []
+            figures: list[_Figures] = []
             for index, avatar in enumerate(avatars):
                 report("comparing light", index / len(avatars))
                 figures.append(self._light_figures(avatar, surroundings))
             report("comparing light", 1.0)
-        if len(figures) == 1:
-            if self.json:
-                print(json.dumps(_plain(figures[0]), indent=2))
-            else:
-                rows = [[label, _digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
-                print_columns(["", paths[0].name], rows)
-            return
-        before, after = figures
-        table = {
-            name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
-            for name in _OF_LIGHT
-        }
-        if self.json:
-            print(json.dumps(table, indent=2))
-            return
-        rows = [[_OF_LIGHT[name], *(_digits(name, value) for value in row.values())] for name, row in table.items()]
-        print_columns(["", "original", "relit", "delta"], rows)
+        if len(figures) == 2:
+            _print_gain(*figures, as_json=self.json)
+        elif self.json:
+            print(json.dumps(_plain(figures[0]), indent=2))
+        else:
+            rows = [[label, _digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
+            print_columns(["", paths[0].name], rows)
 
-    def _capture(self, path: Path, report: Report) -> ls.Gaussians | ls.Scene:
-        asset = ls.load(path, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {path.name}"))
+    def _capture(self, path: Path, report: Report) -> _Capture:
+        """A capture, or a scene with one.
+
+        Raises:
+            FormatError: The file cannot be read, or holds no Gaussians.
+        """
+        asset = self.load_asset(path, report)
         if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
             raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
         return asset
 
-    def _light_figures(self, avatar: Any, scene: Any) -> _Figures:
-        own = ls.LitPoints.of(avatar)
+    def _light_figures(self, avatar: _Capture, scene: _Capture) -> _Figures:
+        """The figures of light, by name."""
+        points = ls.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
-        return {name: getattr(ls, name)(own, scene, **options) for name in _OF_LIGHT}
+        return {name: _metric(name)(points, scene, **options) for name in _OF_LIGHT}
+
+
+def _print_gain(before: _Figures, after: _Figures, *, as_json: bool) -> None:
+    """Prints the figures of an avatar before and after it was relit, and by how much they fell."""
+    table = {
+        name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
+        for name in _OF_LIGHT
+    }
+    if as_json:
+        print(json.dumps(table, indent=2))
+        return
+    rows = [[_OF_LIGHT[name], *(_digits(name, value) for value in row.values())] for name, row in table.items()]
+    print_columns(["", "original", "relit", "delta"], rows)
 
 
 def _wanted(names: str | None) -> list[str]:
-    """The names of metrics of a list with commas.
+    """Names of metrics from a list with commas; None: the three of pictures.
 
     Raises:
-        ConfigError: One is unknown, or there is none.
+        ConfigError: A name is unknown, or there is none.
     """
     chosen = [*_OF_PICTURES] if names is None else [name.strip() for name in names.split(",") if name.strip()]
     known = _OF_PICTURES | _OF_SHADOWS
@@ -157,35 +168,39 @@ def _compared(pair: Pair, names: Sequence[str], report: Report, share: float) ->
 
 
 def _metric(name: str) -> Callable[..., float]:
+    """The library's function of a metric."""
     return getattr(ls, name)
 
 
-def _shadow_strength(path: Path) -> np.ndarray:
+def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
     """The mean of the channels: of linear files as it is, of others as they are shown."""
     linear = path.suffix.lower() in (".exr", ".hdr")
     return (ls.load_radiance(path) if linear else ls.load_image(path)).mean(axis=2)
 
 
 def _mean(values: Sequence[float]) -> float:
-    """The mean of those that exist."""
+    """The mean of the values that are not NaN."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
 
 
 def _counted(files: Sequence[Path]) -> str:
+    """How many files were given."""
     return "no file given" if not files else f"{len(files)} file{'s' * (len(files) > 1)} given"
 
 
 def _plain(figures: _Figures) -> dict[str, float | str | None]:
-    """Figures that JSON can hold."""
+    """Figures as JSON can hold them: NaN is null, infinity "inf"."""
     return {
         name: None if math.isnan(value) else "inf" if math.isinf(value) else value for name, value in figures.items()
     }
 
 
-def _told(figures: _Figures) -> list[str]:
+def _cells(figures: _Figures) -> list[str]:
+    """Figures as the table shows them."""
     return [_digits(name, value) for name, value in figures.items()]
 
 
 def _digits(name: str, value: float) -> str:
+    """A figure as the table shows it."""
     return "-" if math.isnan(value) else f"{value:.{_DIGITS.get(name, 4)}f}"

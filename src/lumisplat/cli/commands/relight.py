@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import (
-    DeviceCommand,
-    Flag,
-    load_scene,
-    parse_background,
-    resolved_up,
-    scene_file,
-    setting,
-    settled,
-)
-from lumisplat.cli.options.lighting import UPRIGHT
+from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.up_axis import WORLD_FROM_ENVIRONMENT, UpOption, resolved_up
+from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.settings import changed_config, parse_background, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
 """A probe's first coefficient times this is its mean radiance."""
 _GAMMA_MAX = 1000.0
-"""That `RelightConfig` takes."""
+"""Largest ``gamma`` of `RelightConfig`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(DeviceCommand):
+class Relight(LoadingCommand, DeviceCommand):
     """Relight a captured avatar or object by the light of a scene, and write it as a capture again.
 
     The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal
@@ -43,13 +35,13 @@ class Relight(DeviceCommand):
     it stands in the scene. What is written is in the capture's own coordinates: to show it, or to compare it by
     metrics, name it in a second scene.toml."""
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """What gives light: captures, meshes or a scene.toml, whose settings and background count. Without the avatar."""
+    """What gives light, without the avatar: captures, meshes or a scene.toml, whose settings and background count."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
     """.ply, .compressed.ply or .spz."""
     at: Annotated[
         tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="(default: its middle)")
     ] = None
-    """Where light is looked for, in the scene's coordinates; without: the middle of the avatar."""
+    """Where the light is gathered, in the scene's coordinates; without: the middle of the avatar."""
     gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
     """Brightness as a whole, a factor of light. At 1, only surroundings as bright as display white keep the avatar's
     brightness; what is printed at the end helps to choose."""
@@ -60,20 +52,18 @@ class Relight(DeviceCommand):
     normals: Literal["auto", "smallest-axis", "pca"] = "auto"
     """auto: those of the file, else smallest-axis. pca: of the neighbours' plane, for round Gaussians; slower."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
-    """Of the harmonics that hold the light; with a large --exponent, more sees more."""
+    """Degree of the harmonics that hold the light; a large --exponent shows more of it with more."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
-    """Nothing of the scene nearer to the place than this is seen."""
+    """Nothing of the scene nearer to the place than this gives light."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """What the scene does not cover shines in this: black, white, #rrggbb, or r,g,b in 0..1."""
+    """Light from where the scene covers nothing: black, white, #rrggbb, or r,g,b in 0..1."""
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the light that was found as a latitude-longitude image, .exr: --environment of render takes it."""
-    up: Literal["auto", "y-down", "y-up", "z-up"] = "auto"
+    up: UpOption = "auto"
     """Which way is up in the image of --probe; auto: y-down with a capture, y-up for meshes alone."""
-    drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
 
     def run(self) -> None:
-        """Loads, looks around, relights, writes."""
+        """Loads, gathers the light, relights, writes."""
         config = ls.RelightConfig(
             exponent=self.exponent,
             scale_max=self.scale_max,
@@ -83,36 +73,34 @@ class Relight(DeviceCommand):
         if self.at is not None and not all(map(math.isfinite, self.at)):
             raise ls.ConfigError(f"--at is {' '.join(f'{x:g}' for x in self.at)}, expected finite numbers")
         self._check_outputs()
-        file = scene_file(self.scene)
-        rendering = ls.RenderConfig() if file is None else ls.load_config(file)
+        rendering = scene_settings(scene_file(self.scene))
         if self.background is not None:
-            rendering = settled(rendering, {"background": parse_background(self.background)})
+            rendering = changed_config(rendering, {"background": parse_background(self.background)})
         with progress_bars() as report:
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
-            scene = load_scene(self.scene, drop_invalid=self.drop_invalid, report=report)
+            scene = self.load_scene(self.scene, report)
             place = self._place(avatar)
-            report("looking around", 0.0)
+            report("gathering light", 0.0)
             probe = ls.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
             report("relighting", 0.0)
             relit = ls.relight(avatar, probe, config).gaussians
             report("writing", 0.0)
             ls.save(self.output, relit)
             if self.probe is not None:
-                probe.save(self.probe, rotation_wxyz=UPRIGHT[resolved_up(scene, self.up)])
-        self._tell(relit, probe, place)
+                probe.save(self.probe, rotation_wxyz=WORLD_FROM_ENVIRONMENT[resolved_up(scene, self.up)])
+        self._print_summary(relit, probe, place)
 
     def _check_outputs(self) -> None:
-        """Raises a FormatError before anything slow is done, where a name is none that can be written."""
+        """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
         if self.output.suffix.lower() not in (".ply", ".spz"):
             raise ls.FormatError(self.output, "unknown extension, expected .ply, .compressed.ply or .spz")
         if self.probe is not None and self.probe.suffix.lower() != ".exr":
             raise ls.FormatError(self.probe, "unknown extension for the image of a probe, expected .exr")
 
     def _loaded_avatar(self, report: Report) -> ls.SplatInstance:
-        asset = ls.load(
-            self.avatar, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {self.avatar.name}")
-        )
+        """The avatar, where its file places it."""
+        asset = self.load_asset(self.avatar, report)
         if isinstance(asset, ls.Gaussians):
             return ls.SplatInstance(asset)
         if isinstance(asset, ls.Scene) and len(asset.splats) == 1:
@@ -123,15 +111,19 @@ class Relight(DeviceCommand):
         )
 
     def _place(self, avatar: ls.SplatInstance) -> tuple[float, float, float]:
+        """Where the light is gathered."""
         if self.at is not None:
             return self.at
-        from lumisplat.cli.options.framing import bulk_bounds
+        from lumisplat.cli.input.framing import bulk_bounds
 
         low, high = bulk_bounds(ls.Scene(splats=(avatar,)))
         x, y, z = (float(value) for value in 0.5 * (low + high))
         return x, y, z
 
-    def _tell(self, relit: ls.Gaussians, probe: ls.EnvironmentProbe, place: tuple[float, float, float]) -> None:
+    def _print_summary(
+        self, relit: ls.Gaussians, probe: ls.EnvironmentProbe, place: tuple[float, float, float]
+    ) -> None:
+        """Prints what was written, how bright the light is, and which --gamma keeps the avatar's brightness."""
         mean = _CONSTANT_HARMONIC * probe.coefficients[0]
         print(
             f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at ({', '.join(f'{x:g}' for x in place)})"

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import DeviceCommand, Flag, load_scene, setting, without_none
-from lumisplat.cli.output.console import byte_size, progress_bars, quiet_warp
-from lumisplat.cli.output.filming import told_lights
+from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
+from lumisplat.cli.options.settings import setting, without_none
+from lumisplat.cli.output.console import byte_size, light_positions, progress_bars
+
+if TYPE_CHECKING:
+    from lumisplat.scene.lights import Light
 
 _CAPTURES = (".ply", ".spz")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShadowMap(DeviceCommand):
+class ShadowMap(LoadingCommand, DeviceCommand):
     """Cast shadows of avatars and objects onto a capture, and save it with them."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
@@ -30,14 +32,14 @@ class ShadowMap(DeviceCommand):
     """.ply, .compressed.ply or .spz: the capture in shadow. Or .npz: the deep shadow map itself, of one light, for
     ls.DeepShadowMap.load."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
-    """A light's position; may be given several times, and lights are taken as equally strong. Without: the lights of
-    the casters' files, else those that are found in the capture."""
+    """Position of a light; several lights count as equally strong. Without: the lights of the casters' files, else
+    those that are found in the capture."""
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Which way the light of a sun travels, in place of --light."""
+    """Direction in which the light of a sun travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
     """Share of the capture's light that comes from these lights; the rest is never in shadow."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
-    """Of the casters' absorption: more is darker where they are thin."""
+    """Factor of the casters' absorption: more is darker where they are thin."""
     absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("{simple,avg,mass,diag}", "avg")] = (
         None
     )
@@ -45,34 +47,31 @@ class ShadowMap(DeviceCommand):
     sampling: Annotated[
         Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
     ] = None
-    """Where a Gaussian of the capture looks at the map: its centre, 7 points, or points drawn from it."""
+    """Where the map is read for a Gaussian of the capture: at its centre, at 7 points, or at points drawn from it."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
-    """Of the map, across all directions."""
-    drop_invalid: Flag = False
-    """Leave out Gaussians with NaN or infinite values instead of refusing the files."""
+    """Texels across the map, which covers all directions."""
 
     def run(self) -> None:
-        """Casts, and saves."""
+        """Casts the shadows, and saves the capture or the map."""
         is_map = self.output.suffix.lower() == ".npz"
         if not is_map and self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")
         lights = self._lights()
-        if not self.debug:
-            quiet_warp()
+        self.start_warp()
         with progress_bars() as report:
-            casters = load_scene(self.casters, drop_invalid=self.drop_invalid, report=report)
-            capture = ls.load(
-                self.onto, drop_invalid=self.drop_invalid, progress=partial(report, f"loading {self.onto.name}")
-            )
+            casters = self.load_scene(self.casters, report)
+            capture = self.load_asset(self.onto, report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(self.onto, "is not a capture: shadows are cast onto Gaussians only")
             report("casting shadows", 0.0)
             lights = lights or casters.lights
-            told = self._save_map(casters, capture, lights) if is_map else self._save_capture(casters, capture, lights)
+            save = self._save_map if is_map else self._save_capture
+            summary = save(casters, capture, lights)
             report("casting shadows", 1.0)
-        print(told)
+        print(summary)
 
-    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
+    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...]) -> str:
+        """Writes the capture with the shadows; a summary."""
         config = ls.AvatarLightingConfig(
             shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
@@ -81,16 +80,18 @@ class ShadowMap(DeviceCommand):
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
         changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
-        told = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
+        summary = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
         if lighter.estimate is not None:
-            told += f"\nno lights were given, it falls from what was found: {told_lights(lighter.estimate.lights)}"
-        return told
+            found = light_positions(lighter.estimate.lights)
+            summary += f"\nno lights were given, shadows fall from those that were found: {found}"
+        return summary
 
-    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple) -> str:
+    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...]) -> str:
+        """Writes the map of one light; a summary."""
         if len(lights) != 1:
             raise ls.ConfigError(f"a map is of one light, got {len(lights)}: give one --light or a --sun")
         if self.direct is not None:
-            raise ls.ConfigError("--direct is about the capture: a map tells how much of a light passes")
+            raise ls.ConfigError("--direct is about the capture: a map holds how much of a light passes")
         shadow = ls.DeepShadowMap.build(casters, lights[0], capture, self._map_config(), device=self.device)
         shadow.save(self.output)
         stats = shadow.stats
@@ -100,6 +101,7 @@ class ShadowMap(DeviceCommand):
         )
 
     def _map_config(self) -> ls.DeepShadowConfig:
+        """The settings of the map."""
         changes = without_none({"strength": self.strength, "resolution": self.resolution})
         if self.absorption is not None:
             changes["absorption"] = ls.Absorption(self.absorption)
@@ -108,7 +110,7 @@ class ShadowMap(DeviceCommand):
         return replace(ls.DeepShadowConfig(), **changes)
 
     def _lights(self) -> tuple[ls.LightPoint | ls.LightDirectional, ...]:
-        """Those that were given."""
+        """The lights that were given."""
         if self.sun is not None and self.light:
             raise ls.ConfigError("--sun and --light are both given: choose one")
         if self.sun is not None:
@@ -117,6 +119,11 @@ class ShadowMap(DeviceCommand):
 
 
 def _vector(option: str, text: str) -> tuple[float, float, float]:
+    """Reads ``x,y,z``.
+
+    Raises:
+        ConfigError: It is something else.
+    """
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:

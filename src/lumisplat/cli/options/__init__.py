@@ -1,1 +1,1 @@
-"""Options that commands share, and their checks."""
+"""Options that several commands share: as classes that commands derive from, and as groups that they hold."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import setting, without_none
+from lumisplat.cli.input.up_axis import WORLD_FROM_ENVIRONMENT, UpAxis
+from lumisplat.cli.options.settings import Changes, setting, without_none
 
 _LIGHTING = {"auto": None, "on": True, "off": False}
-_HALF = math.sqrt(0.5)
-UPRIGHT = {"y-up": (1.0, 0.0, 0.0, 0.0), "y-down": (0.0, 1.0, 0.0, 0.0), "z-up": (_HALF, _HALF, 0.0, 0.0)}
-"""World from environment, wxyz: the environment's +y points up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,12 +24,13 @@ class LightOptions:
     """auto: lit if the scene has lights. on: also without any, by a headlight at the camera. off: captures as
     trained, meshes in their flat colours."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
-    """soft: lights that have a size cast penumbrae, which --samples make smooth."""
+    """soft: lights that have a size cast penumbrae, which --samples make smooth. off: light passes through
+    everything."""
     shadow_method: Annotated[
         Literal["exact", "first-hits", "stochastic"] | None, setting("{exact,first-hits,stochastic}", "exact")
     ] = None
     """How Gaussians block light. exact: all that are in the way. first-hits: the nearest --shadow-hits only, faster
-    and at times too bright. stochastic: all or nothing by chance, the fastest; --samples average it."""
+    and at times too bright. stochastic: each at random blocks all or nothing, the fastest; --samples average it."""
     shadow_hits: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
     """Gaussians that first-hits counts."""
     shadow_offset: Annotated[float | None, setting("0..100", "3.0")] = None
@@ -54,12 +53,8 @@ class LightOptions:
     environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
     """Turns --environment about the vertical, counter-clockwise seen from above."""
 
-    def changes(self) -> dict[str, Any]:
-        """What was given, by the names of `lumisplat.RenderConfig`, that of a group in a dictionary there.
-
-        Raises:
-            ConfigError: A value is out of its range.
-        """
+    def changes(self) -> Changes:
+        """The settings that were given."""
         shadow_rays = {
             "method": self.shadow_method and ls.ShadowMethod(self.shadow_method),
             "hits": self.shadow_hits,
@@ -68,27 +63,26 @@ class LightOptions:
             "transmittance_threshold": self.shadow_threshold,
             "color_strength": self.shadow_color,
         }
-        settings = {
+        frame = {
             "shadows": self.shadows and ls.Shadows(self.shadows),
             "tone_map": self.tone_map and ls.ToneMap(self.tone_map),
-            "shadow_rays": without_none(shadow_rays),
         }
         lighting = {} if self.lighting is None else {"lighting": _LIGHTING[self.lighting]}
-        return lighting | without_none(settings)
+        return lighting | without_none(frame) | {"shadow_rays": without_none(shadow_rays)}
 
     def exposed(self, camera: ls.Camera) -> ls.Camera:
         """The camera, with the exposure that was given.
 
         Raises:
-            SceneError: It is not finite.
+            SceneError: The exposure is not finite.
         """
         return camera if self.exposure is None else replace(camera, exposure=self.exposure)
 
     def environment_light(self) -> ls.LightEnvironment | None:
-        """The environment that was given, as its image lies: upright for y up.
+        """The environment that was given, not yet rotated: its image is upright for y up. None: none was given.
 
         Raises:
-            ConfigError: There is a rotation, and nothing to rotate.
+            ConfigError: --environment-rotation is not finite, or is given without --environment.
             FormatError: The image cannot be read.
         """
         if self.environment is None:
@@ -99,18 +93,18 @@ class LightOptions:
             raise ls.ConfigError(f"--environment-rotation is {self.environment_rotation}, expected degrees")
         return ls.LightEnvironment(image=ls.load_radiance(self.environment), name=self.environment.stem)
 
-    def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None, up: str) -> ls.Scene:
-        """The scene with the environment that was given in place of its own.
+    def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None, up: UpAxis) -> ls.Scene:
+        """The scene with the given environment in place of its own.
 
         Args:
             scene: What was loaded.
-            environment: What `environment_light` has given.
-            up: ``y-down``, ``y-up`` or ``z-up``.
+            environment: From `environment_light`; None: the scene stays as it is.
+            up: The scene's vertical, ``y-down``, ``y-up`` or ``z-up``.
         """
         if environment is None:
             return scene
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
-        w, x, _, _ = UPRIGHT[up]
+        w, x, _, _ = WORLD_FROM_ENVIRONMENT[up]
         c, s = math.cos(half), math.sin(half)
         turned = replace(environment, rotation_wxyz=(w * c, x * c, w * s, x * s))
         others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))

@@ -1,1 +1,1 @@
-"""What commands print and write."""
+"""What commands print and write: tables, progress, pictures, frames of an animation."""

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+    import lumisplat as ls
 
 Report = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0..1."""
 
 
 @contextmanager
-def progress_bars() -> Iterator[Report]:
-    """Shows a bar for each label from its first report until it is done, and anew when it begins again.
+def progress_bars() -> Generator[Report]:
+    """Shows a bar for each label from its first report until its fraction is 1, and again if it is reported again.
 
-    On a terminal only, and gone afterwards.
+    Only on a terminal; bars vanish at the end.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -21,7 +27,7 @@ def progress_bars() -> Iterator[Report]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks = {}
+        tasks: dict[str, TaskID] = {}
 
         def report(label: str, fraction: float) -> None:
             if fraction >= 1.0:
@@ -36,7 +42,7 @@ def progress_bars() -> Iterator[Report]:
 
 
 def quiet_warp() -> None:
-    """Keeps Warp's banner and module messages off the terminal. Comes before the first use of a device."""
+    """Keeps Warp's banner and module messages off the terminal. To be called before the first use of a device."""
     import os
 
     import warp as wp
@@ -67,7 +73,7 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
 
 
 def print_columns(header: list[str], rows: list[list[str]]) -> None:
-    """Prints a table of names and, below the other headings, figures to the right."""
+    """Prints a table whose first column holds names, and the others figures, aligned to the right."""
     from rich.console import Console
     from rich.table import Table
 
@@ -80,12 +86,17 @@ def print_columns(header: list[str], rows: list[list[str]]) -> None:
 
 
 def counted(count: int, noun: str) -> str:
-    """How many of something there are, for people: ``1 frame``, ``2,000 frames``."""
+    """A count with its noun: ``1 frame``, ``2,000 frames``."""
     return f"{count:,} {noun}{'s' * (count != 1)}"
 
 
+def light_positions(lights: Iterable[ls.LightPoint]) -> str:
+    """Where lights are, in a line."""
+    return ", ".join("({:.3g}, {:.3g}, {:.3g})".format(*light.position) for light in lights)
+
+
 def byte_size(count: float) -> str:
-    """``count`` bytes for people: ``3.6 MB`` (powers of 1000)."""
+    """A number of bytes: ``3.6 MB`` (powers of 1000)."""
     for unit in ("B", "kB", "MB"):
         if count < 1000.0:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"

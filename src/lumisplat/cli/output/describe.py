@@ -1,26 +1,35 @@
-"""What ``lumisplat info`` says about captures, meshes, materials, lights, cameras and images, in rows."""
+"""What ``lumisplat info`` prints about captures, meshes, materials, lights, cameras and images, as rows of tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.cli.output.console import byte_size
 from lumisplat.cli.output.pictures import file_stems
 
 if TYPE_CHECKING:
+    import numpy as np
     import numpy.typing as npt
 
     from lumisplat.scene.lights import Light
     from lumisplat.scene.materials import Material
 
+    Array = npt.NDArray[np.floating[Any]]
+
 _BAR = 24
 """Length of the longest histogram bar, characters."""
 
-_UNITS = {ls.LightDirectional: "lux", ls.LightPoint: "cd", ls.LightSpot: "cd", ls.LightEnvironment: "x image"}
+_UNITS: dict[type[Light], str] = {
+    ls.LightDirectional: "lux",
+    ls.LightPoint: "cd",
+    ls.LightSpot: "cd",
+    ls.LightEnvironment: "x image",
+}
+"""Units of intensity; of all other lights, candela per square metre."""
 
 Rows = list[tuple[str, str]]
 
@@ -53,14 +62,14 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
 
 
 def splat_rows(splat: ls.SplatInstance) -> Rows:
-    """A capture in a scene, and how it takes light."""
+    """A capture in a scene, with its material."""
     rows = gaussian_rows(splat.gaussians)
     if splat.material is not None:
         rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
     if splat.sh_degree < splat.gaussians.sh_degree:
         rows.append(("SH used", f"degree {splat.sh_degree}"))
     if splat.shadow_only:
-        rows.append(("shadow only", "keeps its look, takes shadows"))
+        rows.append(("shadow only", "stays as captured, takes shadows"))
     return rows
 
 
@@ -78,7 +87,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
     ]
     names = [field.name for field in fields(material) if field.name.endswith("_texture")]
     for name in names:
-        texture = getattr(material, name)
+        texture: Array | None = getattr(material, name)
         if texture is not None:
             kind = name.removesuffix("_texture").replace("_", " ")
             rows.append(("texture", f"{kind}   {texture.shape[1]} x {texture.shape[0]}"))
@@ -88,28 +97,28 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
 def light_row(light: Light) -> tuple[str, str]:
     """A light: what kind, how bright, and where."""
     kind = type(light).__name__.removeprefix("Light").lower()
-    said = ["{:.4g} {}".format(light.intensity, _UNITS.get(type(light), "cd/m2"))]
+    texts = ["{:.4g} {}".format(light.intensity, _UNITS.get(type(light), "cd/m2"))]
     if light.color != (1.0, 1.0, 1.0):
-        said.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
+        texts.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
     for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):
         if hasattr(light, name):
-            said.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *getattr(light, name)))
+            texts.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *getattr(light, name)))
     for name in ("range", "radius"):
         value = getattr(light, name, 0.0)
         if 0.0 < value < math.inf:
-            said.append(f"{name} {value:.4g}")
+            texts.append(f"{name} {value:.4g}")
     if isinstance(light, ls.LightSpot):
-        said.append(f"cone {math.degrees(light.inner_angle):.3g} to {math.degrees(light.outer_angle):.3g} degrees")
+        texts.append(f"cone {math.degrees(light.inner_angle):.3g} to {math.degrees(light.outer_angle):.3g} degrees")
     if isinstance(light, ls.LightDirectional) and light.angle:
-        said.append(f"angle {math.degrees(light.angle):.3g} degrees")
+        texts.append(f"angle {math.degrees(light.angle):.3g} degrees")
     if isinstance(light, ls.LightEnvironment):
-        said.append("one colour" if light.image is None else image_size(light.image))
-    said += [text for text, is_so in (("off", not light.enabled), ("no shadow", not light.casts_shadow)) if is_so]
-    return kind + (f" {light.name}" if light.name else ""), "   ".join(said)
+        texts.append("one colour" if light.image is None else image_size(light.image))
+    texts += [text for text, is_so in (("off", not light.enabled), ("no shadow", not light.casts_shadow)) if is_so]
+    return kind + (f" {light.name}" if light.name else ""), "   ".join(texts)
 
 
 def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
-    """The cameras of a file, together."""
+    """All cameras of a file."""
     import numpy as np
 
     sizes = sorted({(camera.width, camera.height) for camera in cameras})
@@ -127,7 +136,7 @@ def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
     ]
 
 
-def radiance_rows(image: npt.NDArray) -> Rows:
+def radiance_rows(image: Array) -> Rows:
     """An image of radiance, such as an environment."""
     import numpy as np
 
@@ -140,46 +149,49 @@ def radiance_rows(image: npt.NDArray) -> Rows:
 
 
 def changed_settings(config: ls.RenderConfig) -> str:
-    """The settings of a scene file that are not the library's."""
+    """The settings of a scene file that differ from the library's defaults."""
     default = ls.RenderConfig()
-    said = []
+    texts: list[str] = []
     for field in fields(config):
-        value, rest = getattr(config, field.name), getattr(default, field.name)
+        value, usual = getattr(config, field.name), getattr(default, field.name)
         if is_dataclass(value):
-            names = [one.name for one in fields(value) if getattr(value, one.name) != getattr(rest, one.name)]
-            said += [f"{field.name}.{name} {_shown(getattr(value, name))}" for name in names]
-        elif value != rest:
-            said.append(f"{field.name} {_shown(value)}")
-    return "   ".join(said)
+            names = [one.name for one in fields(value) if getattr(value, one.name) != getattr(usual, one.name)]
+            texts += [f"{field.name}.{name} {_setting(getattr(value, name))}" for name in names]
+        elif value != usual:
+            texts.append(f"{field.name} {_setting(value)}")
+    return "   ".join(texts)
 
 
-def image_size(image: npt.NDArray) -> str:
+def image_size(image: Array) -> str:
     """Width and height."""
     return f"{image.shape[1]} x {image.shape[0]}"
 
 
-def box(low: npt.NDArray, high: npt.NDArray) -> str:
-    """Two corners."""
+def box(low: Array, high: Array) -> str:
+    """A box by two of its corners."""
     return "({:.4g}, {:.4g}, {:.4g}) to ({:.4g}, {:.4g}, {:.4g})".format(*low, *high)
 
 
-def _shown(value: object) -> str:
+def _setting(value: object) -> str:
+    """A setting as TOML names it."""
     return str(getattr(value, "value", value))
 
 
 def _surface(material: Material) -> str:
+    """The factors of a material."""
     if isinstance(material, ls.MaterialPbr):
         names = ("metallic", "roughness", "specular", "ior", "transmission")
-        said = [f"{name} {getattr(material, name):.3g}" for name in names]
+        texts = [f"{name} {getattr(material, name):.3g}" for name in names]
         if any(material.emissive):
-            said.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive))
-        return "   ".join(said)
+            texts.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive))
+        return "   ".join(texts)
     names = ("emissive", "ambient", "diffuse", "specular")
-    said = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]
-    return "   ".join([*said, f"shininess {material.shininess:.3g}"])
+    texts = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]
+    return "   ".join([*texts, f"shininess {material.shininess:.3g}"])
 
 
-def _histogram(opacities: npt.NDArray) -> str:
+def _histogram(opacities: Array) -> str:
+    """Bars for how many opacities there are in each tenth of 0..1."""
     import numpy as np
 
     counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))

@@ -1,7 +1,7 @@
-"""The folder that an animation's frames go to: which are there, and of which scene and settings they are.
+"""The folder of an animation's frames: which are there, and of which scene and settings they were made.
 
-Frames appear whole or not at all, so that what is there need not be made again. ``animate.json`` beside them says what
-they were made of: with anything else, they are not continued but refused.
+Frames appear whole or not at all, so that those that are there need not be rendered again. ``animate.json`` beside them
+says what they were made of; an animation made of anything else is refused instead of continued.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import lumisplat as ls
 from lumisplat.cli.output.pictures import make_folder
@@ -29,7 +30,7 @@ class FrameFolder:
     extension: str
 
     def path(self, index: int) -> Path:
-        """Where a frame goes."""
+        """The file of a frame."""
         return self.folder / f"frame_{index:04d}.{self.extension}"
 
     def is_finished(self, index: int) -> bool:
@@ -37,14 +38,14 @@ class FrameFolder:
         return self.path(index).is_file()
 
     def prepare(self, origin: Mapping[str, str], overwrite: bool) -> None:
-        """Makes the folder ready for frames of an origin, of which those that are there already stay.
+        """Makes the folder ready for frames of an origin; frames of this origin that are there already stay.
 
         Args:
             origin: All that frames are made of, by name.
-            overwrite: Remove all frames that are there first.
+            overwrite: Whether to remove all frames that are there first.
 
         Raises:
-            ConfigError: There are frames of another origin; the message names what has changed.
+            ConfigError: There are frames of another origin; the message names what differs.
             FormatError: The folder cannot be written to.
         """
         stamp = self.folder / STAMP
@@ -71,14 +72,16 @@ class FrameFolder:
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
     def _check(self, stamp: Path, origin: Mapping[str, str]) -> None:
+        """Raises ConfigError unless the frames that are there are of this origin."""
         advice = "give --overwrite to remove them, or another folder"
         try:
-            before = json.loads(stamp.read_text())
+            before: Any = json.loads(stamp.read_text())
         except (OSError, ValueError):
             before = None
         if not isinstance(before, dict):
             raise ls.ConfigError(f"{self.folder} holds frames, but no {STAMP} that says what they are of: {advice}")
-        changed = sorted(name for name in {*before, *origin} if before.get(name) != origin.get(name))
+        stored = cast(dict[str, object], before)
+        changed = sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
         if changed:
             named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
             raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")

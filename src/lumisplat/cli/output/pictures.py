@@ -1,4 +1,4 @@
-"""Where pictures go: which cameras, under which file names, in which format."""
+"""Which cameras are rendered to which files, in which format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEM_MAX = 150
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture to make."""
+    """A picture to render."""
 
     camera: ls.Camera
     path: Path
@@ -29,7 +29,7 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
     """Decides which cameras are rendered, and to which files.
 
     Args:
-        cameras: All there are.
+        cameras: All cameras.
         wanted: Names of those to render; none means all.
         output: A folder, or for a single picture a file ``.png``, ``.exr`` or ``.npz``.
         format_name: One of `FORMATS`, or ``auto``: that of the file's name, else PNG.
@@ -39,9 +39,9 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
             together.
     """
     stems = file_stems([camera.name for camera in cameras])
-    picked = [index for index in range(len(cameras)) if not wanted or {cameras[index].name, stems[index]} & {*wanted}]
+    chosen = [index for index in range(len(cameras)) if not wanted or {cameras[index].name, stems[index]} & {*wanted}]
     for name in wanted:
-        if not any(name in (cameras[index].name, stems[index]) for index in picked):
+        if not any(name in (cameras[index].name, stems[index]) for index in chosen):
             listed = ", ".join(stems[:5]) + (", ..." if len(stems) > 5 else "")
             raise ls.ConfigError(f"no frame is named '{name}': there are {len(stems)} ({listed})")
     suffix = output.suffix.lower().removeprefix(".")
@@ -51,18 +51,18 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
                 f"{output}: unknown image extension '.{suffix}', expected .png, .exr or .npz, or a folder"
             )
         extension = "png" if format_name == "auto" else format_name
-        return [Shot(cameras[index], output / f"{stems[index]}.{extension}") for index in picked]
+        return [Shot(cameras[index], output / f"{stems[index]}.{extension}") for index in chosen]
     if format_name not in ("auto", suffix):
         raise ls.ConfigError(f"{output}: the name says {suffix}, --format says {format_name}")
-    if len(picked) > 1:
-        raise ls.ConfigError(f"{output}: {len(picked)} frames do not fit in one file: give a folder, or pick a --frame")
-    return [Shot(cameras[index], output) for index in picked]
+    if len(chosen) > 1:
+        raise ls.ConfigError(f"{output}: {len(chosen)} frames do not fit in one file: give a folder, or pick a --frame")
+    return [Shot(cameras[index], output) for index in chosen]
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """A safe file stem for each frame name, with a number where two would meet (upper and lower case count as one)."""
+    """A safe file stem for each frame name, with a number where two would be equal, ignoring case."""
     taken: set[str] = set()
-    stems = []
+    stems: list[str] = []
     for index, name in enumerate(names):
         safe = _UNSAFE.sub("_", name).strip("._")[:_STEM_MAX] or f"frame_{index:04d}"
         stem, number = safe, 2
@@ -74,7 +74,7 @@ def file_stems(names: Sequence[str]) -> list[str]:
 
 
 def check_writable(output: Path) -> None:
-    """Tries whether pictures can be written, before anything slow is done; leaves nothing behind.
+    """Checks whether pictures can be written, before anything slow is done; leaves nothing behind.
 
     Args:
         output: As for `plan_shots`.

@@ -1,4 +1,4 @@
-"""The table of ``--stats``: what a frame took."""
+"""The table of ``--stats``: times, counts and memory of a frame."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from lumisplat.cli.output.console import byte_size, print_table
 
 
 def print_stats(frame: ls.Frame, pipeline: ls.Pipeline) -> None:
-    """Prints times, counts and memory of one frame that ``pipeline`` has made."""
+    """Prints times, counts and memory of a frame of ``pipeline``."""
     print_table("last frame", [*stage_rows(stage_times(frame)), *count_rows(frame, pipeline)])
 
 
 def stage_times(frame: ls.Frame) -> dict[str, float]:
-    """Milliseconds per stage of a frame, a copy; empty on CUDA unless profiling."""
+    """Milliseconds of each stage of a frame, a copy; empty on CUDA unless profiling."""
     return dict(frame.stats.stage_ms) if frame.stats else {}
 
 
 def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
-    """Milliseconds per stage, then their sum; nothing where stages were not timed."""
+    """Milliseconds of each stage, then their sum; no rows if stages were not timed."""
     if not stage_ms:
         return []
     rows = [(name, f"{milliseconds:8.2f} ms") for name, milliseconds in stage_ms.items()]
@@ -25,7 +25,7 @@ def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
-    """What the frame held and, for the rasteriser, how much of it counted; device memory."""
+    """Gaussians and triangles; for the rasteriser those that were visible, and their tile pairs; device memory."""
     stats = frame.stats
     assert stats is not None
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]

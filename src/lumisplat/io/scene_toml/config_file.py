@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -27,9 +27,12 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.toml_table import FLAG, TABLE, TomlTable, suggestion
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _Config = TypeVar("_Config")
 
-_NOTHING = {"background": "none"}
+_WORD_FOR_NONE = {"background": "none"}
 """How None is written, by setting; "auto" for all others."""
 
 _TABLE_OF = {"RenderConfig": "render", "AvatarLightingConfig": "animation.lighting"}
@@ -37,17 +40,22 @@ _TABLE_OF = {"RenderConfig": "render", "AvatarLightingConfig": "animation.lighti
 
 
 def read_config(document: TomlTable) -> RenderConfig:
-    """The settings of a scene file; the defaults where it says nothing.
+    """The settings of a scene file; defaults for those that it does not name.
 
     Raises:
-        FormatError: An unknown setting, or a bad value.
+        FormatError: An unknown or renamed setting, or a bad value.
     """
     return read_settings(document.table("render"), RenderConfig)
 
 
 def write_config(path: PathLike, config: RenderConfig) -> None:
-    """Writes every setting; see `lumisplat.io.save_config`."""
-    if not isinstance(config, RenderConfig):
+    """Writes every setting; see `lumisplat.io.save_config`.
+
+    Raises:
+        ConfigError: ``config`` is no RenderConfig.
+        FormatError: The file cannot be written.
+    """
+    if not isinstance(config, RenderConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ConfigError(f"config is a {type(config).__name__}, expected a RenderConfig")
     text = "\n".join(_lines(config, "render")) + "\n"
     with atomic_write(path) as temporary:
@@ -55,20 +63,17 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
 
 
 def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
-    """The settings of a table, those of stages in tables below it; the defaults where it says nothing.
+    """The settings of a table, those of groups in tables below it; defaults for those that it does not name.
 
     Args:
-        table: Keys are the names of fields.
-        kind: Which settings.
+        table: Its keys are names of fields.
+        kind: The class of the settings.
 
     Raises:
-        FormatError: An unknown setting, or a bad value.
+        FormatError: An unknown or renamed setting, or a bad value.
     """
     hints = get_type_hints(kind)
-    renamed = RENAMED.get(kind.__name__, {})
-    for key in table.values:
-        if key in renamed:
-            raise table.error(f"{key!r} is now {_toml_path(renamed[key])}", key)
+    _refuse_renamed(table, kind)
     table.check_keys(hints)
     try:
         return kind(**{key: _setting(table, key, hints[key]) for key in table.values})
@@ -76,12 +81,21 @@ def read_settings(table: TomlTable, kind: type[_Config]) -> _Config:
         raise table.failed(error) from None
 
 
-def _setting(table: TomlTable, key: str, hint: Any) -> Any:
-    """The value of a key; what is of the right kind and out of its range is for the settings to refuse."""
+def _refuse_renamed(table: TomlTable, kind: type) -> None:
+    """Raises FormatError, with the new name, at the first key that has been renamed."""
+    renamed = RENAMED.get(kind.__name__, {})
+    for key in table.values:
+        if key in renamed:
+            owner, _, path = renamed[key].partition(".")
+            raise table.error(f"{key!r} is now {_TABLE_OF[owner]}.{path}", key)
+
+
+def _setting(table: TomlTable, key: str, hint: object) -> object:
+    """The value of a key, of the type that ``hint`` names; whether it is in its range is checked by the settings."""
     value = table.values[key]
-    nothing = _NOTHING.get(key, "auto") if isinstance(hint, types.UnionType) else ""
-    if nothing:
-        if value == nothing:
+    none = _WORD_FOR_NONE.get(key, "auto") if isinstance(hint, types.UnionType) else ""
+    if none:
+        if value == none:
             return None
         (hint,) = (one for one in get_args(hint) if one is not types.NoneType)
     if isinstance(hint, type) and is_dataclass(hint):
@@ -89,39 +103,40 @@ def _setting(table: TomlTable, key: str, hint: Any) -> Any:
             raise table.wrong(key, TABLE.expected)
         return read_settings(table.table(key), hint)
     if hint is bool and not FLAG.accepts(value):
-        raise table.wrong(key, FLAG.expected + (nothing and f' or "{nothing}"'))
+        raise table.wrong(key, FLAG.expected + (none and f' or "{none}"'))
     if isinstance(hint, type) and issubclass(hint, Enum):
-        members = {member.value: member for member in hint}
-        if not isinstance(value, str):
-            raise table.wrong(key, ", ".join(members))
-        if value not in members:
-            raise table.error(f"{key} is {value!r}, {suggestion(value, members)}", key)
-        return members[value]
-    return tuple(value) if get_origin(hint) is tuple and isinstance(value, list) else value
+        return _member(table, key, hint)
+    return tuple(cast(list[object], value)) if get_origin(hint) is tuple and isinstance(value, list) else value
 
 
-def _toml_path(path: str) -> str:
-    """A setting as TOML names it: ``render.jitter`` for ``RenderConfig.jitter``."""
-    kind, _, field = path.partition(".")
-    return f"{_TABLE_OF[kind]}.{field}"
+def _member(table: TomlTable, key: str, kind: type[Enum]) -> Enum:
+    """The member of an enum that a key names by its value."""
+    value = table.values[key]
+    members = {str(member.value): member for member in kind}
+    if not isinstance(value, str):
+        raise table.wrong(key, ", ".join(members))
+    if value not in members:
+        raise table.error(f"{key} is {value!r}, {suggestion(value, members)}", key)
+    return members[value]
 
 
-def _lines(config: Any, name: str) -> Iterator[str]:
-    """A table of all settings, those of its stages in tables behind it."""
-    stages = []
+def _lines(config: DataclassInstance, name: str) -> Iterator[str]:
+    """A table of all settings; those of groups in tables after it."""
+    groups: list[str] = []
     yield f"[{name}]"
     for field in fields(config):
         value = getattr(config, field.name)
         if is_dataclass(value):
-            stages.append(field.name)
+            groups.append(field.name)
         else:
-            yield f"{field.name} = {_toml(_NOTHING.get(field.name, 'auto') if value is None else value)}"
-    for stage in stages:
+            yield f"{field.name} = {_toml(_WORD_FOR_NONE.get(field.name, 'auto') if value is None else value)}"
+    for group in groups:
         yield ""
-        yield from _lines(getattr(config, stage), f"{name}.{stage}")
+        yield from _lines(getattr(config, group), f"{name}.{group}")
 
 
-def _toml(value: Any) -> str:
+def _toml(value: object) -> str:
+    """A value as TOML writes it."""
     match value:
         case Enum():
             return f'"{value.value}"'
@@ -130,5 +145,8 @@ def _toml(value: Any) -> str:
         case bool() | np.bool_():
             return str(bool(value)).lower()
         case tuple():
-            return f"[{', '.join(map(_toml, value))}]"
-    return repr(value.item() if isinstance(value, np.generic) else value)
+            return f"[{', '.join(map(_toml, cast(tuple[object, ...], value)))}]"
+        case np.generic():
+            return repr(value.item())
+        case _:
+            return repr(value)

@@ -1,12 +1,17 @@
-"""A camera for a scene that came without one."""
+"""A camera for a scene that comes without one."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.cli.options.common import resolved_up
+from lumisplat.cli.input.up_axis import UpAxis, UpOption, resolved_up
+
+_Points = npt.NDArray[np.float64]
+_Array = npt.NDArray[np.floating[Any]]
 
 FOV_Y = 0.8
 """Vertical field of view, radians: a normal lens."""
@@ -17,18 +22,18 @@ TAIL = 0.02
 MARGIN = 1.05
 """Room around the box, as a factor of the distance."""
 
-_UP_AND_FRONT = {
+_UP_AND_FRONT: dict[UpAxis, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "y-down": ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
     "y-up": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     "z-up": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
 }
 
 
-def framing_camera(scene: ls.Scene, up: str = "auto", width: int = 1280, height: int = 720) -> ls.Camera:
-    """A camera in front of the scene, a little above, from which its bulk fills the image.
+def framing_camera(scene: ls.Scene, up: UpOption = "auto", width: int = 1280, height: int = 720) -> ls.Camera:
+    """A camera in front of the scene, a little above, whose image the bulk of the scene fills.
 
     Args:
-        scene: What to frame.
+        scene: The scene to frame.
         up: ``y-down`` (seen along +z), the axes of most captures; ``y-up`` (seen along -z), as glTF has it; ``z-up``
             (seen along +y); ``auto``: y-down for a scene with a capture, y-up for one of meshes alone.
         width: Image width, pixels.
@@ -61,8 +66,12 @@ def framing_camera(scene: ls.Scene, up: str = "auto", width: int = 1280, height:
     )
 
 
-def bulk_bounds(scene: ls.Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """World-space corners (min, max) of a box around all meshes and the bulk of each capture's opacity, shape (3,)."""
+def bulk_bounds(scene: ls.Scene) -> tuple[_Points, _Points]:
+    """World-space corners (min, max) of a box around all meshes and the bulk of each capture's opacity, shape (3,).
+
+    Raises:
+        SceneError: The scene is empty.
+    """
     boxes = [_bulk(_world(i.gaussians.means, i.transform), i.gaussians.opacities) for i in scene.splats]
     for instance in scene.meshes:
         points = _world(instance.mesh.positions, instance.transform)
@@ -73,15 +82,16 @@ def bulk_bounds(scene: ls.Scene) -> tuple[npt.NDArray[np.float64], npt.NDArray[n
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
-def _bulk(points: npt.NDArray, weights: npt.NDArray) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _bulk(points: _Points, weights: _Array) -> tuple[_Points, _Points]:
+    """Corners of the box that leaves out `TAIL` of the weights at each end of each axis."""
     low, high = np.empty(3), np.empty(3)
     for axis in range(3):
         order = np.argsort(points[:, axis])
         share = np.cumsum(weights[order], dtype=np.float64)
-        picked = np.searchsorted(share, (TAIL * share[-1], (1.0 - TAIL) * share[-1]))
-        low[axis], high[axis] = points[order[picked], axis]
+        first, last = np.searchsorted(share, (TAIL * share[-1], (1.0 - TAIL) * share[-1]))
+        low[axis], high[axis] = points[order[first], axis], points[order[last], axis]
     return low, high
 
 
-def _world(points: npt.NDArray, world_from_object: npt.NDArray) -> npt.NDArray[np.float64]:
+def _world(points: _Array, world_from_object: _Points) -> _Points:
     return points @ world_from_object[:3, :3].T + world_from_object[:3, 3]

@@ -1,11 +1,11 @@
-"""What is wrong with the arguments, in one line: tyro says it in a panel of many."""
+"""Arguments that do not parse, said in one line: tyro prints a panel of many."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from itertools import dropwhile, takewhile
 
 _STYLES = re.compile(r"\x1b\[[0-9;]*m")
@@ -16,7 +16,7 @@ class ArgumentsError(Exception):
 
 
 @contextlib.contextmanager
-def panels_as_errors() -> Iterator[None]:
+def panels_as_errors() -> Generator[None]:
     """Turns the panel that tyro prints before it exits into an exception.
 
     Raises:
@@ -33,7 +33,7 @@ def panels_as_errors() -> Iterator[None]:
 
 
 def one_line(panel: str) -> str:
-    """The first paragraph below a panel's title, the option it suggests, and where help is.
+    """A panel's first paragraph, the option that it suggests, and the command that prints the help.
 
     A panel without such a paragraph comes back whole, its lines joined.
     """
@@ -49,7 +49,7 @@ def one_line(panel: str) -> str:
 
 
 def _choices(listed: re.Match[str]) -> str:
-    """The choices of an option in one order, which tyro does not keep, without the None of one that is not given."""
+    """The choices of an option, sorted as tyro does not keep an order, and without the None of an absent option."""
     choices = [choice for choice in re.findall(r"'([^']*)'", listed[1]) if choice != "None"]
     return f"one of {', '.join(sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice)))}"
 

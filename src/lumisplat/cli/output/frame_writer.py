@@ -1,4 +1,4 @@
-"""``--aov`` and ``--view``: what is written beside a picture, or instead of it."""
+"""Pictures of ``--aov`` and ``--view``: what is written beside a frame, or instead of it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _LEGENDS = {
     "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
     "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
 }
-"""What the colours of a view mean, where that is not the same in all scenes."""
+"""What the colours of a view mean, of views whose colours depend on the scene."""
 
 
 @dataclass
 class FrameWriter:
-    """Writes frames with their layers, or a view of each; in all of one run the same colours mean the same.
+    """Writes frames with their layers, or a view of each; in all frames of a run the same colours mean the same.
 
     Raises:
         ConfigError: There is no such layer, or there is both a view and layers.
@@ -43,7 +43,7 @@ class FrameWriter:
 
     @property
     def aovs(self) -> tuple[str, ...]:
-        """What ``RenderConfig.aovs`` has to hold."""
+        """What ``RenderConfig.aovs`` must hold."""
         names = (*self.layers, self.view or "")
         return tuple(ls.Frame.NEEDS[name] for name in names if name in ls.Frame.NEEDS)
 

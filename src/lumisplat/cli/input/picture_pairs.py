@@ -12,7 +12,7 @@ _EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 @dataclass(frozen=True)
 class Pair:
-    """A picture and what it should be."""
+    """A picture and its reference."""
 
     name: str
     image: Path
@@ -22,7 +22,7 @@ class Pair:
 def picture_pairs(image: Path, reference: Path) -> list[Pair]:
     """The pairs of two files or two folders, in the order of their names.
 
-    Pictures of folders go together by their names without the extension: a PNG has an EXR for reference.
+    Pictures of folders are paired by their names without the extension: a PNG may have an EXR as reference.
 
     Raises:
         FormatError: One is missing, only one is a folder, a folder has no pictures or two of the same name, or a
@@ -45,6 +45,7 @@ def picture_pairs(image: Path, reference: Path) -> list[Pair]:
 
 
 def _pictures(folder: Path) -> dict[str, Path]:
+    """The pictures of a folder by their names without the extension."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in _EXTENSIONS and not path.name.startswith("."):

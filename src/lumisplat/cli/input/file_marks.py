@@ -1,4 +1,4 @@
-"""The files that a scene file is made of, and whether one has changed since: by size and time, not by content."""
+"""The files that a scene file refers to, and marks that show whether one has changed: its size and its time."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 _OF_OBJ = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
 _OBJ_HEAD = 2**20
-"""Bytes of an OBJ in which its material library is looked for."""
+"""Bytes of an OBJ that are searched for its material library."""
 
 
 def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
-    """Size and time of files and of all that they name, by their paths from the first one's folder.
+    """Size and time of files and of all files that they refer to, by their paths from the first one's folder.
 
-    Text that is the path of a file, from the folder of what names it, counts as naming it; that of a folder names its
-    files.
+    A text in a file refers to a file if it is its path from the folder of the file that holds the text; the path of a
+    folder refers to the files in it.
 
     Args:
-        paths: What to begin with; the first is the scene file.
-        apart: A folder that does not count, as the frames go there.
+        paths: The files to begin with; the first is the scene file.
+        apart: A folder that is left out, that of the frames.
     """
     found: dict[Path, str] = {}
     waiting = list(paths)
@@ -37,35 +37,36 @@ def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
             continue
         status = path.stat()
         found[path] = f"{status.st_size} bytes, {status.st_mtime_ns} ns"
-        with suppress(ValueError):  # what does not parse names nothing; whoever reads it will say so
+        with suppress(ValueError):  # a file that does not parse refers to nothing here; its reader reports it
             waiting += [path.parent / text for text in _texts(path) if _may_be_a_path(text)]
     home = Path(os.path.abspath(paths[0])).parent
     return {os.path.relpath(path, home): mark for path, mark in sorted(found.items())}
 
 
 def _may_be_a_path(text: str) -> bool:
-    """Neither empty, nor this folder or one around it."""
+    """Whether a text names something else than this folder or one around it."""
     return 0 < len(text) < 1024 and "\0" not in text and bool(set(Path(text).parts) - {".", "..", "/"})
 
 
 def _texts(path: Path) -> Iterator[str]:
-    """The texts of a file that names others."""
-    match path.suffix.lower():
-        case ".toml":
-            yield from _strings(tomllib.loads(path.read_text()))
-        case ".gltf":
-            yield from _strings(json.loads(path.read_text()))
-        case ".obj" | ".mtl":
-            with path.open("rb") as stream:
-                yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
+    """The texts of a file that may refer to others."""
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        yield from _strings(tomllib.loads(path.read_text()))
+    elif suffix == ".gltf":
+        yield from _strings(json.loads(path.read_text()))
+    elif suffix in (".obj", ".mtl"):
+        with path.open("rb") as stream:
+            yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
 
 
-def _strings(value: Any) -> Iterator[str]:
+def _strings(value: object) -> Iterator[str]:
+    """All texts in the values of a document."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
-        for inner in value.values():
+        for inner in cast(dict[str, object], value).values():
             yield from _strings(inner)
     elif isinstance(value, list):
-        for inner in value:
+        for inner in cast(list[object], value):
             yield from _strings(inner)

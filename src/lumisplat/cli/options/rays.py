@@ -1,28 +1,29 @@
-"""Options of rays: samples, mirrors and glass, and how they meet Gaussians."""
+"""Options of rays: samples, mirrors and glass, and how rays hit Gaussians."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.common import Flag, setting, without_none
+from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.settings import Changes, setting, without_none
 
 PipelineName = Literal["raster", "trace", "hybrid"]
 StrategyName = Literal["sorted", "stochastic-hit", "stochastic-pass"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class TraceOptions:
-    """Settings of `lumisplat.TraceConfig` and of the rays of a frame, under the same names."""
+class RayOptions:
+    """Settings of `lumisplat.TraceConfig` and `lumisplat.ResponseConfig`, and of the samples of a frame."""
 
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
-    """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: one of them by chance, the fastest.
-    stochastic-pass: a few of them by chance. Chance averages out over --samples."""
+    """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: a random one of them, the fastest.
+    stochastic-pass: a random few of them. --samples average the noise."""
     samples: Annotated[int | None, setting("N", "1")] = None
-    """Rays a pixel; more antialias, and take out the noise of chance."""
+    """Rays a pixel; more of them smooth edges and average noise."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Another one gives other noise, the same one the same image."""
     max_bounces: Annotated[int | None, setting("N", "3")] = None
@@ -41,29 +42,27 @@ class TraceOptions:
     no_jitter: Flag = False
     """All samples through the centre of the pixel: edges stay hard."""
 
-    def changes(self) -> dict[str, Any]:
-        """What was given, by the names of `lumisplat.RenderConfig`, that of a group in a dictionary there.
-
-        Raises:
-            ConfigError: A value is out of its range.
-        """
+    def changes(self) -> Changes:
+        """The settings that were given."""
         hit_distance = self.hit_distance and ls.HitDistance(self.hit_distance)
-        trace = {
-            "strategy": self.strategy and ls.TraceStrategy(self.strategy),
-            "hits_per_pass": self.hits_per_pass,
-            "hit_distance": hit_distance,
-            "normal_method": self.normals and ls.NormalMethod(self.normals),
-        }
-        response = {"kernel_degree": self.kernel_degree, "min_response": self.min_response}
         frame = {
             "samples": self.samples,
             "jitter": False if self.no_jitter else None,
             "seed": self.seed,
             "max_bounces": self.max_bounces,
         }
-        groups = {"trace": trace, "response": response, "shadow_rays": {"hit_distance": hit_distance}}
+        groups = {
+            "trace": {
+                "strategy": self.strategy and ls.TraceStrategy(self.strategy),
+                "hits_per_pass": self.hits_per_pass,
+                "hit_distance": hit_distance,
+                "normal_method": self.normals and ls.NormalMethod(self.normals),
+            },
+            "response": {"kernel_degree": self.kernel_degree, "min_response": self.min_response},
+            "shadow_rays": {"hit_distance": hit_distance},
+        }
         return without_none(frame) | {name: without_none(group) for name, group in groups.items()}
 
 
-TraceGroup = Annotated[TraceOptions, arg(name="ray"), OmitArgPrefixes]
+RayGroup = Annotated[RayOptions, arg(name="ray"), OmitArgPrefixes]
 """A field of a command that shows its options in a group of their own."""

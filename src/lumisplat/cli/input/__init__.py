@@ -1,0 +1,1 @@
+"""What commands read: files of a scene, cameras, pairs of pictures."""

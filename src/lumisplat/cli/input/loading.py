@@ -1,0 +1,71 @@
+"""Files of a scene, of any kind, and the settings that come with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import lumisplat as ls
+from lumisplat.cli.output.console import Report
+
+
+def load_asset(path: Path, *, drop_invalid: bool, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
+    """Loads one file, and reports the progress under its name.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    return ls.load(path, drop_invalid=drop_invalid, progress=partial(report, f"loading {path.name}"))
+
+
+def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> ls.Scene:
+    """Loads files of any kind into one scene, each in its own coordinates.
+
+    Raises:
+        ConfigError: No file was given.
+        FormatError: A file cannot be read.
+    """
+    if not paths:
+        raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
+    scenes = [as_scene(load_asset(path, drop_invalid=drop_invalid, report=report)) for path in paths]
+    return ls.Scene(
+        splats=tuple(splat for scene in scenes for splat in scene.splats),
+        meshes=tuple(mesh for scene in scenes for mesh in scene.meshes),
+        lights=tuple(light for scene in scenes for light in scene.lights),
+    )
+
+
+def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
+    """A scene as it is; one of a single asset has it at the origin."""
+    if isinstance(asset, ls.Scene):
+        return asset
+    if isinstance(asset, ls.Mesh):
+        return ls.Scene(meshes=(ls.MeshInstance(asset),))
+    return ls.Scene(splats=(ls.SplatInstance(asset),))
+
+
+def scene_file(paths: Sequence[Path]) -> Path | None:
+    """The ``scene.toml`` among the files of a scene, which brings cameras and settings; None: there is none.
+
+    Raises:
+        ConfigError: There are two.
+    """
+    found = [path for path in paths if path.suffix.lower() == ".toml"]
+    if len(found) > 1:
+        raise ls.ConfigError(f"{found[0]} and {found[1]} are both scene files: list in one what both list")
+    return found[0] if found else None
+
+
+def scene_settings(file: Path | None) -> ls.RenderConfig:
+    """The settings of a ``scene.toml``; None: the library's defaults.
+
+    Raises:
+        FormatError: The file cannot be read, or a setting is wrong.
+    """
+    return ls.RenderConfig() if file is None else ls.load_config(file)
+
+
+def size_on_disk(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder (unpacked SOG)."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size

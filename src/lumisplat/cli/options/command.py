@@ -1,0 +1,84 @@
+"""What commands derive from: options that several of them share, and how they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+import lumisplat as ls
+from lumisplat.cli.input.loading import load_asset, load_scene
+from lumisplat.cli.output.console import Report, quiet_warp
+
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+"""An option without a value, off unless given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Options of every command."""
+
+    debug: Flag = False
+    """Show the traceback of an error."""
+
+    def run(self) -> None:
+        """Does what the command is for."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceCommand(Command):
+    """Options of the commands that compute."""
+
+    device: Annotated[str, arg(metavar="auto|cpu|cuda:N")] = "auto"
+    """Where to compute; auto takes a CUDA GPU if there is one."""
+
+    def start_renderer(
+        self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
+    ) -> ls.Renderer:
+        """A renderer on the device, its kernels compiled.
+
+        Raises:
+            DeviceError: There is no such device, or the compiled kernels cannot be stored.
+        """
+        try:
+            self.start_warp()
+            return ls.create_renderer(config, self.device, profile=profile, progress=report)
+        except OSError as error:
+            raise ls.DeviceError(
+                f"{error.filename}: cannot hold the cache of compiled kernels ({error.strerror}): set the environment "
+                "variable WARP_CACHE_PATH to a folder that can be written to"
+            ) from error
+
+    def start_warp(self) -> None:
+        """Starts Warp without its banner, which only --debug shows."""
+        if not self.debug:
+            quiet_warp()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadingCommand(Command):
+    """Options of the commands that load captures."""
+
+    drop_invalid: Flag = False
+    """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+
+    def load_asset(self, path: Path, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
+        """Loads one file.
+
+        Raises:
+            FormatError: The file cannot be read.
+        """
+        return load_asset(path, drop_invalid=self.drop_invalid, report=report)
+
+    def load_scene(self, paths: Sequence[Path], report: Report) -> ls.Scene:
+        """Loads files of any kind into one scene.
+
+        Raises:
+            ConfigError: No file was given.
+            FormatError: A file cannot be read.
+        """
+        return load_scene(paths, drop_invalid=self.drop_invalid, report=report)
