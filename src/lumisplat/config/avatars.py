@@ -23,7 +23,7 @@ class LightEstimationConfig:
     """
 
     radius: float | None = None
-    """Gaussians farther than this from the character's centre are ignored, scene units, 1e-6..1e9; None: 1.5 extents."""
+    """Gaussians farther from the character's centre are ignored, scene units, 1e-6..1e9; None: 1.5 extents."""
     viewpoint_distance: float | None = None
     """Distance of the four outer viewpoints from the character's centre, scene units, 1e-6..1e9; None: a tenth of the
     extent."""

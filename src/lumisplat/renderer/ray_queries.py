@@ -106,7 +106,7 @@ class RayQueries:
     ) -> FloatArray:
         """How much light arrives from as far as ``distances``, (N,); 0 where below the least transmittance."""
         parts = []
-        scene.begin_sample(None, 0, is_last=True)
+        scene.begin_sample(0, is_last=True)
         for first, given in _batches(origins, directions, distances):
             count, rays = len(given[0]), self._rays(len(given[0]))
             self._load(scene, first, count, self._uploaded(given), rays)
@@ -124,11 +124,11 @@ class RayQueries:
         count, rays = len(given[0]), self._rays(len(given[0]))
         uploaded = self._uploaded(given)
         shape = FilmShape()
-        pixels = PixelBuffers.of(self._buffers, (1, rays.t_max.shape[0]))
+        pixels = PixelBuffers.of(self._buffers, (rays.t_max.shape[0], 1))
         nonfinite = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
         nonfinite.zero_()
         for sample in range(samples):
-            scene.begin_sample(None, sample, is_last=sample == samples - 1)
+            scene.begin_sample(sample, is_last=sample == samples - 1)
             self._load(scene, first, count, uploaded, rays)
             hits = self._tracer.find_hits(scene, rays, "rays")
             radiance = self._integrator.radiance(scene, plan, hits, sample)

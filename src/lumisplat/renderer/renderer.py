@@ -98,16 +98,16 @@ class Renderer:
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, plan)
         if not plan.is_sampled:
-            pixels = self._unlit_raster.draw(self._scene, camera)
+            pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
                 return self._frame(scene, camera, images_of_pixels(pixels), self._binning.counts, samples=0)
 
-        self._film.begin(camera, plan, resume)
+        self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
         end = first + self.config.samples
         for sample in range(first, end):
-            self._scene.begin_sample(camera, sample, is_last=sample == end - 1)
-            hits = self._find_hits(plan, camera)
+            self._scene.begin_sample(sample, is_last=sample == end - 1)
+            hits = self._find_hits(plan)
             radiance = self._integrator.radiance(self._scene, plan, hits, sample)
             lights = self._integrator.light_images(self._scene, plan, hits)
             self._film.add(self._scene, hits, radiance, lights)
@@ -158,11 +158,11 @@ class Renderer:
         if plan.is_lit and self.config.pipeline is Pipeline.RASTER:
             self._warnings.warn_of_mirrors(scene)
 
-    def _find_hits(self, plan: FramePlan, camera: Camera) -> PrimaryHits:
+    def _find_hits(self, plan: FramePlan) -> PrimaryHits:
         """What the camera's rays of the current sample hit, rasterised or traced."""
-        rays = self._camera_rays.start(self._scene, camera)
+        rays = self._camera_rays.start(self._scene)
         if plan.rasterises:
-            return self._raster.find_hits(self._scene, camera, rays)
+            return self._raster.find_hits(self._scene, rays)
         return self._tracer.find_hits(self._scene, rays, "camera")
 
     def _load(self, modules: list[Any], progress: Progress | None = None) -> None:

@@ -19,7 +19,6 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 
 
 class Film:
@@ -34,10 +33,11 @@ class Film:
         self._launcher, self._buffers = launcher, buffers
         self._shape = FilmShape()
 
-    def begin(self, camera: Camera, plan: FramePlan, resume: Frame | None = None) -> None:
+    def begin(self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None) -> None:
         """Before the samples that a frame adds: the first ones, or more to a frame that is resumed."""
         self._plan = plan
-        self._shape.width, self._shape.height, self._shape.in_blocks = camera.width, camera.height, 1
+        self._shape.width, self._shape.height = scene.image_size
+        self._shape.in_blocks = 1
         self._nonfinite.zero_()
         if resume is not None:
             self._put_back(resume)
@@ -126,11 +126,11 @@ class Film:
 
     @property
     def _pixels(self) -> PixelBuffers:
-        return PixelBuffers.of(self._buffers, (self._shape.height, self._shape.width))
+        return PixelBuffers.of(self._buffers, (self._shape.width, self._shape.height))
 
     @property
     def _lit(self) -> PixelBuffers:
-        return PixelBuffers.of_light(self._buffers, (self._shape.height, self._shape.width))
+        return PixelBuffers.of_light(self._buffers, (self._shape.width, self._shape.height))
 
     @property
     def _lit_pixels(self) -> LitPixels:

@@ -34,29 +34,29 @@ class PixelBuffers:
     """What kernels take: PixelData, or LitPixels."""
     block: Any
     """The memory, as float32."""
-    shape: tuple[int, int]
-    """Height and width of the image."""
+    size: tuple[int, int]
+    """Width and height of the image."""
     fields: tuple[tuple[str, Any, int], ...]
     """What the block holds."""
 
     @classmethod
-    def of(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
-        """The buffers of an image of that height and width; the same memory for every image of that size."""
-        return cls._of(buffers, "pixels", PixelData(), FIELDS, shape)
+    def of(cls, buffers: Buffers, size: tuple[int, int]) -> PixelBuffers:
+        """The buffers of an image of that width and height; the same memory for every image of that size."""
+        return cls._of(buffers, "pixels", PixelData(), FIELDS, size)
 
     @classmethod
-    def of_light(cls, buffers: Buffers, shape: tuple[int, int]) -> PixelBuffers:
+    def of_light(cls, buffers: Buffers, size: tuple[int, int]) -> PixelBuffers:
         """What a lit image keeps beside them."""
-        return cls._of(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, shape)
+        return cls._of(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
     @classmethod
     def _of(
-        cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], shape: tuple[int, int]
+        cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], size: tuple[int, int]
     ) -> PixelBuffers:
-        block, arrays = buffers.split(name, fields, shape[0] * shape[1])
+        block, arrays = buffers.split(name, fields, size[0] * size[1])
         for field, array in arrays.items():
             setattr(data, field, array)
-        return cls(data, block, shape, fields)
+        return cls(data, block, size, fields)
 
     def upload(self, images: dict[str, np.ndarray]) -> None:
         """Puts images back that ``download`` gave."""
@@ -67,7 +67,7 @@ class PixelBuffers:
         words = self.block.numpy()
         if self.block.device.is_cpu:
             words = words.copy()  # there, what Warp gives is the buffer itself
-        height, width = self.shape
+        width, height = self.size
         images, first = {}, 0
         for name, dtype, channels in self.fields:
             image = words[first : first + height * width * channels]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,11 +13,9 @@ from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.raster import mesh_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
-from lumisplat.renderer.scene.camera_table import tile_grid
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +39,14 @@ class MeshRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
 
-    def draw(self, scene: DeviceScene, camera: Camera) -> MeshPixels:
+    def draw(self, scene: DeviceScene) -> MeshPixels:
         """Depth, colour and normal of the meshes at each pixel."""
-        nearest = self._find(scene, camera)
+        nearest = self._find(scene)
         pixels = MeshPixels()
         pixels.depth_z = nearest.depth
         if nearest.triangles is None:
             return pixels
-        count = camera.width * camera.height
+        count = math.prod(scene.image_size)
         for name, dtype in (("color", wp.vec3), ("normal", wp.vec3), ("instance", wp.int32)):
             setattr(pixels, name, self._buffers.get(f"mesh.{name}", dtype, count))
         instances = scene.mesh_instances, scene.splat_instances.shape[0]
@@ -58,9 +57,9 @@ class MeshRaster:
         )
         return pixels
 
-    def find_hits(self, scene: DeviceScene, camera: Camera, rays: RayData) -> tuple[MeshPixels, MeshHits]:
+    def find_hits(self, scene: DeviceScene, rays: RayData) -> tuple[MeshPixels, MeshHits]:
         """Depth of the meshes at each pixel alone, and their hits on the rays of the pixels."""
-        nearest = self._find(scene, camera)
+        nearest = self._find(scene)
         count = rays.t_max.shape[0]
         pixels = MeshPixels()
         pixels.depth_z = nearest.depth
@@ -77,13 +76,13 @@ class MeshRaster:
             )
         return pixels, hits
 
-    def _find(self, scene: DeviceScene, camera: Camera) -> _NearestTriangles:
-        pixels = camera.width * camera.height
+    def _find(self, scene: DeviceScene) -> _NearestTriangles:
+        pixels = math.prod(scene.image_size)
         depth = self._buffers.get("mesh.depth", wp.float32, pixels)
         if not scene.triangle_count:
             depth.fill_(float("inf"))
             return _NearestTriangles(depth)
-        tiles_x, tiles_y = tile_grid(camera)
+        tiles_x, tiles_y = scene.tile_grid
         triangles, rects = self._project(scene)
         everything = self._binning.unsorted(triangles.shape[0])
         lists = self._binning.bin("mesh", everything, rects, tiles_x, tiles_x * tiles_y)

@@ -11,7 +11,6 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 
 
 class RasterHits:
@@ -39,36 +38,35 @@ class RasterHits:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
-    def find_hits(self, scene: DeviceScene, camera: Camera, rays: RayData) -> PrimaryHits:
+    def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
         """What the rays of the scene's current sample hit.
 
         Args:
-            scene: Up to date, with the camera of this sample.
-            camera: A sharp pinhole.
+            scene: Up to date, with a sharp pinhole camera at this sample.
             rays: Those of its pixels.
         """
-        hits = self._draw(scene, camera, rays)
+        hits = self._draw(scene, rays)
         while not self._binning.finish():
-            hits = self._draw(scene, camera, rays)
+            hits = self._draw(scene, rays)
         return hits
 
-    def _draw(self, scene: DeviceScene, camera: Camera, rays: RayData) -> PrimaryHits:
+    def _draw(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
         stage = self._launcher.stage
         is_sorted = self._config.raster.strategy is RasterStrategy.SORTED
         gaussians = self._buffers.struct("raster.gaussians", GaussianHits, rays.t_max.shape[0])
         self._binning.begin()
         with stage("mesh"):
-            pixels, meshes = self._meshes.find_hits(scene, camera, rays)
+            pixels, meshes = self._meshes.find_hits(scene, rays)
         with stage("project"):
             splats = self._splats.project(scene)
         with stage("sort"):
             order = self._binning.sort(splats.keys) if is_sorted else self._binning.unsorted(splats.count)
         with stage("bin"):
-            tiles = self._splats.bin(order, splats, camera)
+            tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
             if is_sorted:
                 counts = "hits" in self._config.aovs
-                self._splats.find_hits(scene, camera, tiles, pixels, gaussians, counts=counts)
+                self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
             else:
-                self._splats.sample_hits(scene, camera, tiles, pixels, gaussians)
+                self._splats.sample_hits(scene, tiles, pixels, gaussians)
         return PrimaryHits(rays, meshes, gaussians)

@@ -15,12 +15,10 @@ from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileR
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.renderer.raster import splat_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
-from lumisplat.renderer.scene.camera_table import tile_grid
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.camera import Camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,28 +82,26 @@ class SplatRaster:
             )
         return splats
 
-    def bin(self, order: DepthOrder, splats: ProjectedSplats, camera: Camera) -> SplatTiles:
+    def bin(self, scene: DeviceScene, order: DepthOrder, splats: ProjectedSplats) -> SplatTiles:
         """The splats of each tile, in that order."""
-        tiles_x, tiles_y = tile_grid(camera)
+        tiles_x, tiles_y = scene.tile_grid
         lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
         return SplatTiles(splats.data, lists.starts, lists.items)
 
     def draw(
         self,
         scene: DeviceScene,
-        camera: Camera,
         tiles: SplatTiles,
         meshes: MeshPixels,
         pixels: PixelData,
     ) -> None:
         """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0)
-        self._composite(scene, camera, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
+        self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
 
     def find_hits(
         self,
         scene: DeviceScene,
-        camera: Camera,
         tiles: SplatTiles,
         meshes: MeshPixels,
         hits: GaussianHits,
@@ -117,35 +113,32 @@ class SplatRaster:
         Tiles do not count how many are blended: where it ``counts``, pixels are worked on one by one for that.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
-        self._composite(scene, camera, (*arguments, hits))
+        self._composite(scene, (*arguments, hits))
         if counts and not self._launcher.is_parallel:
             counted = self._buffers.struct("raster.counted", GaussianHits, hits.hits.shape[0])
-            self._composite(scene, camera, (*arguments, counted), by_pixel=True)
+            self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
 
     def sample_hits(
         self,
         scene: DeviceScene,
-        camera: Camera,
         tiles: SplatTiles,
         meshes: MeshPixels,
         hits: GaussianHits,
     ) -> None:
         """One splat a pixel, selected with its weight as probability; lists need no order."""
         inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
-        self._run_tiles(camera, kernels.sample_tiles, kernels.sample_pixels, inputs)
+        self._run_tiles(scene, kernels.sample_tiles, kernels.sample_pixels, inputs)
 
-    def _composite(
-        self, scene: DeviceScene, camera: Camera, arguments: tuple[Any, ...], *, by_pixel: bool = False
-    ) -> None:
+    def _composite(self, scene: DeviceScene, arguments: tuple[Any, ...], *, by_pixel: bool = False) -> None:
         inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)
-        self._run_tiles(camera, kernels.composite_tiles, kernels.composite_pixels, inputs, by_pixel=by_pixel)
+        self._run_tiles(scene, kernels.composite_tiles, kernels.composite_pixels, inputs, by_pixel=by_pixel)
 
     def _run_tiles(
-        self, camera: Camera, tiles: Any, pixels: Any, inputs: tuple[Any, ...], *, by_pixel: bool = False
+        self, scene: DeviceScene, tiles: Any, pixels: Any, inputs: tuple[Any, ...], *, by_pixel: bool = False
     ) -> None:
         """Runs the kernel of ``tiles``, or that of ``pixels``, which does the same: one block of pixels is a tile."""
-        tiles_x, tiles_y = tile_grid(camera)
+        tiles_x, tiles_y = scene.tile_grid
         if self._launcher.is_parallel or by_pixel:
             self._launcher.run_banded(pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, *inputs)
         else:

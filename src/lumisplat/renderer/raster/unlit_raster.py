@@ -13,7 +13,6 @@ from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 
 
 class UnlitRaster:
@@ -33,33 +32,32 @@ class UnlitRaster:
         self._launcher, self._buffers = launcher, buffers
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
-    def draw(self, scene: DeviceScene, camera: Camera) -> PixelBuffers:
+    def draw(self, scene: DeviceScene) -> PixelBuffers:
         """The pixels of a frame.
 
         Args:
-            scene: Up to date.
-            camera: A sharp pinhole.
+            scene: Up to date, with a sharp pinhole camera.
         """
-        pixels = PixelBuffers.of(self._buffers, (camera.height, camera.width))
-        self._replay(scene, camera, pixels)
+        pixels = PixelBuffers.of(self._buffers, scene.image_size)
+        self._replay(scene, pixels)
         while not self._binning.finish():
-            self._replay(scene, camera, pixels)
+            self._replay(scene, pixels)
         return pixels
 
-    def _replay(self, scene: DeviceScene, camera: Camera, pixels: PixelBuffers) -> None:
-        key = (camera.width, camera.height, scene.version, self._buffers.allocations, self._binning.growth)
-        self._launcher.replay("frame", key, lambda: self._passes(scene, camera, pixels))
+    def _replay(self, scene: DeviceScene, pixels: PixelBuffers) -> None:
+        key = (*scene.image_size, scene.version, self._buffers.allocations, self._binning.growth)
+        self._launcher.replay("frame", key, lambda: self._passes(scene, pixels))
 
-    def _passes(self, scene: DeviceScene, camera: Camera, pixels: PixelBuffers) -> None:
+    def _passes(self, scene: DeviceScene, pixels: PixelBuffers) -> None:
         stage = self._launcher.stage
         self._binning.begin()
         with stage("mesh"):
-            meshes = self._meshes.draw(scene, camera)
+            meshes = self._meshes.draw(scene)
         with stage("project"):
             splats = self._splats.project(scene)
         with stage("sort"):
             order = self._binning.sort(splats.keys)
         with stage("bin"):
-            tiles = self._splats.bin(order, splats, camera)
+            tiles = self._splats.bin(scene, order, splats)
         with stage("composite"):
-            self._splats.draw(scene, camera, tiles, meshes, pixels.data)
+            self._splats.draw(scene, tiles, meshes, pixels.data)

@@ -42,7 +42,7 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["jacobian_min"] = -raster_center / focal - margin
     row["jacobian_max"] = (size - raster_center) / focal + margin
     row["width"], row["height"] = camera.width, camera.height
-    row["tiles_x"], row["tiles_y"] = tile_grid(camera)
+    row["tiles_x"], row["tiles_y"] = tile_grid(camera.width, camera.height)
     row["near"] = camera.near
     row["aperture"], row["focus_distance"] = camera.aperture, camera.focus_distance
     row["shutter"] = camera.camera_from_world_end is not None
@@ -52,9 +52,9 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     return table
 
 
-def tile_grid(camera: Camera) -> tuple[int, int]:
-    """Tiles across and down."""
-    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+def tile_grid(width: int, height: int) -> tuple[int, int]:
+    """Tiles of an image across and down."""
+    return -(-width // TILE_PX), -(-height // TILE_PX)
 
 
 def subpixel(sample: int) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.bvh_scene import BvhScene
-from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel
+from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel, tile_grid
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
@@ -48,6 +48,8 @@ class DeviceScene:
         self.sample: Any = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: Any = None
         self.mesh_instances: Any = None
+        self.image_size = (0, 0)
+        """Width and height, pixels."""
         self.gaussian_count = 0
         """Gaussians over all instances."""
         self.triangle_count = 0
@@ -86,6 +88,7 @@ class DeviceScene:
         with self._launcher.stage("sync"):
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
+            self._camera, self.image_size = camera, (camera.width, camera.height)
             self.camera.assign(camera_table(camera, CENTER))
             if plan.is_sampled:
                 self._shading.sync(scene, camera, plan, self)
@@ -93,12 +96,16 @@ class DeviceScene:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config)
 
-    def begin_sample(self, camera: Camera | None, index: int, *, is_last: bool) -> None:
-        """Before sample ``index`` of each pixel: where in it the camera's rays lie, if they are a camera's."""
+    def begin_sample(self, index: int, *, is_last: bool) -> None:
+        """Before sample ``index`` of each pixel: moves the camera's rays to where it lies in the pixel."""
         self._sample["index"], self._sample["is_last"] = index, is_last
         self.sample.assign(self._sample)
-        if camera is not None:
-            self.camera.assign(camera_table(camera, subpixel(index if self._config.jitter else 0)))
+        self.camera.assign(camera_table(self._camera, subpixel(index if self._config.jitter else 0)))
+
+    @property
+    def tile_grid(self) -> tuple[int, int]:
+        """Tiles of the image across and down."""
+        return tile_grid(*self.image_size)
 
     def texture_first(self, texture: np.ndarray) -> int:
         """First texel of a texture among those of all meshes."""

@@ -8,7 +8,6 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels as kernels
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.camera import Camera
 
 
 class CameraRays:
@@ -22,15 +21,15 @@ class CameraRays:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def start(self, scene: DeviceScene, camera: Camera) -> RayData:
+    def start(self, scene: DeviceScene) -> RayData:
         """The rays of the scene's current sample, in square blocks of pixels."""
-        count = ray_count(camera)
+        count = ray_count(*scene.image_size)
         rays = self._buffers.struct("camera.rays", RayData, count)
         with self._launcher.stage("rays"):
             self._launcher.run_banded(kernels.start_rays, count, scene.camera, scene.sample, rays)
         return rays
 
 
-def ray_count(camera: Camera) -> int:
+def ray_count(width: int, height: int) -> int:
     """Rays of an image: whole blocks."""
-    return PACKET_RAYS * (-(-camera.width // RAY_BLOCK_PX)) * (-(-camera.height // RAY_BLOCK_PX))
+    return PACKET_RAYS * (-(-width // RAY_BLOCK_PX)) * (-(-height // RAY_BLOCK_PX))
