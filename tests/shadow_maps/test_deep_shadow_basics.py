@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.demo.shapes import icosphere
+from lumisplat.scene.sampling.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 
@@ -81,25 +83,26 @@ def test_two_casters_multiply() -> None:
     np.testing.assert_array_equal(behind([ball(), other]), behind(joined(ball(), other)))
 
 
-def test_meshes_cast_as_gaussians() -> None:
+@pytest.fixture
+def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
+    """The meshes that Gaussians are made of, as they are: of fewer than usual, which is as good and quicker."""
+    calls: list[ls.Mesh] = []
+    monkeypatch.setattr(casters, "sample_surface", lambda mesh: calls.append(mesh) or sample_surface(mesh, 4000))
+    return calls
+
+
+def test_meshes_cast_as_gaussians(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
     """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
     sphere = icosphere(radius=0.5)
-    assert behind(sphere)[0] < 0.01
+    with monkeypatch.context() as plain:
+        plain.setattr(casters, "sample_surface", sample_surface)
+        assert behind(sphere)[0] < 0.01
     stretched = np.diag([-8.0, 1.0, 1.0, 1.0])
     seen = behind(ls.MeshInstance(sphere, stretched))
     assert seen[0] < 0.01
     # Stretched to eight times its width, its shadow at z = 4 reaches to x = 8.
     assert seen[1] < 0.01
     assert behind(ls.MeshInstance(sphere))[1] == 1.0
-
-
-@pytest.fixture
-def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
-    """The meshes that Gaussians are made of, as they are."""
-    calls: list[ls.Mesh] = []
-    sample = casters.sample_surface
-    monkeypatch.setattr(casters, "sample_surface", lambda mesh: calls.append(mesh) or sample(mesh))
-    return calls
 
 
 def test_mesh_is_turned_into_gaussians_once(sampled: list[ls.Mesh]) -> None:
@@ -136,13 +139,17 @@ def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> Non
     assert sampled == [sphere]
 
 
-def test_meshes_that_are_new_each_time_do_not_pile_up() -> None:
-    """Only so many are remembered."""
+def test_meshes_that_are_new_each_time_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only so many are remembered, those that came last."""
+    assert casters.SURFACES_HELD < 1000
+    monkeypatch.setattr(casters, "SURFACES_HELD", 3)
+    monkeypatch.setattr(casters, "sample_surface", partial(sample_surface, count=10))
     turned = casters.MeshesAsGaussians()
     tiny = ls.Mesh([[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]], [[0, 1, 2]])
-    for _ in range(casters.SURFACES_HELD + 5):
-        turned.placed("casters", replace(tiny, indices=tiny.indices.copy()))
-    assert len(turned._surfaces) == casters.SURFACES_HELD
+    shown = [replace(tiny, indices=tiny.indices.copy()) for _ in range(8)]
+    for mesh in shown:
+        turned.placed("casters", mesh)
+    assert list(turned._surfaces) == [id(mesh.indices) for mesh in shown[-3:]]
 
 
 def test_light_inside_a_caster_shines_through_half_of_it() -> None:

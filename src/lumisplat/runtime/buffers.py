@@ -7,8 +7,9 @@ import os
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy.typing as npt
 import warp as wp
 
 from lumisplat.errors import DeviceError
@@ -16,8 +17,41 @@ from lumisplat.errors import DeviceError
 Noun = TypeVar("Noun")
 
 
+if TYPE_CHECKING:
+
+    class DeviceArray(wp.array[Any]):
+        """A Warp array as host code uses it, for type checkers: Warp leaves most of its members without annotations."""
+
+        shape: tuple[int, ...]
+        ptr: int
+        capacity: int
+
+        def __getitem__(self, key: slice) -> DeviceArray:
+            """A view of some elements."""
+            ...
+
+        def reshape(self, shape: int | tuple[int, ...]) -> DeviceArray:
+            """A view of another shape."""
+            ...
+
+        def assign(self, src: npt.NDArray[Any] | wp.array[Any]) -> None:
+            """Copies as many elements, from the host or from another array."""
+            ...
+
+        def fill_(self, value: object) -> None:
+            """Sets all elements."""
+            ...
+
+        def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> npt.NDArray[Any]:
+            """The elements on the host; of an array on the CPU, the same memory."""
+            ...
+
+else:
+    DeviceArray = wp.array
+
+
 def physical_memory() -> int:
-    """Memory that this process may have, bytes: the machine's or its container's; boundless where neither tells."""
+    """Memory that this process may have, bytes: the machine's or its container's; boundless where neither says."""
     limits = [sys.maxsize]
     if hasattr(os, "sysconf"):
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
@@ -45,12 +79,12 @@ class Buffers:
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._arrays: dict[str, Any] = {}
-        self._views: dict[tuple[str, tuple[int, ...]], Any] = {}
+        self._arrays: dict[str, DeviceArray] = {}
+        self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
         self.allocations = 0
         """How often memory was allocated, for tests and for invalidating captured graphs."""
 
-    def get(self, name: str, dtype: Any, shape: int | tuple[int, ...]) -> Any:
+    def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
         """An array of ``shape`` with undefined contents.
 
         Raises:
@@ -64,12 +98,23 @@ class Buffers:
         held = self._arrays.get(name)
         if held is None or held.size < size:
             held = self._allocate(name, dtype, max(size, 1))
-        view: Any = held[:size]
-        view = view.reshape(shape) if size else view
+        view = held[:size].reshape(shape) if size else held[:size]
         self._views[(name, shape)] = view
         return view
 
-    def split(self, name: str, fields: Sequence[tuple[str, Any, int]], count: int) -> tuple[Any, dict[str, Any]]:
+    def upload(self, name: str, dtype: type[object], values: npt.NDArray[Any]) -> DeviceArray:
+        """An array with an element for each row of ``values``, which are copied into it.
+
+        Raises:
+            DeviceError: The device is out of memory.
+        """
+        array = self.get(name, dtype, len(values))
+        array.assign(values)
+        return array
+
+    def split(
+        self, name: str, fields: Sequence[tuple[str, type[object], int]], count: int
+    ) -> tuple[DeviceArray, dict[str, DeviceArray]]:
         """Several arrays of ``count`` elements in one block of memory, so that one copy downloads them all.
 
         Args:
@@ -81,9 +126,10 @@ class Buffers:
             The block as float32, field after field, and the arrays by name.
         """
         block = self.get(name, wp.float32, count * sum(words for _, _, words in fields))
-        arrays, first = {}, 0
+        arrays: dict[str, DeviceArray] = {}
+        first = 0
         for field, dtype, words in fields:
-            arrays[field] = wp.array(
+            arrays[field] = DeviceArray(
                 ptr=block.ptr + 4 * first, dtype=dtype, shape=count, device=self._device, copy=False
             )
             first += count * words
@@ -94,9 +140,9 @@ class Buffers:
 
         Fields ``without`` an array are false in kernels.
         """
-        filled: Any = noun()
-        fields: dict[str, Any] = noun.vars  # type: ignore[attr-defined]
-        for field, variable in fields.items():
+        struct: Any = noun
+        filled = noun()
+        for field, variable in struct.vars.items():
             if field not in without:
                 setattr(filled, field, self.get(f"{name}.{field}", variable.type.dtype, count))
         return filled
@@ -106,7 +152,7 @@ class Buffers:
         """Memory held, bytes."""
         return sum(array.capacity for array in self._arrays.values())
 
-    def _allocate(self, name: str, dtype: Any, size: int) -> Any:
+    def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:
         self._arrays.pop(name, None)  # freed before its successor is made: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         needed = size * wp.types.type_size_in_bytes(dtype)
@@ -116,7 +162,7 @@ class Buffers:
                 f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
             )
         try:
-            array = wp.empty(size, dtype=dtype, device=self._device)
+            array = DeviceArray(shape=size, dtype=dtype, device=self._device)
         except (RuntimeError, ValueError) as error:  # Warp refuses sizes beyond its index range with the latter
             raise DeviceError(f"{self._device} cannot allocate {size:,} elements for '{name}': {error}") from None
         self._arrays[name] = array

@@ -1,16 +1,17 @@
-"""What may be given as casters or receivers, as Gaussians in the world."""
+"""Casters in the forms that users give them, as Gaussians in the world: meshes are sampled."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.scene.animation.binding import Binding, bind_surface, deformed
+from lumisplat.scene.animation.binding import Binding, bind_surface, deform_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, placed_gaussians
@@ -18,17 +19,16 @@ from lumisplat.scene.sampling.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
-"""What has Gaussians, or can be turned into them."""
+"""Gaussians, or what can be turned into them."""
 
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
-
 SURFACES_HELD = 64
-"""Meshes that are remembered as Gaussians, those that came last."""
+"""Meshes whose Gaussians are kept: those that were used last."""
 
 
 class MeshesAsGaussians:
-    """Meshes turned into Gaussians, once each: also after they have been away, their shadow is the same.
+    """Turns meshes into Gaussians, each once: a mesh that returns after some frames casts the same shadow as before.
 
     Meshes that share their ``indices``, as poses of a rig do, are one surface that deforms: its Gaussians follow it.
     """
@@ -40,7 +40,7 @@ class MeshesAsGaussians:
         """The Gaussians of all that is given, in the world; meshes come after the Gaussians of a scene.
 
         Args:
-            name: What messages call it.
+            name: The argument's name, for messages.
             content: One thing or several.
 
         Raises:
@@ -49,29 +49,29 @@ class MeshesAsGaussians:
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
-                items += [*one.splats, *(self._turned(i) for i in one.meshes)]
+                items += [*one.splats, *(self._as_splats(i) for i in one.meshes)]
             elif isinstance(one, Mesh | MeshInstance):
-                items.append(self._turned(MeshInstance(one) if isinstance(one, Mesh) else one))
+                items.append(self._as_splats(MeshInstance(one) if isinstance(one, Mesh) else one))
             else:
                 items.append(SplatInstance(one) if isinstance(one, Gaussians) else one)
         return placed_gaussians(items)
 
-    def _turned(self, instance: MeshInstance) -> SplatInstance:
+    def _as_splats(self, instance: MeshInstance) -> SplatInstance:
         mesh, matrix = instance.mesh, instance.transform
-        # Held until enough others have come: what is new in every frame must not pile up.
+        # The least recently used one is dropped: meshes that are new in every frame must not pile up.
         surface = self._surfaces.pop(id(mesh.indices), None) or _Surface.of(mesh)
         self._surfaces[id(mesh.indices)] = surface
         if len(self._surfaces) > SURFACES_HELD:
             self._surfaces.pop(next(iter(self._surfaces)))
         if mesh is surface.mesh and _is_similar(matrix[:3, :3]):
             return SplatInstance(surface.gaussians, matrix)
-        # What no splat instance can do, deforming, mirroring and shearing, is done to the triangles.
+        # Splat instances cannot deform, mirror or shear: the triangles do, and the Gaussians follow them.
         return SplatInstance(surface.moved_to(mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """A mesh, and Gaussians on it."""
+    """A mesh and Gaussians that cover it."""
 
     mesh: Mesh
     gaussians: Gaussians
@@ -84,7 +84,7 @@ class _Surface:
 
     def moved_to(self, positions: npt.NDArray[np.floating]) -> Gaussians:
         """The Gaussians of the surface with its vertices at ``positions``."""
-        changed, vanished = deformed(self.binding, self.gaussians.scales, positions, None)
+        changed, vanished = deform_gaussians(self.binding, self.gaussians.scales, positions, None)
         opacities = np.where(vanished, np.float32(0.0), self.gaussians.opacities)
         return replace(self.gaussians, opacities=opacities, **changed)
 
@@ -96,18 +96,18 @@ def _is_similar(linear: npt.NDArray[np.float64]) -> bool:
 
 
 def as_iterable(name: str, content: object) -> Iterable[object]:
-    """What is given, if it is several things.
+    """The content as something to iterate over.
 
     Raises:
-        SceneError: It is not; the message says what may be given.
+        SceneError: It is a single thing; the message says what may be given.
     """
     if not isinstance(content, Iterable):
         raise SceneError(f"{name} is a {type(content).__name__}, expected {_EXPECTED}")
-    return content
+    return cast("Iterable[object]", content)
 
 
 def _several(name: str, content: object) -> list[Content]:
-    items = []
+    items: list[Content] = []
     for one in as_iterable(name, content):
         if not isinstance(one, Content):
             raise SceneError(f"{name} holds a {type(one).__name__}, expected {_EXPECTED}")

@@ -1,29 +1,38 @@
-"""Which casters the rays through a tile of an atlas can meet (docs/method/deep_shadow_maps.md#culling)."""
+"""Which casters the rays through a tile of an atlas can intersect (docs/method/deep_shadow_maps.md#culling)."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
 from lumisplat.constants import SHADOW_BLOCK_TILES, SHADOW_TILE
-from lumisplat.device.shadow_map.atlas import TILE_TEXELS, Atlas
-from lumisplat.device.structs.shadow_map import Cell
+from lumisplat.device.shadow_map.atlas import TILE_TEXELS
+from lumisplat.device.structs.shadow_map import Atlas, CasterLists, Cell
 from lumisplat.errors import SceneError
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.math.arrays import IntArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
-_Ints = npt.NDArray[np.int32]
-
 BANDS_PER_THREAD = 16
-"""Cells differ much in cost: where casters are, or none."""
+"""Work is cut finely, because cells differ much in cost: some have many casters, others none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CulledCasters:
+    """The casters that each list of texels has to consider."""
+
+    lists: CasterLists
+    """On the device."""
+    counts: IntArray
+    """How many casters each list has, shape (L,)."""
 
 
 class OneList:
-    """All casters for every ray: without culling.
+    """No culling: one list of all casters serves every texel.
 
     Args:
         buffers: Holds the arrays.
@@ -31,25 +40,20 @@ class OneList:
 
     def __init__(self, buffers: Buffers) -> None:
         self._buffers = buffers
-        self.ends: Any = None
-        """Where the list ends."""
-        self.items: Any = None
-        """Numbers of the casters."""
-        self.counts: _Ints = np.zeros(1, np.int32)
-        """How many casters there are, shape (1,)."""
 
-    def update(self, footprints: Any) -> None:
+    def cull(self, footprints: DeviceArray) -> CulledCasters:
         """Lists as many casters as there are footprints."""
-        self.ends, self.items = list_of_all(self._buffers, footprints)
-        self.counts[0] = self.items.shape[0]
+        return CulledCasters(list_of_all(self._buffers, footprints), np.array([footprints.shape[0]], np.int32))
 
-    def of_texels(self, texels: _Ints) -> _Ints:
+    def list_numbers(self, texels: IntArray) -> IntArray:
         """The number of each texel's list."""
         return np.zeros(len(texels), np.int32)
 
 
 class TileLists:
-    """For each of some tiles, the casters that its rays can meet: looked for in blocks of tiles first, then in tiles.
+    """A list for each of some tiles, of the casters that its rays can intersect.
+
+    Casters are culled for blocks of tiles first, then for the tiles of each block.
 
     Args:
         launcher: Runs the kernels.
@@ -58,66 +62,63 @@ class TileLists:
         tiles: Their numbers, ascending, shape (T,).
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, atlas: Atlas, tiles: _Ints) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, atlas: Atlas, tiles: IntArray) -> None:
         self._launcher, self._buffers, self._atlas = launcher, buffers, atlas
         self.tiles = tiles
+        """Numbers of the tiles, ascending, shape (T,)."""
         across = atlas.size // SHADOW_TILE
         face, y, x = tiles // across**2, tiles // across % across, tiles % across
         blocks = np.stack([face, x // SHADOW_BLOCK_TILES, y // SHADOW_BLOCK_TILES], axis=1)
         blocks, parents = np.unique(blocks, axis=0, return_inverse=True)
-        block_side, none = SHADOW_BLOCK_TILES * SHADOW_TILE, np.zeros(len(blocks), np.int32)
-        self._blocks = self._cells("blocks", blocks * [1, block_side, block_side], block_side, none)
+        block_side = SHADOW_BLOCK_TILES * SHADOW_TILE
+        all_casters = np.zeros(len(blocks), np.int32)
+        self._blocks = self._cells("blocks", blocks * [1, block_side, block_side], block_side, all_casters)
         corners = np.stack([face, x * SHADOW_TILE, y * SHADOW_TILE], axis=1)
         self._tiles = self._cells("tiles", corners, SHADOW_TILE, parents.ravel())
-        self.ends: Any = None
-        """Where the list of each tile ends, and the next one's begins."""
-        self.items: Any = None
-        """The lists, one after another: numbers of casters, ascending in each."""
-        self.counts: _Ints = np.zeros(len(tiles), np.int32)
-        """How many casters each tile can meet, shape (T,)."""
 
-    def update(self, footprints: Any) -> None:
-        """Looks casters up anew, by what each of them covers."""
-        ends, items = list_of_all(self._buffers, footprints)
-        ends, items, _ = self._narrow("blocks", self._blocks, footprints, ends, items)
-        self.ends, self.items, self.counts = self._narrow("tiles", self._tiles, footprints, ends, items)
+    def cull(self, footprints: DeviceArray) -> CulledCasters:
+        """Finds the casters of each tile by what they cover, rows of Footprint."""
+        lists = list_of_all(self._buffers, footprints)
+        of_blocks = self._narrow("blocks", self._blocks, footprints, lists)
+        return self._narrow("tiles", self._tiles, footprints, of_blocks.lists)
 
-    def of_texels(self, texels: _Ints) -> _Ints:
-        """The number of each texel's list, in tiles that there are."""
-        return np.searchsorted(self.tiles, texels // int(TILE_TEXELS)).astype(np.int32)
+    def list_numbers(self, texels: IntArray) -> IntArray:
+        """The number of each texel's list; the texels are of the tiles."""
+        return np.searchsorted(self.tiles, texels // TILE_TEXELS).astype(np.int32)
 
-    def _narrow(self, name: str, cells: Any, footprints: Any, ends: Any, items: Any) -> tuple[Any, Any, _Ints]:
-        """Of the casters in the lists of their parents, those that cells meet."""
+    def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
+        """Of the casters in each cell's parent list, those that may intersect the cell."""
         count, run = cells.shape[0], self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
-        counts = self._buffers.get(f"{name}.counts", wp.int32, count)
-        run(kernels.count_met, count, self._atlas, footprints, cells, ends, items, counts, bands=bands)
-        met = counts.numpy()
-        total = int(met.sum(dtype=np.int64))
+        counts_out = self._buffers.get(f"{name}.counts", wp.int32, count)
+        run(kernels.count_intersections, count, self._atlas, footprints, cells, lists, counts_out, bands=bands)
+        counts = counts_out.numpy()
+        total = int(counts.sum(dtype=np.int64))
         if total >= 2**31:
             raise SceneError(f"{total:,} pairs of casters and tiles are too many: move the light off the casters")
-        ends_out = self._buffers.get(f"{name}.ends", wp.int32, count)
-        ends_out.assign(np.cumsum(met, dtype=np.int32))
-        items_out = self._buffers.get(f"{name}.items", wp.int32, total)
-        run(kernels.list_met, count, self._atlas, footprints, cells, ends, items, ends_out, items_out, bands=bands)
-        return ends_out, items_out, met
+        narrowed = CasterLists()
+        narrowed.ends = self._buffers.upload(f"{name}.ends", wp.int32, np.cumsum(counts, dtype=np.int32))
+        narrowed.items = self._buffers.get(f"{name}.items", wp.int32, total)
+        run(kernels.list_intersections, count, self._atlas, footprints, cells, lists, narrowed, bands=bands)
+        return CulledCasters(narrowed, counts)
 
-    def _cells(self, name: str, corners: np.ndarray, side: int, parents: np.ndarray) -> Any:
+    def _cells(
+        self, name: str, corners: npt.NDArray[np.integer], side: int, parents: npt.NDArray[np.integer]
+    ) -> DeviceArray:
+        """Rows of Cell for squares of ``side`` texels, by face, x and y of their first texels, shape (C, 3)."""
         cells = self._buffers.get(f"{name}.cells", Cell, len(corners))
-        rows = np.zeros(len(corners), dtype=np.dtype(Cell.numpy_dtype()))  # type: ignore[attr-defined]
-        rows["parent"] = parents
-        cells.assign(rows)
-        uploaded = self._buffers.get(f"{name}.corners", wp.vec3i, len(corners))
-        uploaded.assign(corners.astype(np.int32))
-        self._launcher.run_banded(kernels.bound_cells, len(corners), self._atlas, uploaded, side, cells)
+        uploaded = (
+            self._buffers.upload(f"{name}.corners", wp.vec3i, corners.astype(np.int32)),
+            side,
+            self._buffers.upload(f"{name}.parents", wp.int32, parents.astype(np.int32)),
+        )
+        self._launcher.run_banded(kernels.bound_cells, len(corners), self._atlas, *uploaded, cells)
         return cells
 
 
-def list_of_all(buffers: Buffers, footprints: Any) -> tuple[Any, Any]:
-    """Where the one list of all casters ends, and their numbers."""
-    count = footprints.shape[0]
-    items = buffers.get("culling.items", wp.int32, count)
-    items.assign(np.arange(count, dtype=np.int32))
-    ends = buffers.get("culling.all", wp.int32, 1)
-    ends.fill_(count)
-    return ends, items
+def list_of_all(buffers: Buffers, footprints: DeviceArray) -> CasterLists:
+    """One list of all casters."""
+    lists = CasterLists()
+    lists.items = buffers.upload("culling.items", wp.int32, np.arange(footprints.shape[0], dtype=np.int32))
+    lists.ends = buffers.upload("culling.all", wp.int32, np.array([footprints.shape[0]], np.int32))
+    return lists

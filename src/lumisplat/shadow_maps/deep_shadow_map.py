@@ -6,73 +6,82 @@ import logging
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import Absorption, DeepShadowConfig, ReceiverSampling, check_kind
-from lumisplat.device.shadow_map.atlas import Atlas
-from lumisplat.device.shadow_map.lookup import CENTER, RANDOM, STENCIL
+from lumisplat.config import Absorption, DeepShadowConfig, check_kind
 from lumisplat.device.shadow_map.optical_depth import AVERAGE, MASS, SIMPLE
-from lumisplat.device.structs.shadow_map import Casters, Column, Footprint, Look, Occluder, Receivers, Shade, Table
-from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.device.structs.shadow_map import Atlas, Casters, Column, Footprint, Occluder, ShadowBound, Table
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import FloatArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher, Progress
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, center_of
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
-from lumisplat.shadow_maps.atlas import Source, atlas_of, shade_of, source_of
-from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians, as_iterable
+from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of
+from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.culling import BANDS_PER_THREAD, OneList, TileLists
-from lumisplat.shadow_maps.map_files import read_map, write_map
+from lumisplat.shadow_maps.map_files import StoredMap, read_map, write_map
+from lumisplat.shadow_maps.receivers import (
+    Receiving,
+    footprint_sampling,
+    placed_points,
+    placed_receivers,
+    upload_receivers,
+)
 from lumisplat.shadow_maps.region import Region, all_tiles, region_of_casters, region_of_receivers, whole_region
 
 _log = logging.getLogger("lumisplat")
 
 _MAPPING = {
-    Absorption.SIMPLE: int(SIMPLE),
-    Absorption.AVERAGE: int(AVERAGE),
-    Absorption.MASS: int(MASS),
-    Absorption.DIAGONAL: int(MASS),
+    Absorption.SIMPLE: SIMPLE,
+    Absorption.AVERAGE: AVERAGE,
+    Absorption.MASS: MASS,
+    Absorption.DIAGONAL: MASS,
 }
-_PATTERN = {
-    ReceiverSampling.CENTER: int(CENTER),
-    ReceiverSampling.STENCIL: int(STENCIL),
-    ReceiverSampling.MONTE_CARLO: int(RANDOM),
-}
-STENCIL_POINTS = 7
-
-Receiving = Content | Iterable[Content] | npt.ArrayLike
-"""What looks at a map: Gaussians, or what can be turned into them, or points."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeepShadowStats:
-    """What the last build took."""
+    """Sizes and times of the last build."""
 
     casters: int
     """Gaussians that block light."""
     texels: int
-    """Of the atlas, that are tabulated."""
+    """Texels of the atlas that are tabulated."""
     voxels: int
     """Bins over all of them."""
     pairs: int
-    """Casters and texels whose rays were followed through them."""
+    """Pairs of a texel and a caster whose optical depth was added to it."""
     stage_ms: dict[str, float]
     """Wall time of each stage, milliseconds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """The columns of a region, on the device."""
+
+    region: Region
+    texels: DeviceArray
+    """Numbers of the texels that have a column."""
+    list_of_texel: DeviceArray
+    """The number of each one's caster list."""
+    values: DeviceArray
+    """The values of ``table``."""
+    table: Table
 
 
 class DeepShadowMap:
     """How much of a light passes casters: transmittance by direction and distance, in closed form.
 
-    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``, so that shadows are soft at
-    their edges, tinted by nothing, and fall on whatever is behind, to the right degree for each distance. Made by
-    `build`. Source: docs/method/deep_shadow_maps.md.
+    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``, so that shadows have soft edges
+    and no tint, and darken each point behind or inside the casters by what lies before it. Made by `build`. Source:
+    docs/method/deep_shadow_maps.md.
 
     Transmittance is tabulated at the centres of texels and bins and interpolated; with ``receivers``, only where they
-    look. Elsewhere it is 1.
+    sample it. Elsewhere it is 1.
     """
 
     def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
@@ -80,18 +89,15 @@ class DeepShadowMap:
         """Settings."""
         self._source, self._launcher = source, launcher
         self._buffers = Buffers(launcher.device)
-        self._turned = MeshesAsGaussians()
+        self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
-        self._region: Region | None = None
-        """The same for all builds; None: it follows the casters."""
-        self._lists: TileLists | None = None
-        """Of that region."""
-        self._laid_out: Region | None = None
-        """What the arrays are of that follow."""
-        self._texels: Any = None
-        self._own_lists: Any = None
-        self._table = Table()
-        self._shade = Shade()
+        self._fixed_region: Region | None = None
+        """What is tabulated in all builds; None: what the casters of each build can darken."""
+        self._fixed_tiles: TileLists | None = None
+        """The culling of that region, once it was needed."""
+        self._layout: _Layout | None = None
+        """Of the last build."""
+        self._bound = ShadowBound()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
         """Of the last build."""
 
@@ -106,14 +112,14 @@ class DeepShadowMap:
         device: str = "auto",
         progress: Progress | None = None,
     ) -> DeepShadowMap:
-        """Tabulates what casters leave of a light.
+        """Tabulates how much of a light casters let through.
 
         Args:
             casters: Gaussians, meshes (which are turned into Gaussians), instances, a scene, or several of these.
-            light_position: Where the light is, world space, shape (3,), or a light: of one with a radius, its
-                centre; of a `LightDirectional`, light is parallel.
-            receivers: What will look at the map, likewise, or points, shape (N, 3). None: anything might, behind
-                the casters.
+            light_position: Position of the light, world space, shape (3,), or a light. Lights with an extent shine
+                from their centre, the light of a `LightDirectional` is parallel.
+            receivers: What the map will be sampled for, in the same forms, or points, shape (N, 3). None: any point
+                behind the casters.
             config: Settings; None: the defaults.
             device: As for `create_renderer`.
             progress: Called with a label and a fraction 0..1 while kernels compile.
@@ -129,10 +135,10 @@ class DeepShadowMap:
         launcher = Launcher(device)
         launcher.load([kernels], progress)
         shadow = cls(config, source, launcher)
-        blockers = shadow._blockers(casters)
+        placed = shadow._placed_casters(casters)
         if receivers is not None:
-            shadow._place_receivers(receivers, blockers)
-        shadow._tabulate(blockers)
+            shadow._fix_region(placed_receivers(receivers), placed)
+        shadow._tabulate(placed)
         return shadow
 
     def rebuild(self, casters: Content | Iterable[Content]) -> None:
@@ -146,7 +152,7 @@ class DeepShadowMap:
             SceneError: As for `build`.
         """
         self._launcher.stage_ms.clear()
-        self._tabulate(self._blockers(casters))
+        self._tabulate(self._placed_casters(casters))
 
     def transmittance(self, points: npt.ArrayLike) -> FloatArray:
         """How much of the light reaches points.
@@ -161,7 +167,7 @@ class DeepShadowMap:
         Raises:
             SceneError: The shape does not fit, or values are not finite.
         """
-        return self._look_up(_points(points))
+        return self._sample(placed_points(points))
 
     def transmittance_of(self, receivers: Receiving) -> FloatArray:
         """How much of the light reaches Gaussians, as ``config.sampling`` says.
@@ -177,7 +183,7 @@ class DeepShadowMap:
         Raises:
             SceneError: Something is of another kind, or a value is not finite.
         """
-        return self._look_up(_placed_receivers(receivers))
+        return self._sample(placed_receivers(receivers))
 
     @property
     def bytes(self) -> int:
@@ -195,13 +201,10 @@ class DeepShadowMap:
         Raises:
             FormatError: The file cannot be written.
         """
-        assert self._laid_out is not None
-        write_map(
-            *(path, self.config, self._source, self._atlas),
-            region=self._laid_out,
-            table=self._table.values.numpy(),
-            follows=self._region is None,
-        )
+        assert self._layout is not None
+        region, values = self._layout.region, self._layout.values.numpy()
+        follows_casters = self._fixed_region is None
+        write_map(path, StoredMap(self.config, self._source, self._atlas, region, values, follows_casters))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
@@ -213,78 +216,82 @@ class DeepShadowMap:
 
         Raises:
             DeviceError: There is no such device, or it is out of memory.
-            FormatError: The file is missing, or is none of these.
+            FormatError: The file is missing, or is not a deep shadow map.
         """
-        config, source, atlas, region, table, follows = read_map(path)
+        stored = read_map(path)
         launcher = Launcher(device)
         launcher.load([kernels])
-        shadow = cls(config, source, launcher)
-        shadow._atlas, shadow._region = atlas, None if follows else region
-        shadow._lay_out(region, shadow._caster_lists())
-        shadow._table.values.assign(table)
-        shadow._shade = shade_of(atlas, None)  # what casts is not in the file
+        shadow = cls(stored.config, stored.source, launcher)
+        shadow._atlas = stored.atlas
+        shadow._fixed_region = None if stored.follows_casters else stored.region
+        shadow._layout_for(stored.region, shadow._culling()).values.assign(stored.values)
+        shadow._bound = shadow_bound(stored.atlas, None)  # the file does not hold the casters
         return shadow
 
-    def _blockers(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
-        placed = self._turned.placed("casters", casters)
+    def _placed_casters(self, casters: Content | Iterable[Content]) -> PlacedGaussians:
+        placed = self._meshes.placed("casters", casters)
         if not len(placed.means):
             raise SceneError("casters have no Gaussians: there is nothing to cast a shadow")
         return placed
 
-    def _place_receivers(self, receivers: Receiving, blockers: PlacedGaussians) -> None:
-        """Sets atlas and region by what will look at the map."""
-        placed = _placed_receivers(receivers)
-        rows = np.arange(len(placed.means), dtype=np.int32)
+    def _fix_region(self, receivers: PlacedGaussians, casters: PlacedGaussians) -> None:
+        """Fits the atlas to receivers, and tabulates for all builds what their lookups read."""
+        rows = np.arange(len(receivers.means), dtype=np.int32)
         if self.config.region_radius is not None:
-            rows = rows[
-                np.abs(placed.means - center_of(blockers)).max(axis=1, initial=0.0) <= self.config.region_radius
-            ]
+            distances = np.abs(receivers.means - center_of(casters)).max(axis=1, initial=0.0)
+            rows = rows[distances <= self.config.region_radius]
         if not len(rows):
             _log.warning("there are no receivers near the casters: nothing is shadowed")
-        self._atlas = atlas_of(self._source, PlacedGaussians(*(column[rows] for column in placed)), self.config)
+        near = PlacedGaussians(*(column[rows] for column in receivers))
+        self._atlas = atlas_of(self._source, near, self.config)
         if not self.config.region:
-            self._region = whole_region(self._atlas)
+            self._fixed_region = whole_region(self._atlas)
             return
         with self._launcher.stage("region"):
-            # Where a receiver looks goes by its place among all: the far ones must not be left out here.
-            data, look = self._looking(placed)
-            self._region = region_of_receivers(self._launcher, self._atlas, data, rows, look)
+            # All are uploaded: the samples of a receiver depend on its number among all.
+            uploaded, sampling = (
+                upload_receivers(self._buffers, receivers),
+                footprint_sampling(self.config, receivers),
+            )
+            self._fixed_region = region_of_receivers(self._launcher, self._atlas, uploaded, rows, sampling)
 
-    def _tabulate(self, blockers: PlacedGaussians) -> None:
-        """Writes the table for casters, and the rest that follows them where nothing else says it."""
+    def _tabulate(self, casters: PlacedGaussians) -> None:
+        """Writes the table for casters, and without a fixed region fits atlas and region to them first."""
         launcher = self._launcher
-        if self._region is None:
-            self._atlas = atlas_of(self._source, blockers, self.config)
+        if self._fixed_region is None:
+            self._atlas = atlas_of(self._source, casters, self.config)
         with launcher.stage("casters"):
-            occluders, footprints = self._occluders(blockers)
-            self._shade = shade_of(self._atlas, footprints.numpy() if self.config.culling else None)
+            occluders, footprints = self._occluders(casters)
+            self._bound = shadow_bound(self._atlas, footprints.numpy() if self.config.culling else None)
         with launcher.stage("cull"):
-            lists = self._caster_lists()
-            lists.update(footprints)
+            culling = self._culling()
+            culled = culling.cull(footprints)
         with launcher.stage("tabulate"):
-            region = self._region or region_of_casters(self._atlas, blockers, lists)
-            if region is not self._laid_out:
-                self._lay_out(region, lists)
+            region = self._fixed_region
+            if region is None:
+                tiles = culling.tiles[culled.counts > 0] if isinstance(culling, TileLists) else None
+                region = whole_region(self._atlas) if tiles is None else region_of_casters(self._atlas, casters, tiles)
+            layout = self._layout_for(region, culling)
             launcher.run_banded(
                 kernels.tabulate,
-                *(len(region.texels), self._atlas, int(self.config.culling), self._texels, self._own_lists),
-                *(lists.ends, lists.items, occluders, self._table),
+                *(len(region.texels), self._atlas, self.config.culling, layout.texels, layout.list_of_texel),
+                *(culled.lists, occluders, layout.table),
                 bands=BANDS_PER_THREAD * launcher.threads,
             )
             launcher.synchronize()
-        pairs = int(lists.counts[lists.of_texels(region.texels)].sum(dtype=np.int64))
+        pairs = int(culled.counts[culling.list_numbers(region.texels)].sum(dtype=np.int64))
         self.stats = DeepShadowStats(
-            len(blockers.means), len(region.texels), region.voxel_count, pairs, dict(launcher.stage_ms)
+            len(casters.means), len(region.texels), region.voxel_count, pairs, dict(launcher.stage_ms)
         )
 
-    def _occluders(self, blockers: PlacedGaussians) -> tuple[Any, Any]:
-        """Casters as tables need them, and what they cover."""
-        launcher, buffers, count = self._launcher, self._buffers, len(blockers.means)
-        casters = buffers.struct("casters", Casters, count)
-        casters.means.assign(blockers.means)
-        casters.rotations.assign(blockers.rotations_wxyz[:, [1, 2, 3, 0]])
-        casters.scales.assign(blockers.scales)
-        casters.opacities.assign(blockers.opacities)
+    def _occluders(self, placed: PlacedGaussians) -> tuple[DeviceArray, DeviceArray]:
+        """Casters as seen from the light, and what they cover: rows of Occluder and of Footprint."""
+        launcher, buffers, count = self._launcher, self._buffers, len(placed.means)
+        casters = Casters()
+        casters.means = buffers.upload("casters.means", wp.vec3, placed.means)
+        casters.rotations = buffers.upload("casters.rotations", wp.quat, placed.rotations_xyzw)
+        casters.scales = buffers.upload("casters.scales", wp.vec3, placed.scales)
+        casters.opacities = buffers.upload("casters.opacities", wp.float32, placed.opacities)
         occluders = buffers.get("occluders", Occluder, count)
         footprints = buffers.get("footprints", Footprint, count)
         mapping = _MAPPING[self.config.absorption]
@@ -294,70 +301,38 @@ class DeepShadowMap:
         )
         return occluders, footprints
 
-    def _caster_lists(self) -> TileLists | OneList:
-        """The lists of what may be in the way, by tiles or for all."""
+    def _culling(self) -> TileLists | OneList:
+        """How the casters of each texel are found."""
         if not self.config.culling:
             return OneList(self._buffers)
-        if self._region is None:
+        if self._fixed_region is None:
             return TileLists(self._launcher, self._buffers, self._atlas, all_tiles(self._atlas))
-        if self._lists is None:
-            self._lists = TileLists(self._launcher, self._buffers, self._atlas, self._region.tiles)
-        return self._lists
+        if self._fixed_tiles is None:
+            self._fixed_tiles = TileLists(self._launcher, self._buffers, self._atlas, self._fixed_region.tiles)
+        return self._fixed_tiles
 
-    def _lay_out(self, region: Region, lists: TileLists | OneList) -> None:
-        """Uploads where the columns of a region are."""
-        slots, columns = region.columns(self._atlas)
-        self._table.slots = self._buffers.get("slots", wp.int32, len(slots))
-        self._table.slots.assign(slots)
-        self._table.columns = self._buffers.get("columns", Column, len(columns))
-        self._table.columns.assign(columns)
-        self._table.values = self._buffers.get("table", wp.float32, region.voxel_count)
-        self._texels = self._buffers.get("texels", wp.int32, len(region.texels))
-        self._texels.assign(region.texels)
-        self._own_lists = self._buffers.get("own_lists", wp.int32, len(region.texels))
-        self._own_lists.assign(lists.of_texels(region.texels))
-        self._laid_out = region
+    def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
+        """The columns of a region on the device: those of the last build if the region is the same."""
+        if self._layout is None or self._layout.region is not region:
+            slots, columns = region.columns(self._atlas)
+            values = self._buffers.get("table", wp.float32, region.voxel_count)
+            table = Table()
+            table.slots = self._buffers.upload("slots", wp.int32, slots)
+            table.columns = self._buffers.upload("columns", Column, columns)
+            table.values = values
+            texels = self._buffers.upload("texels", wp.int32, region.texels)
+            lists = self._buffers.upload("list_of_texel", wp.int32, culling.list_numbers(region.texels))
+            self._layout = _Layout(region, texels, lists, values, table)
+        return self._layout
 
-    def _looking(self, placed: PlacedGaussians) -> tuple[Receivers, Look]:
-        """Receivers on the device, and where they look; those without extent, at their means."""
-        look = Look()
-        look.pattern, look.count = _PATTERN[self.config.sampling], self.config.samples
-        look.seed = wp.uint32(self.config.seed)
-        if self.config.sampling is ReceiverSampling.STENCIL:
-            look.count = STENCIL_POINTS
-        if self.config.sampling is ReceiverSampling.CENTER or not placed.scales.any():
-            look.pattern, look.count = int(CENTER), 1
-        receivers = self._buffers.struct("receivers", Receivers, len(placed.means))
-        receivers.means.assign(placed.means)
-        receivers.rotations.assign(placed.rotations_wxyz[:, [1, 2, 3, 0]])
-        receivers.scales.assign(placed.scales)
-        return receivers, look
-
-    def _look_up(self, placed: PlacedGaussians) -> FloatArray:
-        receivers, look = self._looking(placed)
-        found = self._buffers.get("found", wp.float32, len(placed.means))
+    def _sample(self, placed: PlacedGaussians) -> FloatArray:
+        """Transmittance of receivers."""
+        assert self._layout is not None
+        receivers, sampling = upload_receivers(self._buffers, placed), footprint_sampling(self.config, placed)
+        transmittance = self._buffers.get("transmittance", wp.float32, len(placed.means))
         self._launcher.run_banded(
-            kernels.look_up,
-            *(len(placed.means), self._atlas, self._shade, self._table, receivers, look, found),
+            kernels.average_transmittance,
+            *(len(placed.means), self._atlas, self._bound, self._layout.table, receivers, sampling, transmittance),
             bands=BANDS_PER_THREAD * self._launcher.threads,
         )
-        return found.numpy().copy()  # on the CPU, the buffer itself
-
-
-def _placed_receivers(receivers: Receiving) -> PlacedGaussians:
-    """What looks at a map; points are Gaussians without extent."""
-    if isinstance(receivers, Content):
-        return MeshesAsGaussians().placed("receivers", receivers)
-    items: Any = receivers if isinstance(receivers, np.ndarray) else list(as_iterable("receivers", receivers))
-    if np.ndim(items) and len(items) and isinstance(items[0], Content):
-        return MeshesAsGaussians().placed("receivers", items)
-    return _points(items)
-
-
-def _points(values: npt.ArrayLike) -> PlacedGaussians:
-    points = float_array("points", values)
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    check_shapes(points=(points, "N 3"))
-    turns = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(points), 1))
-    return PlacedGaussians(points, turns, np.zeros_like(points), np.zeros(len(points), np.float32))
+        return transmittance.numpy().copy()  # on the CPU, the buffer itself

@@ -1,4 +1,4 @@
-"""Deep shadow maps in files: an ``.npz`` of what is tabulated, and the settings as JSON."""
+"""Deep shadow maps in files: an ``.npz`` of the tabulated values, with the settings as JSON."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import zipfile
 import zlib
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
@@ -16,8 +16,9 @@ import warp as wp
 
 from lumisplat.config import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SHADOW_TILE
-from lumisplat.device.shadow_map.atlas import Atlas
+from lumisplat.device.structs.shadow_map import Atlas
 from lumisplat.errors import FormatError, LumisplatError
+from lumisplat.io.files.atomic import atomic_write
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.shadow_maps.atlas import Source
@@ -25,33 +26,38 @@ from lumisplat.shadow_maps.region import Region, texel_count
 
 _VERSION = 1
 _ENUMS: dict[str, type[Enum]] = {"layout": AtlasLayout, "absorption": Absorption, "sampling": ReceiverSampling}
-_NOT_OURS = (
+_SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
+"""Fields of Atlas that are numbers."""
+_FOREIGN_FILE_ERRORS = (
     *(ArithmeticError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
     *(LumisplatError, zipfile.BadZipFile, zlib.error),
 )
-"""What comes of reading a file that is another, or damaged."""
-_SCALARS = ("layout", "size", "texel_length", "bins", "bin_length")
+"""Raised when a file that is foreign or damaged is read as a map."""
 
 
-def write_map(
-    path: str | os.PathLike[str],
-    config: DeepShadowConfig,
-    source: Source,
-    atlas: Atlas,
-    *,
-    region: Region,
-    table: FloatArray,
-    follows: bool,
-) -> None:
-    """Writes a map; the file appears whole or not at all. ``follows``: the region is that of its casters.
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredMap:
+    """What a file holds of a deep shadow map."""
+
+    config: DeepShadowConfig
+    source: Source
+    atlas: Atlas
+    region: Region
+    values: FloatArray
+    """Transmittance of each bin of the region, column by column, 0..1, shape (V,)."""
+    follows_casters: bool
+    """Whether the region is that of the casters it was built for, so that a rebuild finds another one."""
+
+
+def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
+    """Writes a map; the file appears whole or not at all.
 
     Raises:
         FormatError: The name does not end in ``.npz``, or the file cannot be written.
     """
-    from lumisplat.io.files.atomic import atomic_write
-
     if not os.fspath(path).lower().endswith(".npz"):
         raise FormatError(path, "a deep shadow map is saved as .npz")
+    config, source, atlas, region = stored.config, stored.source, stored.atlas, stored.region
     settings = {name: value.value if isinstance(value, Enum) else value for name, value in asdict(config).items()}
     header = {
         "version": _VERSION,
@@ -59,19 +65,25 @@ def write_map(
         "parallel": list(source.direction) if isinstance(source, LightDirectional) else None,
         "atlas": {name: float(getattr(atlas, name)) for name in _SCALARS},
         "origin": [float(x) for x in atlas.origin],
-        "follows": follows,
+        "follows": stored.follows_casters,
         "axes": [float(x) for x in np.array(atlas.axes).ravel()],
     }
-    arrays = {"texels": region.texels, "first": region.first, "count": region.count, "table": table}
     with atomic_write(path) as temporary:
-        np.savez_compressed(temporary, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
+        np.savez_compressed(
+            temporary,
+            header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+            texels=region.texels,
+            first=region.first,
+            count=region.count,
+            table=stored.values,
+        )
 
 
-def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, Atlas, Region, FloatArray, bool]:
-    """Reads what `write_map` wrote, in its order.
+def read_map(path: str | os.PathLike[str]) -> StoredMap:
+    """Reads what `write_map` wrote.
 
     Raises:
-        FormatError: The file is missing, or is none of these.
+        FormatError: The file is missing, or is not a deep shadow map.
     """
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -79,18 +91,19 @@ def read_map(path: str | os.PathLike[str]) -> tuple[DeepShadowConfig, Source, At
             if header["version"] != _VERSION:
                 raise FormatError(path, f"is a deep shadow map of version {header['version']}, expected {_VERSION}")
             region = Region(*(file[name].astype(np.int32) for name in ("texels", "first", "count")))
-            table = file["table"].astype(np.float32)
-            follows = bool(header["follows"])
-        config, source, atlas = _config(header["config"]), _source(header), _atlas(header)
+            values = file["table"].astype(np.float32)
+        stored = StoredMap(
+            _config(header["config"]), _source(header), _atlas(header), region, values, bool(header["follows"])
+        )
     except FormatError:
         raise
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
-    except _NOT_OURS:
+    except _FOREIGN_FILE_ERRORS:
         raise FormatError(path, "is no deep shadow map, or a damaged one") from None
-    if not _fits(atlas, region, table):
+    if not _is_consistent(stored):
         raise FormatError(path, "is a damaged deep shadow map: what it tabulates does not fit its settings")
-    return config, source, atlas, region, table, follows
+    return stored
 
 
 def _config(settings: dict[str, Any]) -> DeepShadowConfig:
@@ -113,17 +126,26 @@ def _atlas(header: dict[str, Any]) -> Atlas:
     return atlas
 
 
-def _fits(atlas: Atlas, region: Region, table: FloatArray) -> bool:
-    """Whether columns are where the atlas has texels and bins, and the table is theirs."""
+def _is_consistent(stored: StoredMap) -> bool:
+    """Whether the atlas is sound, columns are at texels and bins that it has, and there is a value for each bin."""
+    return _is_sound(stored.atlas) and _fits(stored.region, stored.atlas) and _are_values(stored.values, stored.region)
+
+
+def _is_sound(atlas: Atlas) -> bool:
+    sizes = atlas.layout in (0, 1, 2) and SHADOW_TILE <= atlas.size <= 8192 and atlas.size % SHADOW_TILE == 0
+    bins = atlas.bins >= 1 and 0.0 < atlas.bin_length < math.inf
+    return bool(
+        sizes and bins and np.isfinite(np.array(atlas.origin)).all() and np.isfinite(np.array(atlas.axes)).all()
+    )
+
+
+def _fits(region: Region, atlas: Atlas) -> bool:
     texels, first, count = region.texels, region.first, region.count
-    sound = atlas.layout in (0, 1, 2) and SHADOW_TILE <= atlas.size <= 8192 and atlas.size % SHADOW_TILE == 0
-    if not sound or not (atlas.bins >= 1 and 0.0 < atlas.bin_length < math.inf):
+    if not (texels.ndim == 1 and texels.shape == first.shape == count.shape):
         return False
-    if not (texels.ndim == 1 and texels.shape == first.shape == count.shape and table.shape == (region.voxel_count,)):
-        return False
-    if not (np.isfinite(np.array(atlas.origin)).all() and np.isfinite(np.array(atlas.axes)).all()):
-        return False
-    inside = (texels >= 0) & (texels < texel_count(atlas)) & (first >= 0) & (count >= 0)
-    ascending = bool((np.diff(texels) > 0).all()) if len(texels) else True
-    shares = bool(((table >= 0.0) & (table <= 1.0)).all())
-    return bool(inside.all() and (first + count <= atlas.bins).all() and ascending and shares)
+    inside = (texels >= 0) & (texels < texel_count(atlas)) & (first >= 0) & (count >= 0) & (first + count <= atlas.bins)
+    return bool(inside.all() and (np.diff(texels) > 0).all())
+
+
+def _are_values(values: FloatArray, region: Region) -> bool:
+    return values.shape == (region.voxel_count,) and bool(((values >= 0.0) & (values <= 1.0)).all())
