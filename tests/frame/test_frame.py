@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images.image import read_image
 from lumisplat.math.color import decode_srgb
+from support.files.image_files import read_image
 from support.scenes import raster_scenes as scenes
 from support.scenes.trace_scenes import GLASS, slab
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.frame.frame import FrameStats
-from lumisplat.io.images.image import read_image
+from lumisplat.frame.frame_data import FrameStats
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.tone_map import tone_mapped
+from lumisplat.math.tone_map import apply_tone_map
+from support.files.image_files import read_image
 from support.scenes.lit_frames import ball_frame, unlit
 
 MAPS = list(ls.ToneMap)
@@ -47,7 +47,7 @@ def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) ->
     assert frame.light is not None and frame.captured_weight is not None
     frame.save(tmp_path / "a.png")
     bare = frame.captured_weight == 0.0
-    expected = np.floor(tone_mapped(2.0**1.5 * frame.light[bare], tone_map) * 255.0 + 0.5)
+    expected = np.floor(apply_tone_map(2.0**1.5 * frame.light[bare], tone_map) * 255.0 + 0.5)
     saved = read_image(tmp_path / "a.png")["srgb"][bare]
     assert bare.any() and np.abs(saved - expected).max() <= 1.0
 

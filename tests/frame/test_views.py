@@ -10,8 +10,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.frame.views import layer_pictures
-from lumisplat.io.images.image import read_image
 from lumisplat.math.color import decode_srgb, encode_srgb
+from support.files.image_files import read_image
 from support.scenes.lit_frames import ball_frame
 
 BLUE = (0.09, 0.13, 0.32)

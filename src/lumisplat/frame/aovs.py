@@ -1,38 +1,50 @@
-"""Images of a frame beside its colour: which there are, and what an EXR calls them."""
+"""Layers of a frame, the images beside its colour: which there are, and what an EXR calls them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import AOVS
 from lumisplat.errors import ConfigError
+from lumisplat.frame.frame_data import FrameData
 from lumisplat.math.arrays import FloatArray
 
-if TYPE_CHECKING:
-    from lumisplat.frame.frame import Frame
+Image = npt.NDArray[Any]
+"""Pixels of any dtype, shape (H, W, ...)."""
 
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS)
-"""Names of layers. Those of `AOVS` are there where ``RenderConfig.aovs`` asked for them."""
+"""Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, the others always."""
 
 RADIANCE = ("albedo", "emission", "reflection", "hits", "light_direct", "light_shadow")
-"""Fields of a frame that make up the layers of `AOVS`."""
+"""Fields of a frame that hold the layers of `AOVS`."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
 """Longest name of a light in a layer's name, characters: file names and EXR channels end at 255 bytes."""
 
 
-def present_layers(frame: Frame) -> tuple[str, ...]:
-    """Those that ``frame`` has, in order."""
+class LightLayers(NamedTuple):
+    """The layers of one light."""
+
+    label: str
+    """Its name, fit for channels and file names."""
+    direct: FloatArray
+    """Radiance if nothing blocked it, (H, W, 3)."""
+    shadow: FloatArray
+    """Share of ``direct`` that arrives, 0..1, (H, W, 3)."""
+
+
+def present_layers(frame: FrameData) -> tuple[str, ...]:
+    """The layers that ``frame`` has, in the order of `LAYERS`."""
     return tuple(layer for layer in LAYERS if layer not in AOVS or getattr(frame, _field(layer)) is not None)
 
 
-def check_layer(frame: Frame, layer: str) -> None:
+def check_layer(frame: FrameData, layer: str) -> None:
     """Raises ConfigError unless ``frame`` has the layer."""
     if layer not in LAYERS:
         raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
@@ -40,13 +52,13 @@ def check_layer(frame: Frame, layer: str) -> None:
         raise ConfigError(f"the frame has no '{layer}': lit frames do, where RenderConfig.aovs asks for it")
 
 
-def exr_channels(frame: Frame, layers: Collection[str]) -> dict[str, npt.NDArray]:
-    """Channels of layers by the names that Nuke groups; radiance that is not finite is 0.
+def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
+    """Channels of layers, named so that Nuke groups them; radiance that is not finite is 0.
 
     Raises:
         ConfigError: The frame has no such layer.
     """
-    channels: dict[str, npt.NDArray] = {}
+    channels: dict[str, Image] = {}
     for layer in layers:
         check_layer(frame, layer)
         if layer == "depth":
@@ -56,9 +68,9 @@ def exr_channels(frame: Frame, layers: Collection[str]) -> dict[str, npt.NDArray
         elif layer in ("gaussian_index", "instance_index"):
             channels[f"index.{layer.removesuffix('_index')}"] = getattr(frame, layer)
         elif layer == "lights":
-            for label, direct, shadow in lights(frame):
-                channels |= _planes(f"light.{label}.direct", _finite(direct), "RGB")
-                channels |= _planes(f"light.{label}.shadow", _finite(shadow), "RGB")
+            for light in light_layers(frame):
+                channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
+                channels |= _planes(f"light.{light.label}.shadow", _finite(light.shadow), "RGB")
         elif layer == "hits":
             channels["hits.Y"] = _finite(getattr(frame, layer))
         else:
@@ -66,18 +78,17 @@ def exr_channels(frame: Frame, layers: Collection[str]) -> dict[str, npt.NDArray
     return channels
 
 
-def lights(frame: Frame) -> list[tuple[str, FloatArray, FloatArray]]:
-    """Label, direct light and shadow of each light; `check_layer` comes first."""
-    direct, shadow = frame.light_direct, frame.light_shadow
-    assert direct is not None and shadow is not None
-    names = frame.light_names or ("",) * len(direct)
-    return list(zip(light_labels(names), direct, shadow, strict=True))
+def light_layers(frame: FrameData) -> list[LightLayers]:
+    """The layers of each light, of a frame that has them, see `check_layer`."""
+    assert frame.light_direct is not None and frame.light_shadow is not None
+    labels = light_labels(frame.light_names or ("",) * len(frame.light_direct))
+    return [LightLayers(*row) for row in zip(labels, frame.light_direct, frame.light_shadow, strict=True)]
 
 
 def light_labels(names: Sequence[str]) -> list[str]:
     """A label for each light, fit for channels and file names: its name, else its number; no two are equal."""
     taken: set[str] = set()
-    labels = []
+    labels: list[str] = []
     for index, name in enumerate(names):
         safe = _UNSAFE.sub("_", name)[:_LABEL_MAX].strip("_") or str(index)
         label, number = safe, 2
@@ -92,7 +103,7 @@ def _field(layer: str) -> str:
     return "light_direct" if layer == "lights" else layer
 
 
-def _planes(layer: str, values: npt.NDArray, axes: str) -> dict[str, npt.NDArray]:
+def _planes(layer: str, values: Image, axes: str) -> dict[str, Image]:
     return {f"{layer}.{axis}": values[..., index] for index, axis in enumerate(axes)}
 
 

@@ -1,0 +1,150 @@
+"""The images of a frame as arrays, those that follow from them, and what the frame took to render."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lumisplat.config import RenderConfig
+from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.math.tone_map import captured_radiance
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.ops.pixel_rays import world_rays
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStats:
+    """Times and counts of one frame."""
+
+    stage_ms: dict[str, float]
+    """Wall time of each stage, milliseconds; on CUDA only when profiling."""
+    gaussian_count: int
+    """Gaussians in the scene, over all instances."""
+    visible_count: int
+    """Gaussians that can touch the image; of the rasteriser."""
+    nonfinite_count: int
+    """Gaussians that the rasteriser dropped because a projected value was NaN or infinite; samples that the ray tracer
+    shows black because their colour was."""
+    pair_count: int
+    """(tile, Gaussian) pairs; of the rasteriser."""
+    triangle_count: int
+    """Triangles in the scene, over all instances."""
+    memory_bytes: int
+    """Device memory of assets and frame buffers."""
+
+
+class LitParts(NamedTuple):
+    """The three images that a lit frame is composed of, see the fields of `FrameData`."""
+
+    captured: FloatArray
+    captured_weight: FloatArray
+    light: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameData:
+    """Images of one camera, all of shape (H, W, ...); `Frame` adds how they are shown and saved."""
+
+    color: FloatArray
+    """Radiance over the background, (H, W, 3), in ``color_space``; of a lit frame the captured part, decoded, plus
+    ``light``."""
+    alpha: FloatArray
+    """Coverage 0..1, (H, W); 1 wherever there is a mesh, also one of clear glass, or a visible environment."""
+    depth: FloatArray
+    """Distance along the pixel's ray to the iso-opacity surface, scene units, (H, W); inf: no surface."""
+    normal: FloatArray
+    """World space, unit, towards the viewer, (H, W, 3); zero: nothing was hit."""
+    gaussian_index: IntArray
+    """Gaussian at the surface, within its own instance, (H, W); -1: none."""
+    instance_index: IntArray
+    """Instance at the surface, (H, W): splat instances in scene order, then mesh instances; -1: none."""
+    camera: Camera
+    """The camera that was rendered."""
+    color_space: str = "srgb"
+    """``srgb``: display-referred, as captures were trained (an unlit frame). ``linear``: Rec.709, before exposure and
+    tone mapping (a lit one)."""
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+    """What ``color`` lies over, display-referred sRGB; None: transparent, and black where mirrors and glass show it."""
+    samples: int = 0
+    """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
+    config: RenderConfig | None = None
+    """Settings it was rendered with, those of the last call where it was resumed; None: unknown."""
+    stats: FrameStats | None = None
+    """Times and counts; None: unknown."""
+    captured: FloatArray | None = None
+    """Of a lit frame the part that was captured and is kept, the background included, as an unlit frame shows it:
+    display-referred sRGB, (H, W, 3), premultiplied by ``captured_weight``. Sets whose material emits less than all of
+    their colour are entirely in ``light``."""
+    captured_weight: FloatArray | None = None
+    """Share of the pixel that ``captured`` is the colour of, 0..1, (H, W): 1 where only captures and the background
+    are seen."""
+    light: FloatArray | None = None
+    """Linear, signed, (H, W, 3): what lights add to the captured part and shadows take from it, and the radiance of
+    everything else, such as meshes. Where it is exactly 0, pictures show the captured part unchanged."""
+    albedo: FloatArray | None = None
+    """Linear reflectance of the surfaces, (H, W, 3)."""
+    emission: FloatArray | None = None
+    """Linear radiance that surfaces emit, captures included, (H, W, 3)."""
+    reflection: FloatArray | None = None
+    """Linear radiance that arrived by mirrors and glass, (H, W, 3)."""
+    hits: FloatArray | None = None
+    """Gaussians that a ray, or the pixel of a raster, blends, the mean over samples, (H, W)."""
+    light_direct: FloatArray | None = None
+    """Linear radiance reflected from each light if nothing blocked it, (L, H, W, 3); of sets that only receive shadows,
+    the irradiance instead."""
+    light_shadow: FloatArray | None = None
+    """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
+    light_names: tuple[str, ...] = ()
+    """Names of the L lights."""
+
+    def __repr__(self) -> str:
+        camera = self.camera
+        return f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background})"
+
+    @property
+    def depth_z(self) -> FloatArray:
+        """View depth of the surface, (H, W): negative behind a fisheye; inf: no surface.
+
+        With an aperture, ``depth`` is taken for the distance along the ray through the lens's centre.
+        """
+        cosine = self.camera.ray_directions()[..., 2]
+        nothing = np.full_like(self.depth, np.inf)
+        return np.multiply(self.depth, cosine, out=nothing, where=np.isfinite(self.depth), casting="same_kind")
+
+    @property
+    def position(self) -> FloatArray:
+        """World point of the surface, ``depth`` along the pixel's central ray, (H, W, 3); zero: no surface."""
+        origins, directions = world_rays(self.camera)
+        hit = np.isfinite(self.depth)[..., None]
+        distance = np.where(hit, self.depth[..., None], 0.0)
+        return np.where(hit, origins + distance * directions, 0.0).astype(np.float32)
+
+    def premultiplied(self) -> FloatArray:
+        """Radiance without the background, (H, W, 3), in ``color_space``."""
+        behind = np.zeros_like(self.alpha) if self.background is None else 1.0 - self.alpha
+        background = np.asarray(self.background or (0.0, 0.0, 0.0), np.float32) * behind[..., None]
+        parts = self._lit_parts()
+        if parts is None:
+            return np.maximum(self.color - background, 0.0) if self.background else self.color
+        captured = np.maximum(parts.captured - background, 0.0)
+        return np.maximum(
+            captured_radiance(captured, np.maximum(parts.captured_weight - behind, 0.0)) + parts.light, 0.0
+        )
+
+    def straight(self) -> FloatArray:
+        """``premultiplied`` over alpha: colour of what covers the pixel, (H, W, 3), in ``color_space``; else zero."""
+        return unpremultiplied(self.premultiplied(), self.alpha)
+
+    def _lit_parts(self) -> LitParts | None:
+        """What a lit frame is composed of; None: the frame is unlit."""
+        if self.captured is None or self.captured_weight is None or self.light is None:
+            return None
+        return LitParts(self.captured, self.captured_weight, self.light)
+
+
+def unpremultiplied(image: FloatArray, alpha: FloatArray) -> FloatArray:
+    """A premultiplied image, (H, W) or (H, W, 3), divided by its alpha; zero where that is zero."""
+    divisor = alpha if image.ndim == 2 else alpha[..., None]
+    return np.divide(image, divisor, out=np.zeros_like(image), where=divisor > 0.0)
