@@ -13,8 +13,7 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
-from lumisplat.relighting import actor_shadows
-from lumisplat.relighting import avatar_lighter as lighting
+from lumisplat.relighting import avatar_lighter
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
 
@@ -127,7 +126,7 @@ def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatc
         built.append(build(DeepShadowMap, *arguments, **options))
         return built[-1]
 
-    monkeypatch.setattr(actor_shadows.DeepShadowMap, "build", counting)
+    monkeypatch.setattr(DeepShadowMap, "build", counting)
     stage = lighter(ls.Scene(splats=[floor()]), [LIGHT, replace(LIGHT, position=(1, 3, 0))])
     stage.light([puppet()])
     held = [shadow.bytes for shadow in built]
@@ -164,26 +163,28 @@ def test_actors_take_the_light_of_their_place() -> None:
     assert lighter(scene).light([actor]).splats[1] is actor
 
 
-def test_what_only_moves_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_normals_are_estimated_once_and_probes_captured_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """Normals belong to a set, probes to a place: a still actor asks for neither again, a moving one for a probe."""
-    asked: list[str] = []
-    for name in ("estimate_normals", "EnvironmentProbe"):
-        kept = getattr(lighting, name)
+    calls: list[str] = []
+    estimate, capture = avatar_lighter.estimate_normals, ls.EnvironmentProbe.capture
 
-        def counted(*arguments: object, name: str = name, kept: Any = kept, **options: object) -> object:
-            asked.append(name)
-            return kept(*arguments, **options) if name == "estimate_normals" else kept.capture(*arguments, **options)
+    def counted_estimate(*arguments: Any) -> Any:
+        calls.append("normals")
+        return estimate(*arguments)
 
-        if name == "EnvironmentProbe":
-            counted.capture = counted  # type: ignore[attr-defined]
-        monkeypatch.setattr(lighting, name, counted)
+    def counted_capture(*arguments: Any, **options: Any) -> ls.EnvironmentProbe:
+        calls.append("probe")
+        return capture(*arguments, **options)
+
+    monkeypatch.setattr(avatar_lighter, "estimate_normals", counted_estimate)
+    monkeypatch.setattr(ls.EnvironmentProbe, "capture", counted_capture)
     stage = lighter(ls.Scene(splats=[floor()]), relight=True)
     actor = puppet()
     for x in (0.0, 0.0, 0.5):
         pose = np.array(actor.transform)
         pose[0, 3] = x
         stage.light([replace(actor, world_from_object=pose)])
-    assert asked.count("estimate_normals") == 1 and asked.count("EnvironmentProbe") == 2
+    assert calls.count("normals") == 1 and calls.count("probe") == 2
 
 
 def test_meshes_cast_and_stay_meshes() -> None:

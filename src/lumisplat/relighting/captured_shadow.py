@@ -1,4 +1,4 @@
-"""Captured colours in shadow: what several lights, each behind a deep shadow map, leave of them.
+"""Captured colours in shadow: the share of their light that remains behind a deep shadow map for each light.
 
 The equations are in docs/method/relighting.md#captured-shadow.
 """
@@ -6,32 +6,28 @@ The equations are in docs/method/relighting.md#captured-shadow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import check_range
-from lumisplat.errors import SceneError
+from lumisplat.errors import SceneError, check_instance
 from lumisplat.math.arrays import FloatArray, float_array
+from lumisplat.relighting.scaled_light import Subject, scale_light_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.ops.irradiance import facing_irradiance
-from lumisplat.scene.ops.recolor import scale_light
 from lumisplat.scene.scene import SplatInstance, checked_lights
-
-_Receivers = TypeVar("_Receivers", Gaussians, SplatInstance)
 
 
 def shadowed(
-    receivers: _Receivers, lights: Sequence[Light], transmittances: npt.ArrayLike, direct: float = 1.0
-) -> _Receivers:
-    """Gaussians in the shadow of something that stands before their lights.
+    receivers: Subject, lights: Sequence[Light], transmittances: npt.ArrayLike, direct: float = 1.0
+) -> Subject:
+    """Captured Gaussians in the shadow of casters that were not captured.
 
     A channel's light becomes ``1 - direct (1 - sum_l w_l T_l)`` of what it was, with ``w_l`` the share of light l in
     the irradiance that all of them give there. With one light and ``direct`` 1 this is its T, as in Mir et al.
-    (2026, section 3.3). Where nothing is in the way of any light, colours keep their bits. Source:
+    (2026, section 3.3). Colours that no light is blocked from keep their bits. Source:
     docs/method/relighting.md#captured-shadow.
 
     Args:
@@ -41,16 +37,15 @@ def shadowed(
         direct: Share of the receivers' light that comes from these lights, 0..1.
 
     Returns:
-        The same kind of thing, with other ``sh``; itself, where nothing is in the way.
+        Receivers of the same type, with other ``sh``; the same object if no light is blocked anywhere.
 
     Raises:
         ConfigError: ``direct`` is outside 0..1.
-        SceneError: The receivers are none, there is no light, or something that is none, or transmittances do not fit
-            or leave 0..1.
+        SceneError: The receivers or the lights are of another type, there is no light, or transmittances do not fit or
+            leave 0..1.
     """
     check_range("direct", direct, 0.0, 1.0)
-    if not isinstance(receivers, Gaussians | SplatInstance):
-        raise SceneError(f"shadowed takes Gaussians or a SplatInstance, got a {type(receivers).__name__}")
+    check_instance(receivers, Gaussians | SplatInstance, "shadowed takes Gaussians or a SplatInstance")
     instance = receivers if isinstance(receivers, SplatInstance) else SplatInstance(receivers)
     lights = checked_lights(lights)
     checked = float_array("transmittances", transmittances)
@@ -60,25 +55,13 @@ def shadowed(
     outside = np.count_nonzero((checked < 0.0) | (checked > 1.0))
     if outside:
         raise SceneError(f"transmittances: {outside:,} of {checked.size:,} are outside 0..1")
-    factors = light_factors(light_shares(lights, instance), checked, direct)
-    return recolored(receivers, factors)
-
-
-def recolored(receivers: _Receivers, factors: npt.NDArray[np.floating]) -> _Receivers:
-    """Receivers under ``factors`` of their light, shape (N, 3); the same object where all are 1."""
-    gaussians = receivers.gaussians if isinstance(receivers, SplatInstance) else receivers
-    scaled = scale_light(gaussians, factors)
-    if scaled is gaussians:
-        return receivers
-    if isinstance(receivers, Gaussians):
-        return scaled
-    return replace(receivers, gaussians=scaled)
+    return scale_light_of(receivers, light_factors(light_shares(lights, instance), checked, direct))
 
 
 def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
-    """Share of each light in the irradiance that all give a Gaussian that faces them, a channel: shape (L, N, 3).
+    """Share of each light in the irradiance that all give a Gaussian that faces them, per channel, shape (L, N, 3).
 
-    Captures have no normals to speak of, so the cosine is left out. Where no light arrives, all shares are 0.
+    There is no cosine, because captures have no normals to rely on. Shares are 0 if no light arrives.
 
     Raises:
         SceneError: There is an environment among the lights: it has no place, so no shadow map.
@@ -92,7 +75,7 @@ def light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArra
 
 
 def light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
-    """What is left of the light of each Gaussian, a channel: shape (N, 3), exactly 1 where nothing is in the way.
+    """Share of the light that each Gaussian keeps, per channel, shape (N, 3); exactly 1 if no light is blocked.
 
     Args:
         shares: Of each light, shape (L, N, 3).
@@ -100,5 +83,5 @@ def light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], 
         direct: 0..1.
     """
     blocked = np.einsum("lnc,ln->nc", shares, 1.0 - transmittances)
-    # Shares may sum to a rounding more than 1.
+    # Rounded shares may sum to slightly more than 1.
     return np.clip(1.0 - direct * blocked, 0.0, 1.0).astype(np.float32)

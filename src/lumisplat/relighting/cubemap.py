@@ -1,4 +1,4 @@
-"""What is seen from a place all around: six square faces of a cube, each pixel with the solid angle that it covers."""
+"""A scene rendered to the six faces of a cube around a place, each pixel with the solid angle that it covers."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _FACES = (
     ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
 )
-"""Where each face looks, and what is up in it."""
+"""Direction of view of each face, and the direction that is up in it."""
 
 
-class SeenAround(NamedTuple):
-    """Light that arrives at a place, one row a direction."""
+class CubeSamples(NamedTuple):
+    """Radiance that arrives at a place, one row for each direction."""
 
     directions: _Doubles
     """Unit, world space, shape (N, 3)."""
@@ -46,7 +46,7 @@ class SeenAround(NamedTuple):
 
 
 class _Cube(NamedTuple):
-    """The cube around the origin."""
+    """The faces of a cube around the origin."""
 
     cameras: tuple[Camera, ...]
     directions: _Doubles
@@ -55,17 +55,17 @@ class _Cube(NamedTuple):
     """Solid angles of the pixels, shape (6 P P,)."""
 
 
-def look_around(scene: Scene, position: _Doubles, renderer: Renderer, face_px: int, near: float) -> SeenAround:
+def render_cube(scene: Scene, position: _Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
     """Renders a scene from a place to the six faces of a cube.
 
-    An unlit frame is decoded as everywhere (`captured_radiance`), a lit one is linear. What nothing covers shows the
-    renderer's background, or with light the scene's visible environment. Pixels that are not finite are left out, and
-    counted in a log line.
+    Unlit frames are decoded by `captured_radiance`, lit ones are linear. Uncovered pixels have the renderer's
+    background, or in lit frames the scene's visible environment. Pixels that are not finite are left out, and counted
+    in a log line.
 
     Args:
-        scene: What is seen.
-        position: From where, world space, shape (3,).
-        renderer: Draws it.
+        scene: The scene.
+        position: The centre of the cube, world space, shape (3,).
+        renderer: Renders the faces.
         face_px: Pixels along a face's edge.
         near: Half the side of the cube inside which nothing is seen, scene units.
 
@@ -73,7 +73,8 @@ def look_around(scene: Scene, position: _Doubles, renderer: Renderer, face_px: i
         SceneError: No pixel is finite, or the renderer refuses the scene.
     """
     cube = _cube(face_px)
-    colors, covered = [], 0.0
+    colors: list[FloatArray] = []
+    covered = 0.0
     for camera in cube.cameras:
         frame = renderer.render(scene, _moved(camera, position, near))
         colors.append(_radiance(frame).reshape(-1, 3))
@@ -87,8 +88,8 @@ def look_around(scene: Scene, position: _Doubles, renderer: Renderer, face_px: i
         raise SceneError("a probe sees no pixel that is finite: are colours or lights of the scene too large?")
     if not finite.all():
         _log.warning("%d pixels of a probe's faces are not finite, and left out", np.count_nonzero(~finite))
-        return SeenAround(cube.directions[finite], radiance[finite], cube.weights[finite])
-    return SeenAround(cube.directions, radiance, cube.weights)
+        return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite])
+    return CubeSamples(cube.directions, radiance, cube.weights)
 
 
 def cube_solid_angles(face_px: int) -> _Doubles:

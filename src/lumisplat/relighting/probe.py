@@ -6,23 +6,22 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import RenderConfig, check_range, check_whole
 from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
-from lumisplat.errors import ConfigError, FormatError, SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, normalised, refuse_rows
+from lumisplat.errors import ConfigError, FormatError, SceneError, check_instance, check_shapes
+from lumisplat.io.images.exr import write_exr
+from lumisplat.math.arrays import FloatArray, float_array, normalise_rows, read_only_view, refuse_rows, three_numbers
 from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import sh_basis
+from lumisplat.relighting.cubemap import render_cube
+from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from lumisplat.renderer.renderer import Renderer
 
 _Doubles = npt.NDArray[np.float64]
 
@@ -33,14 +32,14 @@ _ROWS_AT_ONCE = 2**16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentProbe:
-    """Light from all around one place, smoothed to spherical harmonics of a degree d: K = (d + 1)^2 numbers a channel.
+    """The light that arrives at one place, in spherical harmonics of degree d: K = (d + 1)^2 coefficients a channel.
 
     Raises:
         SceneError: The coefficients are no finite array of shape (K, 3) of a degree 0 to 8.
     """
 
     coefficients: _Doubles
-    """Of radiance, linear Rec.709, by the basis of captures (order, signs), read-only float64, shape (K, 3)."""
+    """Of radiance, linear Rec.709, in the basis of captures (order, signs), read-only float64, shape (K, 3)."""
 
     def __post_init__(self) -> None:
         float_array("coefficients", self.coefficients)
@@ -76,45 +75,39 @@ class EnvironmentProbe:
     ) -> EnvironmentProbe:
         """Renders a scene from a place to the six faces of a cube, and fits the harmonics to its pixels.
 
-        Captured colours count as the light that they show, display white as radiance 1; a lit frame's as they are.
-        What nothing covers is the background of the settings (black), or in a lit frame the scene's visible
+        Captured colours are decoded to radiance, display white to 1; colours of a lit frame are radiance already.
+        Uncovered directions have the background of the settings (black), or in a lit frame the scene's visible
         environment.
 
-        The scene is taken as it is: an avatar that stands at the place would be all that is seen, so leave it out, or
-        make ``near`` larger than it. Where something else encloses the place, such as a lampshade, the probe is of its
-        inside.
+        An avatar that stands at the place would hide everything else, so leave it out of the scene, or make ``near``
+        larger than it. If something else encloses the place, such as a lampshade, the probe is of its inside.
 
         Args:
-            scene: What gives light.
+            scene: The scene that gives the light.
             position: The place, world space, shape (3,).
-            degree: Of the harmonics, 0 to 8: 3 (16 coefficients) is ample for matt surfaces, glossy lobes see more.
+            degree: Of the harmonics, 0 to 8: 3 (16 coefficients) suffices for matt surfaces, glossy ones need more.
             face_px: Pixels along the edge of a face, 4 to 1024.
             ridge: As for `fit`.
-            near: Nothing inside a cube of this half side around the place is seen, scene units.
+            near: Half the side of the cube around the place inside which nothing is seen, scene units.
             config: How to render; None: the defaults, rasterised.
             device: As for ``create_renderer``.
-            renderer: Renders in place of one made of ``config`` and ``device``: for several probes, or one a frame.
+            renderer: Renders instead of one made from ``config`` and ``device``: for several probes, or one a frame.
 
         Raises:
             ConfigError: A setting is out of its range, or there are a renderer and settings for another.
             DeviceError: There is no such device, or it is out of memory.
-            SceneError: The scene is none, the place is not finite, or no pixel is.
+            SceneError: The scene is of another type, the place is not finite, or no pixel is.
         """
-        from lumisplat.relighting.cubemap import look_around
-        from lumisplat.renderer.renderer import create_renderer
-
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_whole("face_px", face_px, 4, 1024)
         check_range("near", near, 1e-9, 1e9)
         check_range("ridge", ridge, 0.0, 1e6)
         if renderer is not None and config is not None:
             raise ConfigError("a renderer has its own config: give one of the two")
-        place = np.asarray(float_array("position", position), np.float64)
-        if place.shape != (3,):
-            raise SceneError(f"position has shape {place.shape}, expected three numbers")
+        place = three_numbers("position", position)
         renderer = create_renderer(config, device) if renderer is None else renderer
-        seen = look_around(scene, place, renderer, int(face_px), float(near))
-        return cls(_fitted(seen.directions, seen.radiance, seen.weights, degree, ridge))
+        samples = render_cube(scene, place, renderer, int(face_px), float(near))
+        return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
 
     @classmethod
     def fit(
@@ -134,7 +127,7 @@ class EnvironmentProbe:
         Args:
             directions: Of any length, shape (N, 3).
             radiance: Linear Rec.709, shape (N, 3).
-            weights: Solid angles or what is proportional to them, at least 0, shape (N,); None: all alike.
+            weights: Solid angles or numbers in proportion to them, at least 0, shape (N,); None: all equal.
             degree: Of the harmonics, 0 to 8.
             ridge: Weight of the squared coefficients, 0 to 1e6.
 
@@ -151,12 +144,12 @@ class EnvironmentProbe:
         refuse_rows("weights", "negative", shares < 0.0)
         if not shares.any():
             raise SceneError("weights are all 0: there is nothing to fit to")
-        unit = normalised("directions", along)
-        return cls(_fitted(unit.astype(np.float64), light, shares.astype(np.float64), degree, ridge))
+        unit = normalise_rows("directions", along)
+        return cls(_fit(unit.astype(np.float64), light, shares.astype(np.float64), degree, ridge))
 
     @classmethod
     def from_light(cls, light: LightEnvironment, degree: int = 3, ridge: float = PROBE_RIDGE) -> EnvironmentProbe:
-        """The harmonics of an environment's light, such as one of an .hdr or .exr image.
+        """Projects an environment, such as one of an .hdr or .exr image, onto the harmonics.
 
         Args:
             light: The environment, its intensity, colour and rotation included.
@@ -165,27 +158,26 @@ class EnvironmentProbe:
 
         Raises:
             ConfigError: ``degree`` or ``ridge`` is out of its range.
-            SceneError: This is no environment.
+            SceneError: ``light`` is no environment.
         """
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_range("ridge", ridge, 0.0, 1e6)
-        if not isinstance(light, LightEnvironment):
-            raise SceneError(f"expected a LightEnvironment, got a {type(light).__name__}")
+        check_instance(light, LightEnvironment, "expected a LightEnvironment")
         image = np.ones((1, 1, 3), np.float32) if light.image is None else light.image
-        # Small images are smooth between their pixels: looked up on a finer grid, they are as renderers see them.
+        # Renderers interpolate between pixels: small images are sampled on a finer grid, so that the probe does too.
         rows = max(image.shape[0], PROBE_IMAGE_ROWS)
         columns = max(image.shape[1], 2 * rows)
         local = panorama_directions(rows, columns).reshape(-1, 3)
         power = np.multiply(light.color, light.intensity)
         radiance = panorama_lookup(image, local) * power
         weights = np.repeat(panorama_solid_angles(rows, columns), columns)
-        return cls(_fitted(local @ _matrix(light).T, radiance, weights, degree, ridge))
+        return cls(_fit(local @ _matrix(light).T, radiance, weights, degree, ridge))
 
     def radiance(self, directions: npt.ArrayLike) -> FloatArray:
-        """Radiance that comes from directions; below 0 where harmonics of strong contrast ring.
+        """Radiance that arrives from directions; ringing of strong contrasts can make it negative.
 
         Args:
-            directions: World space, towards where the light comes from, of any length, shape (..., 3).
+            directions: World space, from the place towards the light, of any length, shape (..., 3).
 
         Returns:
             Linear Rec.709, shape (..., 3).
@@ -193,63 +185,60 @@ class EnvironmentProbe:
         Raises:
             SceneError: A direction is not finite or has no length.
         """
-        return self._evaluated(directions, np.ones(self.degree + 1))
+        return self._evaluate(directions, np.ones(self.degree + 1))
 
     def irradiance(self, normals: npt.ArrayLike) -> FloatArray:
-        """Irradiance of surfaces: radiance times the cosine, over the hemisphere about each normal.
+        """Irradiance of surfaces: the integral of radiance times cosine over the hemisphere about each normal.
 
-        The cosine is a factor a degree on the harmonics (Ramamoorthi and Hanrahan 2001): pi, 2 pi / 3, pi / 4, 0, ...
+        The cosine multiplies each degree of the harmonics by a factor (Ramamoorthi and Hanrahan 2001): pi, 2 pi / 3,
+        pi / 4, 0, ... Source: docs/method/relighting.md#probe-irradiance.
 
         Args:
             normals: World space, of any length, shape (..., 3).
 
         Returns:
-            Linear Rec.709, shape (..., 3): pi where radiance 1 comes from everywhere.
+            Linear Rec.709, shape (..., 3): pi for radiance 1 from all directions.
 
         Raises:
             SceneError: A normal is not finite or has no length.
         """
-        return self._evaluated(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
+        return self._evaluate(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
 
     def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
         """Radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
 
-        What rings below 0 is 0, and the rest darker by as much, so that all light together is the probe's.
+        Negative radiance from ringing is set to 0 and the rest darkened, so that the total stays the probe's.
 
         Args:
             height: Rows, 1 to 8192; it is twice as wide.
-            rotation_wxyz: World from image: the world's direction that its +y, its upper edge, stands for, and so on.
-                Scenes with y down are upright with (0, 1, 0, 0).
+            rotation_wxyz: World from image, whose +y is the upper edge. Scenes with y down are upright with
+                (0, 1, 0, 0).
 
         Returns:
             Linear Rec.709, shape (H, 2 H, 3).
 
         Raises:
             ConfigError: ``height`` is out of its range.
-            SceneError: The rotation is none.
+            SceneError: The rotation is not a quaternion of non-zero length.
         """
-        return self.light(height, rotation_wxyz).image  # pyright: ignore[reportReturnType]
+        check_whole("height", height, 1, 8192)
+        world_from_image = _matrix(LightEnvironment(rotation_wxyz=rotation_wxyz))
+        radiance = self.radiance(panorama_directions(int(height), 2 * int(height)) @ world_from_image.T)
+        return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """An environment of this light for the renderers: it lights, and only mirrors show it.
+        """An environment of this light for the renderers: it lights surfaces, and only mirrors show it.
 
         Args:
             height: Rows of its image, 1 to 8192.
-            rotation_wxyz: World from image, as for `image`; the light is the same whichever.
+            rotation_wxyz: World from image, as for `image`; the light is the same for all rotations.
 
         Raises:
             ConfigError: ``height`` is out of its range.
-            SceneError: The rotation is none.
+            SceneError: The rotation is not a quaternion of non-zero length.
         """
-        check_whole("height", height, 1, 8192)
-        turned = LightEnvironment(rotation_wxyz=rotation_wxyz, visible=False, name="probe")
-        local = panorama_directions(int(height), 2 * int(height))
-        radiance = self.radiance(local @ _matrix(turned).T)
-        image = _without_ringing(radiance)
-        image.flags.writeable = False
-        return LightEnvironment(
-            image=image, rotation_wxyz=turned.rotation_wxyz, visible=turned.visible, name=turned.name
-        )
+        image = self.image(height, rotation_wxyz)
+        return LightEnvironment(image=image, rotation_wxyz=rotation_wxyz, visible=False, name="probe")
 
     def save(
         self,
@@ -260,7 +249,7 @@ class EnvironmentProbe:
         """Writes `image` as a latitude-longitude EXR, linear, for any renderer.
 
         Args:
-            path: Where to, .exr.
+            path: File to write, .exr.
             height: Rows, 1 to 8192.
             rotation_wxyz: World from image, as for `image`.
 
@@ -268,19 +257,17 @@ class EnvironmentProbe:
             ConfigError: ``height`` is out of its range.
             FormatError: The extension is another, or the file cannot be written.
         """
-        from lumisplat.io.images.image import write_exr
-
         if Path(path).suffix.lower() != ".exr":
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for a probe's image, expected .exr")
         image = self.image(height, rotation_wxyz)
         write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
 
-    def _evaluated(self, directions: npt.ArrayLike, factors: _Doubles) -> FloatArray:
+    def _evaluate(self, directions: npt.ArrayLike, factors: _Doubles) -> FloatArray:
         """The harmonics, each degree times a factor, at directions of any length."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
             raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
-        unit = normalised("directions", checked.reshape(-1, 3))
+        unit = normalise_rows("directions", checked.reshape(-1, 3))
         scaled = self.coefficients * np.repeat(factors, 2 * np.arange(self.degree + 1) + 1)[:, None]
         return (sh_basis(unit, self.degree) @ scaled).astype(np.float32).reshape(checked.shape)
 
@@ -311,7 +298,7 @@ def _cosine_factor(level: int) -> float:
     return sign * 2.0 * math.pi / ((level + 2.0) * (level - 1.0)) * ratio
 
 
-def _fitted(
+def _fit(
     directions: _Doubles, radiance: npt.NDArray[np.floating], weights: _Doubles, degree: int, ridge: float
 ) -> _Doubles:
     """Coefficients that solve ``(B^T W B + lambda I) A = B^T W Y``, shape (K, 3)."""
@@ -328,7 +315,7 @@ def _fitted(
     rank = int(np.linalg.matrix_rank(gram))
     if rank < size:
         raise SceneError(
-            f"the directions tell only {rank} of the {size} harmonics of degree {degree} apart: lower the degree, or "
+            f"the directions determine only {rank} of the {size} harmonics of degree {degree}: lower the degree, or "
             "give a ridge"
         )
     return np.asarray(np.linalg.solve(gram, moments), np.float64)

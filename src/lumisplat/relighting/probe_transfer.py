@@ -1,30 +1,28 @@
-"""Light of a probe on Gaussians: a factor a channel, by the normal (docs/method/relighting.md#transfer)."""
+"""Light of a probe on Gaussians: a factor for each channel, by normal (docs/method/relighting.md#transfer)."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import RelightConfig, check_kind
-from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, normalised
+from lumisplat.errors import check_instance, check_shapes
+from lumisplat.math.arrays import FloatArray, float_array, normalise_rows
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
+from lumisplat.relighting.scaled_light import Subject, scale_light_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.estimate_normals import estimate_normals
-from lumisplat.scene.ops.recolor import scale_light
 from lumisplat.scene.scene import SplatInstance
 
-_Subject = TypeVar("_Subject", Gaussians, SplatInstance)
 _Doubles = npt.NDArray[np.float64]
 
 _NORMALS_AT_ONCE = 1024
-"""Normals whose lobes are in memory at once: 2 MB over 16 rows, which stays in the cache."""
+"""Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""
 
 _NO_LIGHT = 1e-12
 """Epsilon of docs/method/relighting.md#transfer-scale, sr, where the weights sum to 4 pi: no lobe that the grid
@@ -41,38 +39,39 @@ class _Grid(NamedTuple):
 
 
 def relight(
-    subject: _Subject,
+    subject: Subject,
     probe: EnvironmentProbe,
     config: RelightConfig | None = None,
     normals: npt.ArrayLike | None = None,
-) -> _Subject:
-    """Gaussians under the light of a probe: each colour times what a lobe about its normal gathers, ``light_scales``.
+) -> Subject:
+    """Gaussians under the light of a probe: each colour times the radiance that a lobe about its normal gathers.
 
     Light is linear, colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`, which
     keeps view dependence in proportion. Surroundings of radiance 1 leave colours as they are, to the bit at gamma 1;
     darker ones make them darker, as an object that was captured in daylight is darker in a room.
 
-    What light there was in the capture stays in its colours: those taken in even light relight best.
+    The light of the capture stays in its colours: those taken in even light relight best. Source:
+    docs/method/relighting.md#transfer.
 
     Args:
         subject: Gaussians in world space, or an instance, whose normals are turned with it.
-        probe: Light at the place where they stand.
+        probe: The light at their place.
         config: Settings; None: the defaults.
         normals: Outward normals in the Gaussians' own space, of any length, shape (N, 3); None: as the settings say.
 
     Returns:
-        The same kind of thing, with other ``sh``; an instance keeps its place, name and material.
+        A subject of the same type, with other ``sh``; an instance keeps its place, name and material.
 
     Raises:
         ConfigError: ``config`` is no RelightConfig.
-        SceneError: The subject or the probe is none, or ``normals`` are not finite, of length 0 or of another number.
+        SceneError: The subject or the probe is of another type, or ``normals`` are not finite, of length 0 or of
+            another number.
     """
+    check_instance(subject, Gaussians | SplatInstance, "relight takes Gaussians or a SplatInstance")
     if isinstance(subject, SplatInstance):
-        gaussians, turn = subject.gaussians, subject.transform[:3, :3] / subject.scale
-    elif isinstance(subject, Gaussians):
-        gaussians, turn = subject, np.eye(3)
+        gaussians, world_from_object = subject.gaussians, subject.transform[:3, :3] / subject.scale
     else:
-        raise SceneError(f"relight takes Gaussians or a SplatInstance, got a {type(subject).__name__}")
+        gaussians, world_from_object = subject, np.eye(3)
     config = RelightConfig() if config is None else config
     check_kind("config", config, RelightConfig)
     if normals is None:
@@ -80,41 +79,39 @@ def relight(
     else:
         own = float_array("normals", normals)
         check_shapes(means=(gaussians.means, "N 3"), normals=(own, "N 3"))
-    relit = scale_light(gaussians, config.gamma * light_scales(probe, own @ turn.T, config))
-    return cast("_Subject", relit if isinstance(subject, Gaussians) else replace(subject, gaussians=relit))
+    return scale_light_of(subject, config.gamma * light_scales(probe, own @ world_from_object.T, config))
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
-    """What share of radiance 1 a lobe ``max(0, w . n)^q`` about each normal gathers.
+    """Radiance of a probe, averaged over a lobe ``max(0, w . n)^q`` about each normal.
 
-    The probe's mean is taken out of the sum and added again: what is the same all around comes out without rounding.
-    Source: docs/method/relighting.md#transfer-scale.
+    The probe's mean is taken out of the sum and added again, so that even light has no rounding. Source:
+    docs/method/relighting.md#transfer-scale.
 
     Args:
         probe: The light.
         normals: World space, of any length, shape (N, 3).
-        config: Settings, of which ``gamma`` does not count here; None: the defaults.
+        config: Settings, without their ``gamma``; None: the defaults.
 
     Returns:
-        A factor a channel, 0 to ``scale_max``, shape (N, 3).
+        A factor for each channel, 0 to ``scale_max``, shape (N, 3).
 
     Raises:
-        SceneError: The probe is none, or normals are not finite, of length 0 or not of that shape.
+        SceneError: The probe is of another type, or normals are not finite, of length 0 or not of that shape.
     """
-    if not isinstance(probe, EnvironmentProbe):
-        raise SceneError(f"expected an EnvironmentProbe, got a {type(probe).__name__}: EnvironmentProbe.capture(...)")
+    check_instance(probe, EnvironmentProbe, "expected an EnvironmentProbe", advice=": EnvironmentProbe.capture(...)")
     config = RelightConfig() if config is None else config
     checked = float_array("normals", normals)
     check_shapes(normals=(checked, "N 3"))
-    unit = normalised("normals", checked)
+    unit = normalise_rows("normals", checked)
     grid = _grid(config.rows)
     basis = sh_basis(grid.directions, probe.degree)
-    around = basis[:, 1:] @ probe.coefficients[1:]
+    varying = basis[:, 1:] @ probe.coefficients[1:]
     mean = basis[0, 0] * probe.coefficients[0]
-    # Light and weight in one product: columns r, g, b, and the lobe's own sum.
-    table = (grid.weights[:, None] * np.column_stack([around, np.ones(len(around))])).astype(np.float32)
+    # Light and weight in one product: columns r, g, b, and the sum of the lobe itself.
+    table = (grid.weights[:, None] * np.column_stack([varying, np.ones(len(varying))])).astype(np.float32)
     directions = np.ascontiguousarray(grid.directions.T, np.float32)
-    scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(around)), np.float32)
+    scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(varying)), np.float32)
     for first in range(0, len(unit), _NORMALS_AT_ONCE):
         rows = slice(first, first + _NORMALS_AT_ONCE)
         lobes = np.matmul(unit[rows], directions, out=space[: len(unit[rows])])
