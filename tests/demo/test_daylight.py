@@ -1,4 +1,4 @@
-"""Baked daylight: sun, sky and shadow where geometry says."""
+"""Baked daylight: sun, sky and shadow follow the geometry."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_roof_casts_a_shadow_of_its_size() -> None:
 
 
 def test_open_sky_is_the_hemisphere_integral() -> None:
-    """A level surface sees all of the sky, a wall half of it, a wide roof hides all but the rim."""
+    """A horizontal surface gets all of the sky, a wall half of it; a wide roof hides all but the rim."""
     point = np.zeros((1, 3))
     far = np.array([[5.0, -5.0, 5.0]])
     assert abs(lit(far, point, (0, 1, 0), SKY_ONLY)[0, 0] - 0.5) < 0.01
@@ -62,7 +62,7 @@ def test_open_sky_is_the_hemisphere_integral() -> None:
 
 
 def test_bounce_comes_from_below_and_less_into_corners() -> None:
-    """Light thrown back by the floor is stronger on what faces down, and weaker where the sky is blocked."""
+    """Light from the floor is stronger on surfaces that face down, and weaker where the sky is blocked."""
     light = Daylight(sun_direction=(0.0, 1.0, 0.0), sun_color=(0, 0, 0), sky_color=(0, 0, 0))
     point, far = np.zeros((1, 3)), np.array([[5.0, -5.0, 5.0]])
     down, up = (lit(far, point, (0, y, 0), light)[0, 0] for y in (-1, 1))

@@ -13,18 +13,6 @@ from lumisplat.demo import room as demo_room
 from lumisplat.math.color import decode_srgb
 
 
-@pytest.fixture(scope="module")
-def heard() -> list[float]:
-    """What the progress callback was told while the scene was built."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def demo(heard: list[float]) -> ls.Scene:
-    """The scene, built once."""
-    return ls.demo_scene(progress=lambda _, share: heard.append(share))
-
-
 def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
     """One set of 150,000 to 300,000 Gaussians with surface data, some meshes, all in a room of a few metres."""
     assert len(demo.splats) == 1
@@ -92,8 +80,9 @@ def test_every_view_of_the_demo_is_filled_without_holes(demo: ls.Scene) -> None:
         assert frame.color.std() > 0.06
 
 
-def test_demo_reports_progress(demo: ls.Scene, heard: list[float]) -> None:
-    """A progress callback hears of shares that only grow, up to one."""
+def test_demo_reports_progress(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
+    """A progress callback gets increasing fractions, from zero to one."""
+    heard = demo_and_progress[1]
     assert heard[0] == 0.0
     assert heard == sorted(heard)
     assert heard[-1] == 1.0

@@ -1,4 +1,4 @@
-"""Procedural meshes: closed, outward, smooth where they should be, and of the size that their formulas say."""
+"""Procedural meshes: closed, facing outwards, smooth where they should be, with the sizes of their formulas."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CLOSED: dict[str, tuple[Callable[[], Mesh], int, float | None, float | None]] = 
     "torus": (lambda: shapes.torus(1.0, 0.3), 0, 2 * np.pi**2 * 0.09, 4 * np.pi**2 * 0.3),
     "rounded box": (lambda: shapes.rounded_box((1.0, 0.8, 1.2), 0.1), 2, BOX_VOLUME, BOX_AREA),
     "cone": (lambda: shapes_swept.lathe(CONE), 2, np.pi * 0.25 / 3, np.pi * (0.25 + 0.5 * 1.25**0.5)),
-    "column": (lambda: shapes_swept.fluted([(0, 1), (0.2, 1), (0.3, 0), (0, 0)], 16, 0.1), 2, None, None),
+    "column": (lambda: shapes_swept.fluted_lathe([(0, 1), (0.2, 1), (0.3, 0), (0, 0)], 16, 0.1), 2, None, None),
     "torus knot": (shapes_swept.torus_knot, 0, None, None),
     "gem": (shapes_swept.gem, 2, None, None),
 }
@@ -58,7 +58,7 @@ def volume_and_area(mesh: Mesh) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_closed_shapes_are_watertight(name: str) -> None:
-    """Every edge is met once in each direction, and the Euler characteristic is the shape's."""
+    """Every edge is used once in each direction, and the Euler characteristic is that of the shape."""
     maker, euler, _, _ = CLOSED[name]
     mesh = maker()
     edges = directed_edges(mesh)
@@ -152,7 +152,7 @@ def test_transformed_scales_volume_and_keeps_normals_on_surface(scales: tuple[fl
     matrix[:3, :3] = turn @ np.diag(scales)
     matrix[:3, 3] = (1.0, -2.0, 0.5)
     before = shapes.icosphere(1.0, subdivisions=3)
-    after = shapes.transformed(before, matrix)
+    after = shapes.transform_mesh(before, matrix)
     assert volume_and_area(after)[0] == pytest.approx(np.prod(scales) * volume_and_area(before)[0], rel=1e-4)
     gradient = before.positions / np.array(scales) @ turn.T
     gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -175,4 +175,4 @@ def test_impossible_shapes_are_refused() -> None:
     with pytest.raises(SceneError, match="profile"):
         shapes_swept.lathe([(0.1, 1.0), (-0.1, 0.0)])
     with pytest.raises(SceneError, match="uvs on all meshes or on none"):
-        shapes.joined([shapes.sphere(), shapes.icosphere()])
+        shapes.join_meshes([shapes.sphere(), shapes.icosphere()])

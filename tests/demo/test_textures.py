@@ -42,7 +42,7 @@ def test_plaster_keeps_its_colour() -> None:
 
 
 def test_herringbone_planks_have_their_shape() -> None:
-    """Of the joints that cross a line along a plank row, none are closer than a plank is wide."""
+    """The joints between planks cover a plausible share of the texture."""
     texture = textures.herringbone((200, 300), 20.0, (0.5, 0.5, 0.5), (0.5, 0.5, 0.5), np.random.default_rng(0))
     assert texture.shape == (200, 300, 3)
     dark = (texture[..., 0] < 170).mean()
@@ -51,7 +51,7 @@ def test_herringbone_planks_have_their_shape() -> None:
 
 
 def test_painted_vase_and_stripes_use_their_colours() -> None:
-    """Both show ground and paint in earnest amounts."""
+    """Both show a substantial amount of ground and of paint."""
     rng = np.random.default_rng(0)
     vase = textures.painted_vase((0.8, 0.8, 0.8), (0.0, 0.0, 0.3), rng, height=256, width=256)
     painted = (vase[..., 0] < 90).mean()

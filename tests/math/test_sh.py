@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumisplat.math.sh import sh_basis
-from lumisplat.scene.ops import sh_colors as harmonics
+from support.oracles.raster_oracle import sh_basis as twin_basis
 from support.scenes.sphere import sphere_quadrature, unit
 
 
@@ -19,9 +19,18 @@ def test_harmonics_are_orthonormal() -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_harmonics_are_those_of_captures(degree: int) -> None:
-    """Order and signs are a capture's: its coefficients and a probe's mean the same."""
-    directions = unit(0, 50)
-    np.testing.assert_allclose(sh_basis(directions, degree), harmonics.sh_basis(directions, degree).T, atol=1e-12)
+    """Order, signs and sizes are a capture's: its coefficients and a probe's mean the same."""
+    directions = unit(0, 100)
+    expected = twin_basis(directions)[:, : (degree + 1) ** 2]
+    np.testing.assert_allclose(sh_basis(directions, degree), expected, atol=1e-12)
+
+
+def test_lower_degrees_are_the_beginning_of_higher_ones() -> None:
+    """A function has the same bits, whatever the highest degree is."""
+    directions = unit(0, 100)
+    highest = sh_basis(directions, 8)
+    for degree in range(8):
+        np.testing.assert_array_equal(sh_basis(directions, degree), highest[:, : (degree + 1) ** 2])
 
 
 def test_harmonics_of_many_shapes() -> None:

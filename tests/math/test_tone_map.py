@@ -1,4 +1,4 @@
-"""From linear light to display colours: published tone mappers, and captured colours that stay."""
+"""From linear light to display colours: published tone mappers, and captured colours that stay as they are."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from lumisplat.config import ToneMap
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.math.tone_map import captured_radiance, lit_picture, tone_mapped
+from lumisplat.math.tone_map import apply_tone_map, captured_radiance, lit_picture
 
 MAPS = list(ToneMap)
 
@@ -19,7 +19,7 @@ def random_colors(count: int, seed: int = 1) -> np.ndarray:
 
 
 def neutral_inverse(mapped: np.ndarray) -> np.ndarray:
-    """What Khronos PBR Neutral's specification maps to ``mapped``, solved for its input by hand, float64."""
+    """The inverse of the function in Khronos PBR Neutral's specification, derived by hand, float64."""
     f90, start, fade = 0.04, 0.76, 0.15
     peak_out = mapped.max(axis=-1, keepdims=True)
     bright = peak_out > start
@@ -32,7 +32,7 @@ def neutral_inverse(mapped: np.ndarray) -> np.ndarray:
 
 
 def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
-    """AgX as Filament and three.js publish it, to display sRGB: a polynomial stands for the curve; float64."""
+    """AgX as Filament and three.js publish it, to display sRGB, with a polynomial for the curve; float64."""
     to_rec2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
     to_rec709 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])
     inset = np.array(
@@ -57,9 +57,9 @@ def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
 
 
 def test_neutral_is_the_specification() -> None:
-    """Khronos's function can be inverted: its inverse takes every mapped colour back to what it came from."""
+    """The inverse of Khronos's function takes every mapped colour back to its input."""
     colors = random_colors(4000).astype(np.float64)
-    back = neutral_inverse(decode_srgb(tone_mapped(colors, ToneMap.NEUTRAL).astype(np.float64)))
+    back = neutral_inverse(decode_srgb(apply_tone_map(colors, ToneMap.NEUTRAL).astype(np.float64)))
     error = np.abs(back - colors) / colors.max(axis=1, keepdims=True)
     assert error.max() < 1e-3
 
@@ -76,29 +76,29 @@ def test_neutral_is_the_specification() -> None:
     ],
 )
 def test_neutral_by_hand(color: tuple[float, ...], expected: tuple[float, ...]) -> None:
-    """0.04 comes off all that is not darker than 0.08 nor brighter than 0.8; whites and reds worked out on paper."""
-    np.testing.assert_allclose(tone_mapped(color, ToneMap.NEUTRAL), encode_srgb(np.array(expected)), atol=1e-5)
+    """0.04 is subtracted from colours between 0.08 and 0.8; whites and reds are computed on paper."""
+    np.testing.assert_allclose(apply_tone_map(color, ToneMap.NEUTRAL), encode_srgb(np.array(expected)), atol=1e-5)
 
 
 def test_agx_is_the_published_one() -> None:
-    """Within what the published polynomial misses the curve by, at most 0.006 before the 2.2 power."""
+    """The difference is that of the published polynomial from the curve, at most 0.006 before the 2.2 power."""
     colors = random_colors(4000)
-    error = np.abs(decode_srgb(tone_mapped(colors, ToneMap.AGX)) - decode_srgb(agx_with_polynomial(colors)))
+    error = np.abs(decode_srgb(apply_tone_map(colors, ToneMap.AGX)) - decode_srgb(agx_with_polynomial(colors)))
     assert error.max() < 0.018 and error.mean() < 0.003
 
 
 def test_agx_by_hand() -> None:
-    """Middle grey comes to half in the 2.2 power that displays decode; 6.5 stops above is white, 10 below black."""
+    """Middle grey becomes half in the 2.2 power that displays decode; 6.5 stops above is white, 10 below is black."""
     grey = np.array([0.18 * 2.0**-10, 0.18, 0.18 * 2.0**6.5])[:, None] * np.ones(3)
     expected = encode_srgb(np.array([0.0, 0.5**2.2, 1.0]))
-    np.testing.assert_allclose(tone_mapped(grey, ToneMap.AGX), expected[:, None] * np.ones(3), atol=2e-3)
+    np.testing.assert_allclose(apply_tone_map(grey, ToneMap.AGX), expected[:, None] * np.ones(3), atol=2e-3)
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_brighter_greys_are_brighter(tone_map: ToneMap) -> None:
     """Along the greys no channel ever falls by more than rounding, and greys stay grey."""
     greys = np.linspace(0.0, 20.0, 5001)[:, None] * np.ones(3)
-    mapped = tone_mapped(greys, tone_map)
+    mapped = apply_tone_map(greys, tone_map)
     assert np.diff(mapped, axis=0).min() > -2e-6
     assert np.ptp(mapped, axis=1).max() < 2e-4
     assert mapped[0].max() < 1e-3 and mapped[-1].min() > 0.99
@@ -106,25 +106,25 @@ def test_brighter_greys_are_brighter(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_any_light_has_a_display_colour(tone_map: ToneMap) -> None:
-    """Nothing, negative, tiny, huge and infinite light give finite colours in 0..1; only NaN stays what it is."""
+    """Zero, negative, tiny, huge and infinite light give finite colours in 0..1; only NaN stays NaN."""
     values = np.array([0.0, -1.0, 1e-45, 1e-20, 1.0, 1e20, 3e38, np.inf], np.float32)
     colors = np.stack(np.meshgrid(values, values, values), axis=-1)
     with np.errstate(all="raise", under="ignore"):
-        mapped = tone_mapped(colors, tone_map)
+        mapped = apply_tone_map(colors, tone_map)
     assert mapped.dtype == np.float32
     assert ((mapped >= 0.0) & (mapped <= 1.0)).all()
-    assert np.isnan(tone_mapped(np.full(3, np.nan), tone_map)).all()
+    assert np.isnan(apply_tone_map(np.full(3, np.nan), tone_map)).all()
 
 
 def test_no_tone_map_is_the_srgb_curve() -> None:
-    """What is not brighter than white comes by the curve alone, what is, is white."""
+    """Colours up to white are encoded by the curve alone; brighter ones are white."""
     colors = random_colors(1000)
     expected = encode_srgb(np.minimum(colors, 1.0))
-    np.testing.assert_allclose(tone_mapped(colors, ToneMap.NONE), expected, atol=1e-6)
+    np.testing.assert_allclose(apply_tone_map(colors, ToneMap.NONE), expected, atol=1e-6)
 
 
 def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Captured colours (premultiplied), their weights, and light of no more than half of it, added or taken."""
+    """Captured colours (premultiplied), their weights, and light of at most half of theirs, added or removed."""
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.0, 1.0, count)
     weight[: count // 2] = 1.0
@@ -135,7 +135,7 @@ def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_captures_stay_to_the_bit(tone_map: ToneMap) -> None:
-    """Where all was captured and no light came, the result is the captured colour, also one beyond 1."""
+    """Without any light, the result is the captured colour, also above 1."""
     captured = random_colors(1000)
     weight = np.float32(1.0) - np.random.default_rng(1).uniform(0.0, 2e-6, 1000).astype(np.float32)
     np.testing.assert_array_equal(lit_picture(captured, weight, 0.0 * captured, 0.0, tone_map), captured)
@@ -143,7 +143,7 @@ def test_captures_stay_to_the_bit(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_faint_light_hardly_shows(tone_map: ToneMap) -> None:
-    """As light goes to nothing the picture goes to the captured one, at the same rate: no seam along light's edge."""
+    """As light tends to zero the picture tends to the captured one at the same rate: no seam at the edge of light."""
     captured, weight, light = pixels(2000)
     dark = captured_radiance(captured, weight)
     before = encode_srgb(dark)
@@ -155,9 +155,9 @@ def test_faint_light_hardly_shows(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_light_never_darkens(tone_map: ToneMap) -> None:
-    """Channels that gain light are nowhere darker than captured, those that lose it nowhere brighter.
+    """Channels that gain light are never darker than captured, those that lose light never brighter.
 
-    Whites too, which every tone mapper shows darker than the capture did.
+    This includes whites, which every tone mapper shows darker than the capture.
     """
     captured, weight, light = pixels(4000)
     before = encode_srgb(captured_radiance(captured, weight))
@@ -169,16 +169,16 @@ def test_light_never_darkens(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_much_light_is_tone_mapped(tone_map: ToneMap) -> None:
-    """Where nothing was captured, or light outshines it, the picture is the tone mapper's."""
+    """Without a capture, or where light is much brighter than it, the picture is that of the tone mapper."""
     light = random_colors(1000)
     none = np.zeros_like(light)
     np.testing.assert_allclose(
-        lit_picture(none, none[:, 0], light, 0.0, tone_map), tone_mapped(light, tone_map), atol=1e-6
+        lit_picture(none, none[:, 0], light, 0.0, tone_map), apply_tone_map(light, tone_map), atol=1e-6
     )
     dim = np.full_like(light, 0.05)
     bright = 1.0 + light
     shown = lit_picture(dim, np.ones(1000), bright, 0.0, tone_map)
-    np.testing.assert_allclose(shown, tone_mapped(bright + decode_srgb(dim), tone_map), atol=2e-3)
+    np.testing.assert_allclose(shown, apply_tone_map(bright + decode_srgb(dim), tone_map), atol=2e-3)
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
@@ -193,11 +193,11 @@ def test_brighter_light_is_brighter(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_exposure_scales_light(tone_map: ToneMap) -> None:
-    """A stop more doubles light before the tone mapper; captures brighten by it along their own curve."""
+    """One stop doubles light before the tone mapper; captures become brighter along their own curve."""
     light = random_colors(500)
     none = np.zeros_like(light)
     shown = lit_picture(none, none[:, 0], light, 1.0, tone_map)
-    np.testing.assert_allclose(shown, tone_mapped(2.0 * light, tone_map), atol=1e-6)
+    np.testing.assert_allclose(shown, apply_tone_map(2.0 * light, tone_map), atol=1e-6)
     captured = np.full((1, 3), 0.25, np.float32)
     shown = lit_picture(captured, np.ones(1), np.zeros((1, 3)), 1.0, tone_map)
     np.testing.assert_allclose(shown, encode_srgb(2.0 * decode_srgb(captured)), atol=1e-6)
@@ -206,7 +206,7 @@ def test_exposure_scales_light(tone_map: ToneMap) -> None:
 
 
 def test_captured_radiance_divides_first() -> None:
-    """Half a pixel of a captured colour is half of its radiance, not the radiance of half of its code; none is none."""
+    """Half a pixel of a captured colour is half of its radiance, not the radiance of half of its code; 0 stays 0."""
     captured = np.array([[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]])
     radiance = captured_radiance(captured, np.array([0.5, 0.0]))
     np.testing.assert_allclose(radiance[0], 0.5 * decode_srgb(np.array([0.8, 0.4, 0.2])), atol=1e-7)

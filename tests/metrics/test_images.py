@@ -1,4 +1,4 @@
-"""PSNR, SSIM and FLIP: figures computed by hand, and what must not change them."""
+"""PSNR, SSIM and FLIP: values computed by hand, and changes that must not change them."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_ssim_of_flat_pictures():
 
 
 def test_ssim_is_that_of_the_paper():
-    """The mean of what the definition gives window by window."""
+    """The mean of the definition's values, window by window."""
     image, reference = picture(1), picture(2)
     mixed = 0.7 * reference + 0.3 * image
     assert ls.ssim(mixed, reference) == pytest.approx(ssim_by_definition(mixed, reference), abs=1e-6)
@@ -105,7 +105,7 @@ def test_ssim_is_that_of_the_paper():
     ],
 )
 def test_flip_of_flat_pictures(color, reference):
-    """What the paper's formulas give where nothing is filtered; 1 for green on blue, the largest distance there is."""
+    """The value of the paper's formulas without filtering; 1 for green on blue, the largest possible distance."""
     expected = flip_of_flat_colors(color, reference)
     assert ls.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
     if color == (0.0, 1.0, 0.0):
@@ -113,7 +113,7 @@ def test_flip_of_flat_pictures(color, reference):
 
 
 def test_flip_grows_with_the_size_of_pixels():
-    """Noise is seen the less the finer the display is."""
+    """Noise is less visible on a finer display."""
     image, reference = picture(1), picture(2)
     coarse, usual, fine = (ls.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
     assert coarse > usual > fine > 0.0
@@ -147,7 +147,7 @@ def test_turned_pictures_are_as_near(metric):
 
 @pytest.mark.parametrize("metric", METRICS)
 def test_what_is_no_pair_of_pictures_is_refused(metric):
-    """Sizes, shapes, ranges and NaN are told apart, in a line."""
+    """Different sizes, shapes, ranges and NaN each have their own message of one line."""
     image = picture(9)
     with pytest.raises(ls.SceneError, match="the image is 32 x 24, its reference 32 x 23"):
         metric(image, image[1:])
@@ -162,8 +162,8 @@ def test_what_is_no_pair_of_pictures_is_refused(metric):
 
 
 def test_small_pictures_have_no_ssim():
-    """A picture smaller than the window says so."""
-    with pytest.raises(ls.SceneError, match="ssim looks at 11 x 11 pixels, the images are 12 x 10"):
+    """A picture smaller than the window is refused."""
+    with pytest.raises(ls.SceneError, match="ssim compares windows of 11 x 11 pixels, the images are 12 x 10"):
         ls.ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)))
 
 

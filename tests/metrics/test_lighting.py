@@ -1,4 +1,4 @@
-"""PAA-Y, APF-Y and NCM-ab (docs/method/relighting.md#metrics) on light that is known."""
+"""PAA-Y, APF-Y and NCM-ab (docs/method/relighting.md#metrics) on known light."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 import lumisplat as ls
 from lumisplat.math.color import encode_srgb
+from lumisplat.math.sh import sh_basis
 from lumisplat.metrics.chromaticity import lab, luminance
-from lumisplat.metrics.irradiance import fit_irradiance, robust_fit
-from lumisplat.scene.ops.sh_colors import sh_basis
+from lumisplat.metrics.irradiance_fit import fit_irradiance, robust_fit
 from support.scenes.raster_scenes import random_gaussians
 
 METRICS = (ls.paa_y, ls.apf_y, ls.ncm_ab)
@@ -65,7 +65,7 @@ def test_irradiance_of_all_bands_is_found(monkeypatch):
     rng = np.random.default_rng(1)
     true = np.concatenate([[4.0], rng.uniform(-0.3, 0.3, 15)])
     normals = all_around()
-    luminances = sh_basis(normals, 3).T @ true
+    luminances = sh_basis(normals, 3) @ true
     fit = fit_irradiance(normals, luminances)
     np.testing.assert_allclose(fit.scales * fit.at(normals), luminances, rtol=1e-12)
     assert fit.scales.min() >= 0.0
@@ -73,14 +73,14 @@ def test_irradiance_of_all_bands_is_found(monkeypatch):
         np.abs(fit.coefficients[first:end]).sum() / np.abs(true[first:end]).sum() for first, end in ((0, 1), (9, 16))
     ]
     assert 0.75 < left[1] / left[0] < 0.95
-    monkeypatch.setattr("lumisplat.metrics.irradiance.IRRADIANCE_SMOOTHNESS", 1e-12)
+    monkeypatch.setattr("lumisplat.metrics.irradiance_fit.IRRADIANCE_SMOOTHNESS", 1e-12)
     exact = fit_irradiance(normals, luminances)
     np.testing.assert_allclose(exact.coefficients, true / np.abs(true).sum(), atol=1e-8)
     assert np.ptp(exact.scales) < 1e-6 * exact.scales.mean()
 
 
 def test_albedo_is_not_light():
-    """Scales that do not go with the normals move the fit by noise only, and outliers and dark spots do not at all."""
+    """Scales that are independent of the normals change the fit by noise only, outliers and dark spots not at all."""
     rng = np.random.default_rng(2)
     clean = lit_from((0, 0, 1), 0.5)
     reference = points(clean)
@@ -94,7 +94,7 @@ def test_albedo_is_not_light():
 
 
 def test_robust_fit_minimises_hubers_loss():
-    """The coefficients are those that a general optimiser finds for the loss of the rows that are kept."""
+    """The coefficients are those that a general optimiser finds for the loss of the remaining rows."""
     rng = np.random.default_rng(3)
     design = np.stack([rng.uniform(0, 2, 400), np.ones(400)], axis=1)
     values = design @ [0.7, 0.2] + 0.05 * rng.standard_t(2, 400)
@@ -172,7 +172,7 @@ def test_ncm_is_the_cheapest_assignment():
 
 
 def test_ncm_draws_the_same_points():
-    """More points than samples: the same seed gives the same figure, another one another, both near the whole."""
+    """With more points than samples, a seed gives one value, another seed another, both close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)
     first, second = (points(rng.uniform(low, 1.0, (1500, 3)), normals) for low in (0.05, 0.4))
@@ -203,7 +203,7 @@ def test_order_and_place_do_not_count(metric):
 
 @pytest.mark.parametrize("metric", METRICS)
 def test_only_the_neighbourhood_counts(metric):
-    """What lies beyond the radius from the avatar's centre changes nothing; within, it does."""
+    """Points farther from the avatar's centre than the radius change nothing; points within it do."""
     normals = all_around(400)
     avatar = points(lit_from((0, 0, 1), 0.5, normals), normals)
     near = points(lit_from((0.6, 0, 0.8), 0.8, normals), normals)
@@ -226,7 +226,7 @@ def splats(colors: np.ndarray, normals: np.ndarray | None, count: int) -> ls.Gau
 
 
 def test_points_of_gaussians():
-    """Places and normals are the instance's in the world, colours those of degree 0 in linear light."""
+    """Positions and normals are in the world, colours are those of degree 0 in linear light."""
     rng = np.random.default_rng(9)
     normals, colors = all_around(50), rng.uniform(0.05, 1.0, (50, 3))
     gaussians = splats(colors, normals, 50)
@@ -241,7 +241,7 @@ def test_points_of_gaussians():
 
 
 def test_estimated_normals_of_a_scene_face_the_avatar():
-    """Discs of a floor and a ceiling look at who stands between."""
+    """Normals of discs on a floor and a ceiling point to the avatar in between."""
     place = np.random.default_rng(10).uniform(-1, 1, (80, 3))
     place[:, 1] = np.where(np.arange(80) % 2, 1.0, -1.0)
     base = random_gaussians(3, count=80)
@@ -263,8 +263,8 @@ def test_gaussians_and_their_points_agree():
         assert metric(ls.SplatInstance(avatar), room, radius=2.0) == value
 
 
-def test_mistakes_are_told():
-    """Nothing near, too few points, black ones, bad settings and bad arrays: a line each."""
+def test_mistakes_are_refused():
+    """Nothing near, too few points, black points, invalid settings and invalid arrays: one line each."""
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.float32([9, 0, 0]))
     with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):

@@ -1,4 +1,4 @@
-"""SAE, SM-IoU and BF (docs/method/relighting.md#metrics) on masks whose figures are counted by hand."""
+"""SAE, SM-IoU and BF (docs/method/relighting.md#metrics) on masks whose values are computed by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def square(left: int, top: int, size: int, strength: float = 1.0, shape: tuple[i
 
 
 def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
-    """Pixels in shadow beside a lit one, by looking at each."""
+    """Pixels in shadow next to a lit one, found one by one."""
     height, width = shadow.shape
     found = []
     for row in range(height):
@@ -95,7 +95,7 @@ def test_thresholds_are_left_open():
 
 
 def test_without_shadow():
-    """No shadow in either is agreement, in one of them is none; an error over no pixels is no number."""
+    """No shadow in both images is full agreement, in one of them none; an error over no pixels is NaN."""
     nothing, something = np.zeros((20, 20)), square(4, 4, 4)
     assert ls.sm_iou(nothing, nothing) == ls.boundary_f(nothing, nothing) == 1.0
     assert ls.sm_iou(nothing, something) == ls.boundary_f(nothing, something) == 0.0
@@ -117,7 +117,7 @@ def test_the_border_of_an_image_is_no_boundary():
 
 
 def test_a_region_hides_the_rest():
-    """What is outside of the region counts nowhere, and its border is no boundary."""
+    """Pixels outside of the region never count, and its border is not a boundary."""
     shadow, reference = square(4, 4, 4), square(4, 4, 4)
     shadow[:, 12:] = 1.0
     region = np.zeros((20, 20), np.bool_)
@@ -145,8 +145,8 @@ def test_symmetries(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_mistakes_are_told(metric):
-    """Shapes, ranges and settings."""
+def test_mistakes_are_refused(metric):
+    """Invalid shapes, ranges and settings each raise one line."""
     shadow = square(4, 4, 4)
     with pytest.raises(ls.SceneError, match="the image is 20 x 20, its reference 20 x 19"):
         metric(shadow, shadow[1:])

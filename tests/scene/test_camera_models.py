@@ -1,4 +1,4 @@
-"""Fisheye, orthographic and thin-lens cameras and the rolling shutter: their doors, and their rays by hand."""
+"""Fisheye, orthographic and thin-lens cameras and the rolling shutter: validation, and rays computed by hand."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 
 def posed(turn: np.ndarray, eye: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """camera_from_world of a camera turned so in the world, and standing there."""
+    """camera_from_world of a camera with this rotation and this position in the world."""
     world_from_camera = turn.copy()
     world_from_camera[:3, 3] = eye
     return np.linalg.inv(world_from_camera)
 
 
 def test_pinhole_rays_project_back() -> None:
-    """Rays are of unit length and meet the image at the pixels' centres."""
+    """Rays have unit length and pass through the pixel centres."""
     camera = front_camera(7, 5, fx=4.0, fy=5.0, cx=3.0, cy=2.0)
     rays = camera.ray_directions()
     assert rays.shape == (5, 7, 3) and rays.dtype == np.float64
@@ -34,7 +34,7 @@ def test_pinhole_rays_project_back() -> None:
 
 
 def test_fisheye_angles_are_distances_in_the_image() -> None:
-    """Of 220 degrees over 220 rows, a pixel 100 rows off the centre looks 100 degrees off the axis: behind itself."""
+    """At 220 degrees over 220 rows, a pixel 100 rows from the centre has a ray 100 degrees from the axis, backwards."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=221, height=221, fov_y=np.radians(221.0), model=FISHEYE)
     rays = camera.ray_directions()
     assert camera.fov_y == pytest.approx(np.radians(221.0))
@@ -48,7 +48,7 @@ def test_fisheye_angles_are_distances_in_the_image() -> None:
 
 
 def test_fisheye_sees_nothing_beyond_its_back() -> None:
-    """A full turn over the height: corners beyond theta = pi have no ray, all others one of unit length."""
+    """At a full turn over the height, corners beyond theta = pi have no ray, all other pixels a unit ray."""
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=64, fov_y=2.0 * np.pi, model=FISHEYE)
     rays = camera.ray_directions()
     y, x = np.mgrid[:64, :64] + 0.5 - 32.0
@@ -59,7 +59,7 @@ def test_fisheye_sees_nothing_beyond_its_back() -> None:
 
 
 def test_orthographic_rays_are_parallel() -> None:
-    """All along the axis; look_at shows as much as a pinhole camera would at the target."""
+    """All rays are parallel to the axis; look_at shows as much as a pinhole camera would at the target."""
     arguments = {"eye": (0, 0, -4), "target": (0, 0, 0), "width": 30, "height": 20, "fov_y": 0.9}
     camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)  # type: ignore[arg-type]
     np.testing.assert_array_equal(camera.ray_directions(), np.broadcast_to((0.0, 0.0, 1.0), (20, 30, 3)))
@@ -70,7 +70,7 @@ def test_orthographic_rays_are_parallel() -> None:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 def test_scaled_keeps_the_view_of_every_model(model: ls.CameraModel) -> None:
-    """Twice as many pixels: the four that replace one look around where it looked, lens and shutter unchanged."""
+    """With twice as many pixels, the four that replace one surround its ray; lens and shutter are unchanged."""
     end = posed(rotation((0.0, 1.0, 0.0), 0.1))
     camera = front_camera(
         8, 6, 5.0, model=model, cx=3.0, aperture=0.2, focus_distance=3.0, camera_from_world_end=end, near=0.5
@@ -93,7 +93,7 @@ def frame_of(camera: ls.Camera, depth: np.ndarray) -> ls.Frame:
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
 def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
-    """A plane at view depth 3 has depth_z 3 wherever a ray meets it, and behind a fisheye depth_z is negative."""
+    """A plane at view depth 3 has depth_z 3 at every pixel, and behind a fisheye depth_z is negative."""
     camera = front_camera(24, 20, 6.0, model=model)
     z = camera.ray_directions()[..., 2]
     depth = np.full(z.shape, np.inf)
@@ -141,13 +141,13 @@ def test_wrong_lenses_are_refused(changes: dict[str, object], message: str) -> N
     ],
 )
 def test_fields_of_view_have_bounds(model: ls.CameraModel, fov_y: float, message: str) -> None:
-    """A fisheye sees a full turn at most."""
+    """The field of view of a fisheye is at most a full turn."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Camera.look_at((0, 0, 0), (0, 0, 1), fov_y=fov_y, model=model)
 
 
 def test_look_at_focuses_on_its_target() -> None:
-    """Unless told otherwise."""
+    """The default focus distance is that of the target."""
     camera = ls.Camera.look_at((1, 2, 3), (1, 2, 8), aperture=0.25)
     assert (camera.aperture, camera.focus_distance) == (0.25, 5.0)
     assert ls.Camera.look_at((1, 2, 3), (1, 2, 8), aperture=0.25, focus_distance=2.0).focus_distance == 2.0
@@ -155,7 +155,7 @@ def test_look_at_focuses_on_its_target() -> None:
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.floats(-3.0, 3.0), st.floats(0.0, 6.0))
 def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], angle: float, start: float) -> None:
-    """The first rotation, turned in the world as ``shutter_turn`` says, is the last; the eye moves by the motion."""
+    """The first pose, rotated in the world by ``shutter_turn``, is the last; the eye moves by ``shutter_motion``."""
     if np.linalg.norm(axis) < 0.1:
         return
     first = rotation((0.3, -0.5, 0.8), start)
@@ -187,7 +187,7 @@ def test_still_shutters_do_not_move_at_all() -> None:
     ],
 )
 def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, object], message: str) -> None:
-    """One line says what, and which pipeline can."""
+    """One line names the feature, and the pipeline that supports it."""
     camera = front_camera(name="left")
     refuse_lens(camera)
     with pytest.raises(ls.SceneError, match=message):

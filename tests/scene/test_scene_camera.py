@@ -1,4 +1,4 @@
-"""The pinhole camera: its door, look_at, and the same view at other sizes."""
+"""The pinhole camera: validation, look_at, and the same view at other sizes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ coordinates = st.tuples(*[st.floats(-10.0, 10.0)] * 3)
 
 
 def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
-    """Where a world point lands, and its view depth."""
+    """The pixel of a world point, and its view depth."""
     x, y, z = camera.camera_from_world[:3, :3] @ point + camera.camera_from_world[:3, 3]
     return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z])
 
@@ -82,7 +82,7 @@ def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> 
     ],
 )
 def test_impossible_views_are_refused(arguments: dict[str, object]) -> None:
-    """No target, no up, or no field of view make no camera."""
+    """A camera needs a target, an up direction and a field of view."""
     with pytest.raises(ls.SceneError):
         ls.Camera.look_at(**arguments)  # type: ignore[arg-type]
 

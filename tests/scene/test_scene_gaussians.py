@@ -1,4 +1,4 @@
-"""The door of ``Gaussians``: what is accepted, what is refused, and how clearly."""
+"""Validation of ``Gaussians``: accepted and refused values, and clear messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def fields(**changes: object) -> dict[str, object]:
 
 
 def test_arrays_become_read_only_float32() -> None:
-    """Whatever comes in, float32 that nobody can change comes out, and the caller's arrays stay as they were."""
+    """Any input becomes read-only float32, and the caller's arrays stay as they are."""
     means = np.ones((2, 3), dtype=np.float32)
     gaussians = ls.Gaussians(**fields(means=means, opacities=[0, 1]))
     assert gaussians.count == 2 and gaussians.sh_degree == 1
@@ -36,7 +36,7 @@ def test_arrays_become_read_only_float32() -> None:
 
 
 def test_read_only_arrays_are_not_copied() -> None:
-    """What nobody writes to is taken as it is: a large capture must not be held twice."""
+    """Read-only arrays are used directly, so that a large capture is in memory once."""
     sh = np.zeros((2, 4, 3), dtype=np.float32)
     sh.flags.writeable = False
     assert np.shares_memory(ls.Gaussians(**fields(sh=sh)).sh, sh)
@@ -50,7 +50,7 @@ def test_fields_are_frozen() -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 1e-30, 1e30, -2.0])
 def test_quaternions_are_normalised(scale: float) -> None:
-    """Any non-zero length is fine, however small or large."""
+    """Quaternions may have any length above 0, however small or large."""
     rotations = scale * np.array([[1.0, 2.0, -3.0, 4.0], [0.0, 0.0, 1.0, 0.0]])
     unit = ls.Gaussians(**fields(rotations_wxyz=rotations)).rotations_wxyz
     np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, rtol=1e-6)
@@ -58,7 +58,7 @@ def test_quaternions_are_normalised(scale: float) -> None:
 
 
 def test_normalising_twice_changes_nothing() -> None:
-    """Unit quaternions and normals come out as they went in, to the bit: subsets and round trips do not drift."""
+    """Unit quaternions and normals keep their bits, so that subsets and round trips do not drift."""
     once = dataclasses.replace(random_gaussians(3, 2000), normals=np.random.default_rng(0).normal(size=(2000, 3)))
     twice = once.subset(np.arange(2000))
     np.testing.assert_array_equal(twice.rotations_wxyz, once.rotations_wxyz)
@@ -109,7 +109,7 @@ def test_values_beyond_float32_are_refused() -> None:
 
 
 def test_subset_keeps_order_and_metadata() -> None:
-    """Rows are picked in the order asked for; flags and comments come along."""
+    """Rows are selected in the given order; flags and comments are kept."""
     gaussians = dataclasses.replace(
         random_gaussians(1, 5, degree=2, antialiased=True), roughness=np.linspace(0, 1, 5), comments=("made",)
     )

@@ -1,4 +1,4 @@
-"""Lights and scenes of lights: what they take, what they make of it, and what they refuse."""
+"""Lights and scenes of lights: accepted, normalised and refused values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REQUIRED: dict[type, dict[str, Any]] = {
 
 @pytest.mark.parametrize("kind", REQUIRED, ids=lambda kind: kind.__name__)
 def test_defaults(kind: type) -> None:
-    """A light that says only where it is shines white, at 1, is on and casts shadows."""
+    """A light with only a position is white, has intensity 1, is enabled and casts shadows."""
     light = kind(**REQUIRED[kind])
     assert (light.color, light.intensity, light.enabled, light.casts_shadow) == ((1.0, 1.0, 1.0), 1.0, True, True)
 
@@ -86,13 +86,13 @@ NEGATIVE[0, 1:3, 2] = -1.0
     ],
 )
 def test_wrong_lights_are_refused(kind: type, changes: dict[str, Any], message: str) -> None:
-    """A value that means nothing is named."""
+    """An invalid value is named."""
     with pytest.raises(ls.SceneError, match=message):
         kind(**(REQUIRED[kind] | changes))
 
 
 def test_a_scene_takes_one_enabled_environment() -> None:
-    """Others may wait, switched off; any number of other lights is fine."""
+    """Further environments may be disabled; there may be any number of other lights."""
     on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
     lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]
     assert ls.Scene(lights=lights).lights == tuple(lights)  # type: ignore[arg-type]
@@ -105,7 +105,7 @@ def test_a_scene_takes_one_enabled_environment() -> None:
     [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is one LightPoint, expected a list")],
 )
 def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
-    """What is given for lights has to be a list of them."""
+    """``lights`` must be a list of lights."""
     with pytest.raises(ls.SceneError, match=message):
         ls.Scene(lights=lights)
 
@@ -121,6 +121,6 @@ def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
     ],
 )
 def test_how_splats_take_light_is_checked(settings: dict[str, Any], message: str) -> None:
-    """Material, SH degree and the shadow-only switch of an instance are of their kinds."""
+    """Material, SH degree and ``shadow_only`` of an instance must have the right types."""
     with pytest.raises(ls.SceneError, match=message):
         ls.SplatInstance(random_gaussians(0, 3), **settings)

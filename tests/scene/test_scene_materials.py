@@ -1,4 +1,4 @@
-"""Materials: factors of a channel each, textures, and what is refused."""
+"""Materials: factors per channel, textures, and refused values."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def test_one_number_is_a_grey() -> None:
 
 
 def test_a_simple_material_shines_as_captured() -> None:
-    """Its defaults are those of a splat set that nobody gave a material: it shines, and reflects nothing."""
+    """Its defaults are those of a splat set without material: it shines, and reflects nothing."""
     material = ls.MaterialSimple()
     assert material.emissive == material.base_color == (1.0, 1.0, 1.0)
     assert material.ambient == material.diffuse == material.specular == (0.0, 0.0, 0.0)
 
 
 def test_smooth_is_roughness_zero() -> None:
-    """Rays go on from a perfectly smooth physical material only."""
+    """Only perfectly smooth physical materials reflect or refract rays."""
     assert ls.MaterialPbr(roughness=0.0).is_smooth
     assert not ls.MaterialPbr(roughness=1e-3).is_smooth
     assert not ls.MaterialSimple(shininess=1e4).is_smooth

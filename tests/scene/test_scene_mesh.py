@@ -1,4 +1,4 @@
-"""The door of ``Mesh`` and ``MaterialPbr``."""
+"""Validation of ``Mesh`` and ``MaterialPbr``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_a_triangle() -> None:
 
 
 def test_checked_arrays_cannot_change_afterwards() -> None:
-    """Writing to what a mesh was made of does not reach it: an index out of range would read beyond its vertices."""
+    """A mesh does not change with the arrays that it was made of: a bad index would read beyond its vertices."""
     positions, indices = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32)
     mesh = ls.Mesh(positions, indices)
     positions[:], indices[:] = np.nan, 10**6
@@ -30,7 +30,7 @@ def test_checked_arrays_cannot_change_afterwards() -> None:
 
 
 def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
-    """Any length will do, unit ones are kept to the bit, zeros become the faces' area-weighted mean."""
+    """Normals may have any length; unit ones keep their bits, zeros become the area-weighted mean of the faces."""
     unit = np.float32([0.26726124, 0.5345225, 0.8017837])
     mesh = ls.Mesh(**TRIANGLE, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit])
     assert mesh.normals is not None and not mesh.normals.flags.writeable
@@ -66,7 +66,7 @@ def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> N
 
 
 def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
-    """Indices that are no vertices, repeated ones and corners on a line or a point go; vertices and the rest stay."""
+    """Triangles with invalid or repeated indices or with corners on a line are removed; vertices and the rest stay."""
     positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.25, 0.75, 0], [1, 0, 0], [3e9, 3e9, 0]]
     whole = [[0, 1, 2], [0, 1, 3]]
     broken = [[0, 1, 6], [-1, 0, 1], [0, 1, 1], [1, 2, 3], [0, 1, 4], [2, 2, 2]]
@@ -80,7 +80,7 @@ def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCapture
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int64, np.uint64])
 def test_any_integer_is_an_index(kind: type) -> None:
-    """Of whatever size: what is beyond 32 bits is out of range, not wrapped round to a vertex."""
+    """Indices may have any integer type; those beyond 32 bits are out of range, and do not wrap round to a vertex."""
     far = np.array([[0, 1, 2], [0, 1, np.iinfo(kind).max]], dtype=kind)
     np.testing.assert_array_equal(ls.Mesh(**TRIANGLE | {"indices": far}).indices, [[0, 1, 2]])
     if np.dtype(kind).itemsize == 8:
@@ -90,7 +90,7 @@ def test_any_integer_is_an_index(kind: type) -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
 def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFixture) -> None:
-    """Degenerate is meant of the shape: any size is fine, as is what float32 leaves of three corners on a line."""
+    """Only the shape counts: triangles of any size stay, and so do thin ones from rounding to float32."""
     corners = np.float32([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]]) * np.float32(size)
     assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
     assert ls.Mesh(np.float32(TRIANGLE["positions"]) * np.float32(size), [[0, 1, 2]]).face_count == 1
@@ -99,7 +99,7 @@ def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFix
 
 @pytest.mark.parametrize("seed", range(3))
 def test_corners_on_a_line_have_no_area(seed: int) -> None:
-    """Whole multiples of a step, anywhere, in any direction, are on a line exactly, and found to be."""
+    """Corners at whole multiples of a step are exactly on a line, anywhere and in any direction, and have no area."""
     rng = np.random.default_rng(seed)
     step, start = rng.integers(-999, 999, (2, 500, 1, 3))
     corners = (start + step * rng.integers(-99, 99, (500, 3, 1))) * 2.0 ** rng.integers(-40, 40, (500, 1, 1))
@@ -108,7 +108,7 @@ def test_corners_on_a_line_have_no_area(seed: int) -> None:
 
 
 def test_rounding_makes_no_area() -> None:
-    """Corners on a line, one so near that float64 rounds the way to it: what that leaves of an area is not one."""
+    """Corners on a line have no area, even if float64 rounding gives a small one."""
     step = np.random.default_rng(3).integers(2**21, 2**22, (500, 1, 3))
     corners = (step * [[2.0**-40], [1.0], [3.0]]).astype(np.float32)
     edges = np.diff(corners.astype(np.float64), axis=1)

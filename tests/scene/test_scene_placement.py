@@ -38,7 +38,7 @@ TURN = similarity((1.0, 2.0, 3.0), 0.7, 3.0, (0.0, 0.0, 0.0))[:3, :3]
     ],
 )
 def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
-    """What would not keep Gaussians and their SH valid is refused with the figures; a mesh takes what is invertible."""
+    """Transforms that are no similarity are refused, with the numbers; a mesh takes any invertible transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = linear
     taken = "rotation, uniform scale and translation only"
@@ -49,7 +49,7 @@ def test_splats_take_similarities_only(linear: np.ndarray, reason: str) -> None:
 
 @pytest.mark.parametrize("noise", [1e-5, -1e-5])
 def test_rounded_poses_are_similarities(noise: float) -> None:
-    """Matrices that went through a file with five digits are still taken."""
+    """Matrices rounded to five digits are still accepted."""
     matrix = similarity((1.0, 2.0, 3.0), 0.7, 2.5, (1.0, 0.0, -4.0))
     matrix[:3, :3] += noise
     ls.SplatInstance(random_gaussians(0, 3), matrix)
@@ -86,14 +86,14 @@ def test_strangers_are_refused() -> None:
         ls.Scene([], ["mesh"])  # type: ignore[list-item]
     with pytest.raises(ls.SceneError, match="splats is one Gaussians, expected a list"):
         ls.Scene(random_gaussians(0, 3))  # type: ignore[arg-type]
-    with pytest.raises(ls.SceneError, match="holds Gaussians, got a Mesh"):
+    with pytest.raises(ls.SceneError, match="gaussians is a Mesh, expected Gaussians"):
         ls.SplatInstance(quad(1.0))  # type: ignore[arg-type]
-    with pytest.raises(ls.SceneError, match="holds a Mesh, got a Gaussians"):
+    with pytest.raises(ls.SceneError, match="mesh is a Gaussians, expected a Mesh"):
         ls.MeshInstance(random_gaussians(0, 3))  # type: ignore[arg-type]
 
 
 def test_bounds_are_in_the_world() -> None:
-    """The box covers means and vertices where the instances put them."""
+    """The box contains means and vertices in the world."""
     gaussians = random_gaussians(4, 40, center=(0.0, 0.0, 0.0), extent=(1.0, 1.0, 1.0))
     turned = rotation((0.0, 0.0, 1.0), np.pi / 2)
     turned[:3, 3] = (10.0, 0.0, 0.0)

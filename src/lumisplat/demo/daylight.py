@@ -1,7 +1,8 @@
-"""Daylight baked into colours: what makes the demo's capture look photographed.
+"""Daylight baked into colours, so that the demo's capture looks photographed.
 
-A capture holds the light it was taken in. Here it comes from a sun and an overcast sky, with visibility found by depth
-maps of the scene's own points, one a direction (shadow maps, Williams 1978; many of them make ambient occlusion).
+The colours of a capture contain the light of its surroundings: here a sun and an overcast sky. Their visibility is
+found by depth maps of the scene's own points, one per direction (shadow maps, Williams 1978; many of them give ambient
+occlusion).
 """
 
 from __future__ import annotations
@@ -18,33 +19,33 @@ _Floats = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class Daylight:
-    """Sun, sky and what the room throws back."""
+    """Sun, sky and the light that the room reflects."""
 
     sun_direction: tuple[float, float, float]
-    """Towards the sun, any length."""
+    """Direction towards the sun, of any length."""
     sun_color: tuple[float, float, float] = (2.6, 1.95, 1.2)
-    """Irradiance of a surface that faces the sun, linear Rec.709, 1 = paper white."""
+    """Irradiance of a surface that faces the sun, linear Rec.709; white paper is 1."""
     sky_color: tuple[float, float, float] = (0.74, 0.80, 0.86)
-    """Irradiance of an open, level surface under the sky alone."""
+    """Irradiance of an open, horizontal surface from the sky alone."""
     bounce_color: tuple[float, float, float] = (0.36, 0.28, 0.20)
-    """What the lit floor throws back: 1.35 times this on a surface that faces down, 0.35 on one that faces up, by way
-    of the ceiling; less where the sky in front is blocked."""
+    """Irradiance from the lit floor: 1.35 times this on a surface that faces down, 0.35 times (by way of the ceiling)
+    on one that faces up; less where the sky in front is blocked."""
     sky_directions: int = 48
-    """Depth maps for the sky."""
+    """Number of depth maps for the sky."""
     texel: float = 0.012
-    """Texel of the depth maps, scene units: no less than half the distance between casters."""
+    """Side of a texel of the depth maps, scene units: at least half the distance between casters."""
 
 
 def irradiance(
     casters: npt.ArrayLike, receivers: npt.ArrayLike, normals: npt.ArrayLike, light: Daylight
 ) -> npt.NDArray[np.float32]:
-    """Baked light at surface points: linear Rec.709, 0..1 after a soft shoulder, shape (N, 3).
+    """Baked light at surface points, linear Rec.709, compressed to 0..1 by a soft shoulder, shape (N, 3).
 
     Args:
-        casters: Points dense enough to block the light, shape (M, 3).
+        casters: Points that block light, dense enough to leave no gaps, shape (M, 3).
         receivers: Points to light, shape (N, 3).
-        normals: Their unit normals, shape (N, 3).
-        light: The light.
+        normals: Unit normals of the receivers, shape (N, 3).
+        light: The daylight.
     """
     casters, receivers, normals = (np.asarray(a, dtype=np.float32) for a in (casters, receivers, normals))
     sun = np.asarray(light.sun_direction, dtype=np.float32)
@@ -62,7 +63,7 @@ def irradiance(
 
 
 def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight) -> tuple[_Floats, _Floats]:
-    """Sky light over that of an open level surface, and the unblocked share of the sky in front, shape (N,) each."""
+    """Sky light relative to an open horizontal surface, and the unblocked share of the sky, shape (N,) each."""
     start = receivers + 2.2 * light.texel * normals
     lit, weight = (np.zeros(receivers.shape[0], dtype=np.float32) for _ in range(2))
     for direction in _hemisphere(light.sky_directions):
@@ -72,12 +73,12 @@ def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight
             continue
         lit[facing] += cosine[facing] * _visibility(casters, start[facing], direction, light.texel, blur=1)
         weight += np.maximum(cosine, 0.0)
-    # Surfaces that face down see no sky at all, and the floor well.
+    # Surfaces that face down see the floor, but no sky: they count as open.
     return lit * (2.0 / light.sky_directions), (lit + 1.0) / (weight + 1.0)
 
 
 def _hemisphere(count: int) -> FloatArray:
-    """Directions spread evenly over the upper hemisphere (Fibonacci lattice), shape (count, 3)."""
+    """Evenly spread directions of the upper hemisphere (Fibonacci lattice), shape (count, 3)."""
     k = np.arange(count) + 0.5
     y = k / count
     around = k * (np.pi * (1.0 + 5.0**0.5))
@@ -88,8 +89,8 @@ def _hemisphere(count: int) -> FloatArray:
 def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel: float, *, blur: int) -> _Floats:
     """Share of a parallel light that reaches each receiver, 0..1, shape (N,).
 
-    The nearest caster of each texel is kept, widened to its neighbours so that points close up to surfaces. Comparisons
-    are made at texels, softened over ``blur`` of them, and interpolated bilinearly.
+    Each texel stores its nearest caster, also from neighbouring texels, so that points form closed surfaces. Depths are
+    compared at texels; the results are interpolated, bilinearly or, if ``blur`` is 2, by a cubic B-spline.
     """
     axes = _basis(direction) / np.float32(texel)
     # Sums of columns: BLAS starts threads for products this thin, and they cost more than they help.
@@ -100,7 +101,7 @@ def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel:
     column, row = ((c - start).astype(np.int32) for c, start in zip(caster[:2], low, strict=True))
     nearest = np.full(width * height, -np.inf, dtype=np.float32)
     np.maximum.at(nearest, row * width + column, caster[2])
-    nearest = _widened(nearest.reshape(height, width)).reshape(-1)
+    nearest = _dilate(nearest.reshape(height, width)).reshape(-1)
 
     x, y = (r - (start + 0.5) for r, start in zip(receiver[:2], low, strict=True))
     left, top = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
@@ -120,13 +121,13 @@ def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel:
 
 
 def _spline(t: _Floats, tap: int) -> _Floats:
-    """Weight of a tap at -1, 0, 1, 2 in cubic B-spline filtering at offset t."""
+    """Weight of the tap at -1, 0, 1 or 2 of a cubic B-spline at offset t."""
     distance = np.abs(t - tap)
     near = (4.0 + distance * distance * (3.0 * distance - 6.0)) / 6.0
     return np.where(distance < 1.0, near, np.maximum(2.0 - distance, 0.0) ** 3 / 6.0)
 
 
-def _widened(depth: _Floats) -> _Floats:
+def _dilate(depth: _Floats) -> _Floats:
     """Maximum over each texel and its neighbours."""
     padded = np.pad(depth, 1, constant_values=-np.inf)
     tall = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
@@ -134,7 +135,7 @@ def _widened(depth: _Floats) -> _Floats:
 
 
 def _basis(direction: _Floats) -> FloatArray:
-    """Rows: two directions across ``direction``, and itself."""
+    """Rows: two unit vectors perpendicular to ``direction``, and ``direction`` itself."""
     helper = np.eye(3, dtype=np.float32)[np.abs(direction).argmin()]
     across = np.cross(helper, direction)
     across /= np.linalg.norm(across)
@@ -142,7 +143,7 @@ def _basis(direction: _Floats) -> FloatArray:
 
 
 def _shoulder(light: _Floats) -> _Floats:
-    """Rolls off above 0.6 so that nothing clips: linear below, towards 1 above."""
+    """Compresses light above 0.6 towards 1, so that nothing clips; linear below."""
     knee = np.float32(0.6)
     over = np.maximum(light - knee, 0.0) / (1.0 - knee)
     return np.where(light < knee, light, knee + (1.0 - knee) * over / (1.0 + over)).astype(np.float32)

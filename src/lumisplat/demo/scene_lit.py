@@ -1,4 +1,4 @@
-"""The demo scene in the evening: the daylight of its capture taken off, lit by a spot, a lamp and the sky."""
+"""The demo scene in the evening: without its captured daylight, lit by a spot, a lamp and the sky."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _POLISHED = {
     "brass": {"base_color": (0.95, 0.78, 0.42), "metallic": 1.0},
     "aquamarine": {"base_color": (0.75, 0.93, 1.0), "transmission": 1.0, "ior": 1.58},
 }
-"""Of the meshes that become a mirror and glass."""
+"""Material settings, by name, of the meshes that become a mirror and glass."""
 
 
 def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], None] | None = None) -> Scene:
-    """The demo scene, relit: what was captured in daylight stands in the light of an evening.
+    """The demo scene, relit: the room that was captured in daylight, in the light of an evening.
 
-    The room's Gaussians reflect by their albedo, roughness and metallic, so none of the daylight in their colours is
-    left, and the meshes come without theirs; the brass knot is a mirror, the jewel glass. The garden outside is a set
-    without a material: it shines as captured. Lights, in order: a warm ``spot``, a soft ``lamp`` in the niche, and a
-    dim, cool ``sky``.
+    The room's Gaussians reflect by their albedo, roughness and metallic, so that nothing of the captured daylight is
+    left; the baked daylight of the meshes is removed. The brass knot is a mirror, the jewel is glass. The garden
+    outside is a set without a material and shines as captured. The lights are, in order, a warm ``spot``, a soft
+    ``lamp`` in the niche, and a dim, cool ``sky``.
 
     Args:
-        scene: What `demo_scene` made; None: it is made anew, which takes seconds.
+        scene: The result of `demo_scene`; None: it is made again, which takes seconds.
         progress: As for `demo_scene`.
 
     Returns:
@@ -43,13 +43,13 @@ def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], 
     )
     return Scene(
         splats=(SplatInstance(room, material=MaterialPbr(), name="room"), SplatInstance(garden, name="garden")),
-        meshes=tuple(_undressed(instance) for instance in scene.meshes),
+        meshes=tuple(_without_daylight(instance) for instance in scene.meshes),
         lights=_lights(),
     )
 
 
-def _undressed(instance: MeshInstance) -> MeshInstance:
-    """The instance without baked daylight, and polished if it is one of those."""
+def _without_daylight(instance: MeshInstance) -> MeshInstance:
+    """The instance without baked daylight, and with its polished material if it has one."""
     mesh = instance.mesh
     assert isinstance(mesh.material, MaterialPbr)
     material = mesh.material
@@ -74,9 +74,9 @@ def _lights() -> tuple[Light, ...]:
 
 
 def _evening_sky(rows: int = 64) -> FloatArray:
-    """Linear radiance from everywhere, shape (rows, 2 rows, 3).
+    """Linear radiance of all directions, shape (rows, 2 rows, 3).
 
-    Blue above, pale at the horizon, dark ground, and brighter clouds where light comes into the room.
+    The sky is blue above and pale at the horizon, the ground dark; brighter clouds are where light enters the room.
     """
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     phi = (np.arange(2 * rows) + 0.5 - rows) * np.pi / rows

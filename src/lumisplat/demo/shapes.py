@@ -1,6 +1,6 @@
-"""Meshes made by formula: closed ones watertight, wound counter-clockwise from outside, with normals and uvs.
+"""Meshes made by formula: watertight if closed, wound counter-clockwise from outside, with normals and uvs.
 
-All stand in their own space around the origin, y up, metres.
+Each is in its own space around the origin, y up, in metres.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.transforms import transform_points
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.triangles import area_vectors, sum_at_vertices
 
 _Floats = npt.NDArray[np.floating]
 
@@ -21,38 +23,40 @@ _Floats = npt.NDArray[np.floating]
 def grid_surface(points: npt.ArrayLike, *, wrap_rows: bool = False, wrap_columns: bool = False) -> Mesh:
     """The surface over a grid of points, smooth except where neighbouring rows or columns coincide.
 
-    Columns run to the right and rows down as seen from outside. A row or column of coinciding points is a pole. A
-    closed direction repeats its first row or column as its last; repeating one inside the grid makes a crease.
+    Seen from outside, columns run to the right and rows down. A row or column of coincident points is a pole. In a
+    closed direction the last row or column repeats the first; a row or column repeated inside the grid makes a crease.
 
     Args:
         points: Shape (R, C, 3).
-        wrap_rows: The last row is the first one: normals are shared across the seam.
-        wrap_columns: The last column is the first one.
+        wrap_rows: Whether the last row repeats the first: normals are then shared across the seam.
+        wrap_columns: The same for columns.
 
     Returns:
         A mesh with vertex normals weighted by area, and uvs from 0 to 1 along columns (u) and rows (v).
     """
     points = np.asarray(points, dtype=np.float64)
-    rows, columns = points.shape[:2]
+    rows, columns = (int(size) for size in points.shape[:2])
     corner = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
     quads = np.stack([a, d, c, a, c, b], axis=-1).reshape(-1, 3)
     flat = points.reshape(-1, 3)
-    areas = np.cross(flat[quads[:, 1]] - flat[quads[:, 0]], flat[quads[:, 2]] - flat[quads[:, 0]])
+    areas = area_vectors(flat, quads)
     solid = np.linalg.norm(areas, axis=1) > 1e-12 * np.ptp(flat, axis=0).max() ** 2
     normals = _grid_normals(points, quads, areas, wrap_rows, wrap_columns)
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
     uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
-    return Mesh(flat.astype(np.float32), quads[solid], normals, uvs.astype(np.float32))
+    return Mesh(flat.astype(np.float32), quads[solid].astype(np.int32), normals, uvs.astype(np.float32))
 
 
 def _grid_normals(
-    points: _Floats, quads: npt.NDArray[np.integer], areas: _Floats, wrap_rows: bool, wrap_columns: bool
+    points: _Floats,
+    quads: npt.NDArray[np.integer],
+    areas: npt.NDArray[np.float64],
+    wrap_rows: bool,
+    wrap_columns: bool,
 ) -> _Floats:
-    sums = np.zeros((points.shape[0] * points.shape[1], 3))
-    for k in range(3):
-        np.add.at(sums, quads[:, k], areas)
-    normals = sums.reshape(points.shape)
+    """Normals weighted by area, shape (R C, 3), shared across seams and at poles."""
+    normals = sum_at_vertices(areas, quads, points.shape[0] * points.shape[1]).reshape(points.shape)
     if wrap_columns:
         normals[:, 0] = normals[:, -1] = normals[:, 0] + normals[:, -1]
     if wrap_rows:
@@ -66,7 +70,7 @@ def _grid_normals(
 
 
 def close_seams(points: _Floats, *, rows: bool = False, columns: bool = False) -> _Floats:
-    """The grid (R, C, 3) with its last row or column made exactly its first: rounding must not open the seam."""
+    """Copies the first row or column of a grid, shape (R, C, 3), to the last, so that rounding cannot open the seam."""
     if rows:
         points[-1] = points[0]
     if columns:
@@ -74,31 +78,31 @@ def close_seams(points: _Floats, *, rows: bool = False, columns: bool = False) -
     return points
 
 
-def transformed(mesh: Mesh, world_from_object: npt.ArrayLike) -> Mesh:
-    """The mesh moved by an affine transform of positive determinant, shape (4, 4)."""
+def transform_mesh(mesh: Mesh, world_from_object: npt.ArrayLike) -> Mesh:
+    """Transforms a mesh by an affine transform of positive determinant, shape (4, 4)."""
     matrix = matrix_4x4("world_from_object", world_from_object)
     linear = matrix[:3, :3]
     normals = mesh.normals
     if normals is not None:
         normals = normals @ np.linalg.inv(linear)
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    return replace(mesh, positions=mesh.positions @ linear.T + matrix[:3, 3], normals=normals)
+    return replace(mesh, positions=transform_points(matrix, mesh.positions), normals=normals)
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh out of several with equal kinds of vertex data; it takes the first one's material.
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Joins meshes with the same kinds of vertex data into one, which has the material of the first.
 
     Raises:
         SceneError: The list is empty, or only some of the meshes have normals, uvs or colours.
     """
     if not meshes:
-        raise SceneError("joined needs at least one mesh")
+        raise SceneError("join_meshes needs at least one mesh")
     vertex_data = {}
     for name in ("positions", "normals", "uvs", "colors"):
         arrays = [getattr(mesh, name) for mesh in meshes]
         if any(array is None for array in arrays):
             if not all(array is None for array in arrays):
-                raise SceneError(f"joined needs {name} on all meshes or on none")
+                raise SceneError(f"join_meshes needs {name} on all meshes or on none")
             continue
         vertex_data[name] = np.concatenate(arrays)
     offsets = np.cumsum([0] + [mesh.vertex_count for mesh in meshes[:-1]])
@@ -107,7 +111,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def plane(width: float, depth: float, *, segments: tuple[int, int] = (1, 1)) -> Mesh:
-    """A rectangle in y = 0, facing up; u runs along x, v along z."""
+    """A rectangle in the plane y = 0 that faces up; u runs along x, v along z."""
     x, z = (np.linspace(-0.5, 0.5, n + 1) * size for n, size in zip(segments, (width, depth), strict=True))
     grid_x, grid_z = np.meshgrid(x, z)
     return grid_surface(np.stack([grid_x, np.zeros_like(grid_x), grid_z], axis=-1))
@@ -121,7 +125,7 @@ def superellipsoid(
     rows: int = 48,
     columns: int = 96,
 ) -> Mesh:
-    """Barr's superellipsoid (1981) around the y axis: exponents 1 an ellipsoid, towards 0 a box, 2 an octahedron.
+    """Barr's superellipsoid (1981) around the y axis: an ellipsoid at exponents 1, towards 0 a box, at 2 an octahedron.
 
     Args:
         radii: Half sizes along x, y, z.
@@ -139,13 +143,13 @@ def superellipsoid(
 
 
 def sphere(radius: float = 1.0, *, rows: int = 48, columns: int = 96) -> Mesh:
-    """A latitude-longitude sphere; u runs east from the far meridian (-z is its ends), v from the top down."""
+    """A latitude-longitude sphere; u runs eastwards and begins and ends at -z, v runs from the top down."""
     mesh = superellipsoid((radius, radius, radius), rows=rows, columns=columns)
     return replace(mesh, normals=mesh.positions / np.float32(radius))
 
 
 def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
-    """An icosahedron, each triangle split in four ``subdivisions`` times, on a sphere; no uvs."""
+    """An icosahedron projected to a sphere, each triangle split into four ``subdivisions`` times; without uvs."""
     g = (1.0 + 5.0**0.5) / 2.0
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
@@ -163,11 +167,11 @@ def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
         a, b, c = triangles.T
         quarters = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         triangles = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
-    return Mesh((radius * points).astype(np.float32), triangles, points)
+    return Mesh((radius * points).astype(np.float32), triangles.astype(np.int32), points)
 
 
 def torus(major: float = 1.0, minor: float = 0.3, *, rows: int = 48, columns: int = 96) -> Mesh:
-    """A ring around the y axis; u runs around the ring, v around the tube."""
+    """A torus around the y axis; u runs around the ring, v around the tube."""
     around = np.linspace(0.0, 2.0 * np.pi, columns + 1)
     tube = np.linspace(0.0, -2.0 * np.pi, rows + 1)[:, None]
     ring = major + minor * np.cos(tube)
@@ -182,11 +186,11 @@ def rounded_box(
     segments: int = 6,
     flat_segments: tuple[int, int, int] = (1, 1, 1),
 ) -> Mesh:
-    """A box with edges and corners rounded by ``radius``; each side has its own uvs from 0 to 1.
+    """A box with rounded edges and corners; the uvs of each side run from 0 to 1.
 
     Args:
         size: Full extents along x, y, z.
-        radius: Rounding, above 0 and at most half of the smallest extent.
+        radius: Radius of the rounding, above 0 and at most half of the smallest extent.
         segments: Grid cells across half of each rounded edge.
         flat_segments: Grid cells along x, y and z between the roundings.
 
@@ -198,7 +202,7 @@ def rounded_box(
         raise SceneError(f"a box of size {size} cannot be rounded by {radius}, expected 0 to {half.min()}")
     inner = half - radius
     bulge = radius * np.tan(np.linspace(0.0, np.pi / 4.0, segments + 1))
-    sides = []
+    sides: list[Mesh] = []
     for axis in range(3):
         right, up = (axis + 1) % 3, (axis + 2) % 3
         lines = [_box_line(inner[k], bulge, flat_segments[k]) for k in (right, up)]
@@ -207,7 +211,7 @@ def rounded_box(
             cube[..., axis] = sign * half[axis]
             cube[..., right], cube[..., up] = np.meshgrid(sign * lines[0], lines[1][::-1])
             sides.append(_rounded_side(cube, inner, radius))
-    return joined(sides)
+    return join_meshes(sides)
 
 
 def _box_line(inner: float, bulge: _Floats, flat_segments: int) -> _Floats:
@@ -223,11 +227,11 @@ def _rounded_side(cube: _Floats, inner: _Floats, radius: float) -> Mesh:
 
 
 def _latitude_longitude(rows: int, columns: int) -> tuple[_Floats, _Floats]:
-    """Angles (R, 1) from the top down and (1, C) eastwards."""
+    """Latitudes from the top down, shape (R, 1), and longitudes eastwards, shape (1, C)."""
     return np.linspace(0.5 * np.pi, -0.5 * np.pi, rows + 1)[:, None], np.linspace(-np.pi, np.pi, columns + 1)[None]
 
 
 def _power(values: _Floats, exponent: float) -> _Floats:
-    # Cosines of right angles are not quite zero; small exponents would make them large.
+    # Cosines of right angles are not exactly zero; small exponents would make them large.
     values = np.where(np.abs(values) < 1e-12, 0.0, values)
     return np.sign(values) * np.abs(values) ** exponent

@@ -1,4 +1,4 @@
-"""More meshes made by formula: profiles turned around an axis, tubes along curves, cut stones, arches."""
+"""More meshes made by formula: profiles swept around an axis, tubes along curves, shells, cut stones."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from lumisplat.errors import SceneError
 from lumisplat.scene.mesh import Mesh
 
 _Floats = npt.NDArray[np.floating]
+_Indices = npt.NDArray[np.integer]
 
 
 def lathe(profile: npt.ArrayLike, *, columns: int = 96) -> Mesh:
-    """A profile turned around the y axis.
+    """A surface of revolution: a profile swept around the y axis.
 
     Args:
-        profile: Points (radius, height) that run down the outside, shape (R, 2); radius 0 at both ends closes the
-            surface, repeating a point makes a sharp edge.
+        profile: Points (radius, height) from the top down the outside, shape (R, 2). Radius 0 at both ends closes the
+            surface; a repeated point makes a sharp edge.
         columns: Grid cells around.
 
     Returns:
@@ -28,11 +29,11 @@ def lathe(profile: npt.ArrayLike, *, columns: int = 96) -> Mesh:
     Raises:
         SceneError: A radius is negative, or there are fewer than two points.
     """
-    return fluted(profile, 0, 0.0, columns=columns)
+    return fluted_lathe(profile, 0, 0.0, columns=columns)
 
 
-def fluted(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: int = 192) -> Mesh:
-    """A turned profile with ``flutes`` vertical grooves, each ``depth`` of the radius deep: a column's shaft."""
+def fluted_lathe(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: int = 192) -> Mesh:
+    """A surface of revolution with vertical grooves, like a column's shaft; ``depth`` is a share of the radius."""
     profile = np.asarray(profile, dtype=np.float64)
     if profile.ndim != 2 or profile.shape[0] < 2 or profile.shape[1] != 2 or (profile[:, 0] < 0.0).any():
         raise SceneError(f"a profile is at least two (radius >= 0, height) points, got shape {profile.shape}")
@@ -46,7 +47,7 @@ def fluted(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: int = 
 
 
 def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6) -> _Floats:
-    """A polyline with its inner corners replaced by arcs of ``radius`` (less where an edge is short), shape (R, 2)."""
+    """A polyline whose inner corners are rounded by ``radius``, or less where an edge is short, shape (R, 2)."""
     corners = np.asarray(corners, dtype=np.float64)
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
@@ -60,11 +61,11 @@ def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6)
 
 
 def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
-    """A Catmull-Rom spline through ``knots`` (K, 2), ``segments`` steps between neighbours, radii kept >= 0."""
+    """A Catmull-Rom spline through ``knots``, shape (K, 2): ``segments`` steps between two knots, radii >= 0."""
     knots = np.asarray(knots, dtype=np.float64)
     padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
     t = np.linspace(0.0, 1.0, segments, endpoint=False)[:, None]
-    pieces = []
+    pieces: list[_Floats] = []
     for a, b, c, d in zip(padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True):
         pieces.append(b + 0.5 * t * (c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))))
     curve = np.concatenate([*pieces, knots[-1:]])
@@ -75,12 +76,12 @@ def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
 def tube(curve: npt.ArrayLike, radius: float, *, rows: int = 24) -> Mesh:
     """A closed tube of round section along a closed curve.
 
-    The frame is carried along by parallel transport, and its remaining twist spread over the length, so that the seam
-    closes (Wang et al. 2008 discuss such frames).
+    The frame is moved along the curve by parallel transport, and its final twist is distributed over the length, so
+    that the seam closes (Wang et al. 2008 discuss such frames).
 
     Args:
-        curve: Points in order, the first not repeated, shape (C, 3).
-        radius: Of the section, smaller than the curve's radius of curvature.
+        curve: Points in order; the first one is not repeated at the end, shape (C, 3).
+        radius: Radius of the section, smaller than the curve's radius of curvature.
         rows: Grid cells around the section.
 
     Returns:
@@ -89,11 +90,11 @@ def tube(curve: npt.ArrayLike, radius: float, *, rows: int = 24) -> Mesh:
     curve = np.asarray(curve, dtype=np.float64)
     tangents = np.roll(curve, -1, axis=0) - np.roll(curve, 1, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    sides = _transported(tangents)
+    sides = _parallel_transport(tangents)
     tangents, curve = (np.concatenate([v, v[:1]]) for v in (tangents, curve))
     uppers = np.cross(tangents, sides)
-    closing = np.arctan2(sides[-1] @ uppers[0], sides[-1] @ sides[0])
-    twist = np.linspace(0.0, -closing, curve.shape[0])
+    closing_angle = float(np.arctan2(sides[-1] @ uppers[0], sides[-1] @ sides[0]))
+    twist = np.linspace(0.0, -closing_angle, curve.shape[0])
     angle = np.linspace(0.0, 2.0 * np.pi, rows + 1)[:, None] + twist
     offset = np.cos(angle)[..., None] * sides + np.sin(angle)[..., None] * uppers
     return grid_surface(
@@ -129,20 +130,20 @@ def spiral_shell(
     columns: int = 480,
     rows: int = 32,
 ) -> Mesh:
-    """A shell: a ribbed tube that grows exponentially as it winds around the y axis (Moseley 1838), closed at its ends.
+    """A shell: a ribbed tube, closed at its ends, that grows exponentially along a spiral (Moseley 1838).
 
     Args:
         turns: Number of whorls.
-        growth: Logarithm of the growth per radian.
-        section: Radius of the tube over its distance from the axis; whorls touch from ``tanh(pi * growth)`` on.
-        rise: Drop of the tube over its distance from the axis: 0 an ammonite, above 1 a snail.
+        growth: Natural logarithm of the growth per radian.
+        section: Radius of the tube over its distance from the y axis; whorls touch from ``tanh(pi * growth)`` on.
+        rise: Drop of the tube over its distance from the axis: 0 for an ammonite, above 1 for a snail.
         ribs: Ribs per whorl.
         radius: Distance of the last whorl's centre from the axis.
         columns: Grid cells along the tube.
         rows: Grid cells around it.
     """
     angle = np.linspace(-2.0 * np.pi * turns, 0.0, columns + 1)
-    # The first and last ring appear twice, for a sharp rim, and then once more shrunk to a point.
+    # Each end has its ring twice, for a sharp rim, and once more shrunk to a point.
     angle = np.concatenate([angle[[0, 0]], angle, angle[[-1, -1]]])
     swelling = 1.0 + 0.06 * np.cos(ribs * angle)
     swelling[[0, -1]] = 0.0
@@ -158,14 +159,15 @@ def gem(*, radius: float = 1.0, sides: int = 8) -> Mesh:
     """A cut stone with flat facets: table, crown, girdle and pavilion, its tip at the bottom.
 
     Args:
-        radius: Of the girdle.
+        radius: Radius of the girdle.
         sides: Number of main facets around, >= 3.
     """
-    # Neighbouring rings are turned by half a step, so that triangles fill the bands between them.
+    # Neighbouring rings are rotated by half a step, so that triangles fill the bands between them.
     sizes, heights = (0.56, 0.84, 1.0, 1.0, 0.5), (0.36, 0.2, 0.04, -0.04, -0.52)
     k = np.arange(sides)
     after = (k + 1) % sides
-    points, triangles = [], []
+    points: list[_Floats] = []
+    triangles: list[tuple[_Indices, _Indices, _Indices]] = []
     for level, (size, height) in enumerate(zip(sizes, heights, strict=True)):
         around = 2.0 * np.pi * (k + 0.5 * (level % 2)) / sides
         points.append(np.stack([size * np.sin(around), np.full(sides, height), size * np.cos(around)], axis=1))
@@ -180,11 +182,11 @@ def gem(*, radius: float = 1.0, sides: int = 8) -> Mesh:
     a, b, c = corners[faces].swapaxes(0, 1)
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
     faces[inward] = faces[inward][:, ::-1]
-    return faceted(corners, faces)
+    return faceted_mesh(corners, faces)
 
 
-def faceted(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
-    """Triangles that share no vertex, so that each has its own flat normal."""
+def faceted_mesh(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
+    """A mesh whose triangles share no vertices, so that each has its own flat normal."""
     corners = np.asarray(points, dtype=np.float64)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -192,10 +194,10 @@ def faceted(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
     return Mesh(corners.reshape(-1, 3).astype(np.float32), order, np.repeat(normals, 3, axis=0))
 
 
-def _transported(tangents: _Floats) -> _Floats:
-    """Unit vectors across a closed curve that turn no more than they must, the first one repeated at the end."""
+def _parallel_transport(tangents: _Floats) -> _Floats:
+    """Unit vectors perpendicular to a closed curve, without twist; one more at the end for the first point again."""
     side = np.cross(tangents[0], np.eye(3)[np.abs(tangents[0]).argmin()])
-    sides = []
+    sides: list[_Floats] = []
     for tangent in np.concatenate([tangents, tangents[:1]]):
         side = side - (side @ tangent) * tangent
         side /= np.linalg.norm(side)
@@ -204,7 +206,7 @@ def _transported(tangents: _Floats) -> _Floats:
 
 
 def _with_arc_length_v(mesh: Mesh, profile: _Floats, columns: int) -> Mesh:
-    """The mesh of a turned profile with v by the profile's length instead of its row."""
+    """A surface of revolution with v by the profile's arc length instead of its row."""
     assert mesh.uvs is not None
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
     v = np.repeat(length / length[-1], columns)

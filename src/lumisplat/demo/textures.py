@@ -17,13 +17,13 @@ _Floats = npt.NDArray[np.floating]
 def fractal_noise(
     height: int, width: int, cells: tuple[int, int], rng: np.random.Generator, *, octaves: int = 5
 ) -> _Floats:
-    """Periodic value noise summed over octaves, each twice as fine and half as strong; about -1..1, shape (H, W).
+    """Periodic value noise, summed over octaves that are each twice as fine and half as strong; about -1..1, (H, W).
 
     Args:
         height: Rows.
         width: Columns.
-        cells: Lattice cells down and across of the first octave.
-        rng: Source of the lattice values.
+        cells: Lattice cells of the first octave, down and across.
+        rng: Generator of the lattice values.
         octaves: Number of octaves.
     """
     total = np.zeros((height, width))
@@ -35,7 +35,7 @@ def fractal_noise(
 
 
 def _interpolation(samples: int, cells: int) -> _Floats:
-    """Smoothstep weights of a periodic lattice at equally spaced samples, shape (samples, cells)."""
+    """Smoothstep weights of the cells of a periodic lattice at equally spaced samples, shape (samples, cells)."""
     position = (np.arange(samples) + 0.5) / samples * cells
     cell = np.floor(position).astype(np.int64)
     t = position - cell
@@ -48,7 +48,7 @@ def _interpolation(samples: int, cells: int) -> _Floats:
 
 
 def blend(a: Rgb | _Floats, b: Rgb | _Floats, share: _Floats) -> _Floats:
-    """Linear colour ``a`` where ``share`` is 0 and ``b`` where it is 1, shape (H, W, 3)."""
+    """Mixes linear colours: ``a`` where ``share`` is 0, ``b`` where it is 1, shape (H, W, 3)."""
     share = np.clip(share, 0.0, 1.0)[..., None]
     return np.asarray(a) * (1.0 - share) + np.asarray(b) * share
 
@@ -59,7 +59,7 @@ def texels(linear: _Floats) -> Texture:
 
 
 def plaster(color: Rgb, rng: np.random.Generator, *, size: int = 384, contrast: float = 0.14) -> Texture:
-    """Hand-worked lime wash: broad clouds and fine trowel marks of one colour."""
+    """Hand-made lime wash: broad clouds and fine trowel marks of one colour."""
     clouds = fractal_noise(size, size, (3, 3), rng, octaves=4)
     marks = fractal_noise(size, size, (10, 36), rng, octaves=3)
     return texels(np.asarray(color) * (1.0 + contrast * (0.8 * clouds + 0.25 * marks))[..., None])
@@ -75,7 +75,7 @@ def marble(ground: Rgb, vein: Rgb, rng: np.random.Generator, *, size: int = 384,
 
 
 def travertine(light: Rgb, dark: Rgb, rng: np.random.Generator, *, size: int = 384) -> Texture:
-    """Limestone in uneven level layers, with small pits drawn out along them."""
+    """Limestone in uneven horizontal layers, with small elongated pits."""
     layers = fractal_noise(size, size, (14, 2), rng, octaves=4)
     pits = fractal_noise(size, size, (48, 10), rng, octaves=2)
     share = 0.45 + 0.45 * layers
@@ -90,15 +90,16 @@ def herringbone(
     Args:
         shape: Rows and columns.
         plank_px: Width of a plank, texels.
-        light: Palest wood.
-        dark: Darkest wood.
-        rng: Tones and grain.
+        light: Colour of the palest wood.
+        dark: Colour of the darkest wood.
+        rng: Generator of tones and grain.
         aspect: Length of a plank over its width.
     """
     row, column = np.mgrid[0 : shape[0], 0 : shape[1]] / (plank_px * 2.0**0.5)
-    x, y = column + row + 1000.0, column - row + 1000.0
+    x: _Floats = column + row + 1000.0
+    y: _Floats = column - row + 1000.0
     i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    # Walking right, `aspect` cells belong to one level plank, the next `aspect` to different upright ones.
+    # To the right, `aspect` cells belong to one horizontal plank, the next `aspect` each to a vertical plank.
     phase = (i - j) % (2 * aspect)
     level = phase < aspect
     along = np.where(level, x - (i - phase), y - (j - (2 * aspect - 1 - phase)))
@@ -115,7 +116,7 @@ def herringbone(
 
 
 def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: int = 768, width: int = 768) -> Texture:
-    """Brush-painted pottery: rings, a frieze of scales, a wave and a row of leaves, for u around and v down."""
+    """Painted pottery, for u around and v down: rings, a frieze of scales, a wave and a row of leaves."""
     v, u = (np.mgrid[0:height, 0:width] + 0.5) / np.array([[[height]], [[width]]])
     wobble = 0.004 * fractal_noise(height, width, (6, 12), rng, octaves=3)
     w = v + wobble
@@ -139,11 +140,12 @@ def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: i
 
 
 def _edge(distance: _Floats, softness: float) -> _Floats:
+    """A soft step: 0 at negative distances, 1 at positive ones."""
     return np.clip(0.5 + 0.5 * distance / softness, 0.0, 1.0)
 
 
 def _scales(u: _Floats, v: _Floats) -> _Floats:
-    """Overlapping arcs, as on fish: 1 on their outlines."""
+    """Overlapping arcs like the scales of a fish: 1 on their outlines."""
     rows = v / 0.075
     row = np.floor(rows)
     x = np.mod(16.0 * u + 0.5 * np.mod(row, 2.0), 1.0) - 0.5
@@ -153,7 +155,7 @@ def _scales(u: _Floats, v: _Floats) -> _Floats:
 
 
 def stripes(colors: tuple[Rgb, ...], repeats: int, rng: np.random.Generator, *, size: int = 512) -> Texture:
-    """Glass marble: bands of colour along u that swirl with v."""
+    """A glass marble: bands of colour along u that twist with v."""
     v, u = (np.mgrid[0:size, 0:size] + 0.5) / size
     swirl = 0.5 * fractal_noise(size, size, (3, 3), rng, octaves=3)
     phase = np.mod(repeats * u + 1.6 * v + 0.35 * swirl, 1.0) * len(colors)

@@ -1,13 +1,14 @@
-"""Files to scenes and back: `load`, `save`, and their like for cameras and radiance.
+"""Reading and writing files: scenes, captures, meshes, cameras, images, rigs, animations and settings.
 
-Modules are imported when needed.
+The tables of formats are below; the modules of a format are imported when it is first used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
@@ -43,28 +44,45 @@ __all__ = [
 
 Progress = Callable[[float], None]
 
+_READERS = {
+    ".spz": "splats.spz.read_spz",
+    ".sog": "splats.sog.read_sog",
+    ".obj": "meshes.obj.read_obj",
+    ".stl": "meshes.stl.read_stl",
+    ".glb": "gltf.scene.read_gltf",
+    ".gltf": "gltf.scene.read_gltf",
+}
+"""Readers of `load` by extension. Besides these, .ply is read by its header, and .toml by what it names."""
+
+_WRITERS = {
+    ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
+    ".ply": "splats.splat_ply.write_splat_ply",
+    ".spz": "splats.spz.write_spz",
+}
+"""Writers of `save` by extension; the first one that a file name ends with is used."""
+
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
 WRITABLE = ".ply, .compressed.ply, .spz"
 
 
 def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | None = None) -> Gaussians | Mesh | Scene:
-    """Loads a capture, a mesh or a scene; extension and content choose the reader.
+    """Loads a capture, a mesh or a scene; extension and content select the reader.
 
     Args:
         path: A Gaussian capture (PLY, compressed PLY, SPZ, SOG bundle, SOG folder or its ``meta.json``), a mesh (OBJ,
             STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
-        drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log how many,
-            instead of refusing the file.
-        progress: Called with the fraction done, 0..1; the last call has 1.
+        drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
+            number, instead of refusing the file.
+        progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
-        ``Gaussians`` for a capture; ``Mesh`` for a mesh, or ``Scene`` where it has several materials; ``Scene`` for the
-        others. Arrays are read-only. Axes are those of the usual Gaussian PLY for captures (SPZ is mirrored to them),
-        those of the file for meshes.
+        ``Gaussians`` for a capture; ``Mesh`` for a mesh, or ``Scene`` if it has several materials; ``Scene`` for
+        scenes. Arrays are read-only. Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes have
+        the axes of their files.
 
     Raises:
-        FormatError: The file is missing, unknown, damaged, truncated, empty of Gaussians, holds invalid values, or
-            claims more than memory holds. The message names it.
+        FormatError: The file is missing, unknown, damaged or truncated, holds no Gaussians or invalid values, or needs
+            more memory than there is. The message names it.
     """
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
@@ -82,30 +100,27 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
 
 
 def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatColumns | Mesh | Scene:
-    match _extension(path):
-        case ".ply":
-            return _read_ply(path, progress)
-        case ".toml":
-            from lumisplat.io.scene_toml.scene_file import read_scene_file
+    extension = _extension(path)
+    if extension == ".ply":
+        return _read_ply(path, progress)
+    if extension == ".toml":
+        from lumisplat.io.scene_toml.scene_file import read_scene_file
 
-            return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
-        case ".spz":
-            from lumisplat.io.splats.spz import read_spz as read
-        case ".sog":
-            from lumisplat.io.splats.sog import read_sog as read
-        case ".obj":
-            from lumisplat.io.meshes.obj import read_obj as read
-        case ".stl":
-            from lumisplat.io.meshes.stl import read_stl as read
-        case ".glb" | ".gltf":
-            from lumisplat.io.gltf.scene import read_gltf as read
-        case _:
-            raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
+        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
+    if extension not in _READERS:
+        raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
+    read: Callable[[Path], SplatColumns | Mesh | Scene] = _import(_READERS[extension])
     return read(path)
 
 
+def _import(function: str) -> Any:
+    """A function of this package, imported on first use: ``splats.spz.read_spz``."""
+    module, _, name = function.rpartition(".")
+    return getattr(import_module(f"{__name__}.{module}"), name)
+
+
 def _extension(path: Path) -> str:
-    """The extension of an existing file, ``.sog`` for a SOG folder or its meta.json."""
+    """The extension of a file that exists, ``.sog`` for a SOG folder or its meta.json."""
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
@@ -118,7 +133,7 @@ def _extension(path: Path) -> str:
 
 
 def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:
-    from lumisplat.io.ply.ply_rows import read_ply_header
+    from lumisplat.io.ply.header import read_ply_header
     from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
     from lumisplat.io.splats.splat_ply import is_gaussian_element, read_splat_ply
 
@@ -134,82 +149,80 @@ def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:
 
 
 def save(path: PathLike, gaussians: Gaussians) -> None:
-    """Saves a capture; the extension chooses the format. The file appears complete or not at all.
+    """Saves a capture; the extension selects the format. The file appears complete or not at all.
 
-    The lossy formats clamp what they cannot hold. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the thin
-    axis of Gaussians made from a mesh may be below, which is logged), SH above degree 0 to -1..1. Compressed PLY:
-    scales to e^-20..e^20, SH above degree 0 to -4..4; one Gaussian far from the others makes the positions of its
-    whole chunk coarse, which is logged where it shows.
+    The lossy formats clamp values that they cannot store. SPZ: scales to e^-10..e^5.94 (4.5e-5 to 379 scene units; the
+    thin axis of Gaussians from a mesh may be smaller, which is logged), SH above degree 0 to -1..1. Compressed PLY:
+    scales to e^-20..e^20, SH above degree 0 to -4..4; a Gaussian far from the others makes the positions of its whole
+    chunk coarse, which is logged if it is visible.
 
     Args:
-        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes a Gaussian and 9, 24 or 45 for SH; reordered) or
-            ``.spz`` (version 4).
-        gaussians: What to save. Only ``.ply`` keeps normals and materials, and ``.spz`` no kernel degree; what is
-                left out is logged.
+        path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH; changes the order)
+            or ``.spz`` (version 4).
+        gaussians: The capture. Only ``.ply`` stores normals and materials, and ``.spz`` does not store the kernel
+            degree; values that are left out are logged.
 
     Raises:
-        FormatError: An unknown extension, values that the format cannot hold, or the file cannot be written.
+        FormatError: The extension is unknown, the format cannot store a value, or the file cannot be written.
     """
-    from lumisplat.scene.gaussians import Gaussians
-
-    name = Path(path).name.lower()
-    if not isinstance(gaussians, Gaussians):
-        raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
-    if name.endswith(".compressed.ply"):
-        from lumisplat.io.splats.compressed_ply import write_compressed_ply as write
-    elif name.endswith(".ply"):
-        from lumisplat.io.splats.splat_ply import write_splat_ply as write
-    elif name.endswith(".spz"):
-        from lumisplat.io.splats.spz import write_spz as write
-    else:
+    _check_saveable(path, gaussians)
+    extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
+    if extension is None:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
+    write: Callable[[PathLike, Gaussians], None] = _import(_WRITERS[extension])
     write(path, gaussians)
 
 
+def _check_saveable(path: PathLike, value: object) -> None:
+    from lumisplat.scene.gaussians import Gaussians
+
+    if not isinstance(value, Gaussians):
+        raise FormatError(path, f"only Gaussians can be saved, got {type(value).__name__}")
+
+
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """Loads the cameras of a capture or a scene, in the file's order; each has a unique ``name``, its image's.
+    """Loads the cameras of a capture or a scene, in the file's order; each has a unique ``name``, that of its image.
 
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
-            ``camera_angle_x``; image sizes are looked up where the file gives none; pinhole, equidistant fisheye and
-            orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
-            ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras know their aspect ratio only: without
+            ``camera_angle_x``; image sizes are read from the images if the file has none; pinhole, equidistant fisheye
+            and orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
+            ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect ratio: without
             ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
-        width: Image width, pixels, of frames whose size neither the file nor an image tells; only with ``height``,
-            except for glTF.
+        width: Image width, pixels, of frames for which neither the file nor an image gives a size; only together with
+            ``height``, except for glTF.
         height: Image height, pixels, of such frames.
 
     Returns:
-        At least one; of a scene, perhaps none.
+        At least one camera; for a scene file, there may be none.
 
     Raises:
-        FormatError: No camera file, no frames, or a frame whose pose or intrinsics are unusable; names the frame.
+        FormatError: The file is not a camera file, has no frames, or has a frame whose pose or intrinsics are invalid;
+            names the frame.
     """
-    from lumisplat.io.cameras import camera_json
-
     if Path(path).suffix.lower() in (".glb", ".gltf"):
+        from lumisplat.io.cameras.names import unique_names
         from lumisplat.io.gltf.cameras import read_gltf_cameras
 
-        return camera_json.unique_names(read_gltf_cameras(path, width, height))
+        return unique_names(read_gltf_cameras(path, width, height))
     if Path(path).suffix.lower() == ".toml":
         from lumisplat.io.scene_toml.cameras import read_scene_cameras
         from lumisplat.io.scene_toml.scene_file import read_document
 
-        def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
-            return load_cameras(file, width=width, height=height)
+        return read_scene_cameras(read_document(path), load_cameras, width, height)
+    from lumisplat.io.cameras.camera_json import read_camera_json
 
-        return read_scene_cameras(read_document(path), load_sized, width, height)
-    return camera_json.load_cameras(path, width, height)
+    return read_camera_json(path, width, height)
 
 
 def load_config(path: PathLike) -> RenderConfig:
-    """Loads the settings of a ``scene.toml``: its ``[render]`` table, the defaults where it says nothing.
+    """Loads the settings of a ``scene.toml`` from its ``[render]`` table; other settings have their defaults.
 
     Args:
-        path: A scene file, or what `save_config` has written.
+        path: A scene file, or a file from `save_config`.
 
     Raises:
-        FormatError: The file cannot be read, or a setting is unknown or bad; names the line and the setting.
+        FormatError: The file cannot be read, or a setting is unknown or invalid; names the line and the setting.
     """
     from lumisplat.io.scene_toml.config_file import read_config
     from lumisplat.io.scene_toml.scene_file import read_document
@@ -218,14 +231,14 @@ def load_config(path: PathLike) -> RenderConfig:
 
 
 def save_config(path: PathLike, config: RenderConfig) -> None:
-    """Saves every setting as the ``[render]`` table of a TOML file, which appears complete or not at all.
+    """Saves all settings as the ``[render]`` table of a TOML file, which appears complete or not at all.
 
     Args:
-        path: Where to; `load_config` gives back equal settings.
-        config: What to save.
+        path: The file to write; `load_config` reads it back to equal settings.
+        config: The settings.
 
     Raises:
-        ConfigError: These are no settings.
+        ConfigError: ``config`` is not a `RenderConfig`.
         FormatError: The file cannot be written.
     """
     from lumisplat.io.scene_toml.config_file import write_config
@@ -234,17 +247,17 @@ def save_config(path: PathLike, config: RenderConfig) -> None:
 
 
 def load_image(path: PathLike) -> FloatArray:
-    """Loads a picture as it is shown, such as one to compare by `psnr`, `ssim` or `flip`.
+    """Loads a picture in display colours, such as one to compare by `psnr`, `ssim` or `flip`.
 
     Args:
-        path: PNG, JPEG, WebP and what else Pillow reads, in sRGB; transparent pixels are taken over black. Or OpenEXR
-            and Radiance HDR, whose linear light is encoded as sRGB, and clipped at white.
+        path: PNG, JPEG, WebP or another format that Pillow reads, in sRGB; transparent pixels are blended over black.
+            Or OpenEXR or Radiance HDR, whose linear light is encoded as sRGB and clipped at white.
 
     Returns:
-        Display-referred sRGB, 0..1, shape (H, W, 3), row 0 on top.
+        Display-referred sRGB, 0..1, shape (H, W, 3), row 0 at the top.
 
     Raises:
-        FormatError: The file is missing, damaged, or no picture.
+        FormatError: The file is missing, damaged, or not a picture.
     """
     from lumisplat.io.images.picture import read_picture
 
@@ -256,16 +269,16 @@ def load_radiance(path: PathLike) -> FloatArray:
 
     Args:
         path: Radiance HDR (``.hdr``, ``.pic``: RGBE, any of its encodings) or OpenEXR (channels R, G and B, half or
-            float; of a file with several parts, the first). The content decides which.
+            float; of a file with several parts, the first). The format is recognised by the content.
 
     Returns:
-        Linear Rec.709, finite and at least 0, shape (H, W, 3), row 0 on top, read-only. Values that were negative or
-        not finite are 0, and one log line counts them.
+        Linear Rec.709, finite and at least 0, shape (H, W, 3), row 0 at the top, read-only. Negative and non-finite
+        values become 0, and one log line counts them.
 
     Raises:
-        FormatError: The file is missing, damaged, truncated, or holds display colours of 8 bit.
+        FormatError: The file is missing, damaged or truncated, or holds 8-bit display colours.
     """
-    from lumisplat.io.images.environment import read_radiance
+    from lumisplat.io.images.radiance import read_radiance
 
     return read_radiance(path)
 
@@ -274,16 +287,16 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
     """Loads a rigged glTF: its meshes, the joints that move them, and its animations.
 
     Translation, rotation, scale and weights of morph targets are animated, linearly, in steps or by cubic splines;
-    meshes that are moved by their node alone count as well. Meshes of one material become one.
+    meshes that are moved by their node alone are included. Meshes with the same material become one.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        vertex_colors: Multiply the base colour by COLOR_0, as the format says; False for files that keep something
-            else there, such as masks, which make them nearly black (a log line tells).
+        vertex_colors: Multiply the base colour by COLOR_0, as the format demands. False for files that store something
+            else there, such as masks, which would make meshes nearly black (a log line warns).
 
     Raises:
-        FormatError: The file is malformed, has neither skin nor animation, is skinned without weights or with weights
-            that sum to 0, or has keys that are not finite or not in order.
+        FormatError: The file is malformed, has neither a skin nor an animation, is skinned without weights or with
+            weights that sum to 0, or has keys that are not finite or not in order.
     """
     from lumisplat.io.gltf.rigs import read_rig
 
@@ -294,13 +307,14 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
     """Finds the frames of a Gaussian sequence; each is loaded when it is shown.
 
     Args:
-        folder: Holds a capture a frame, all with the same extension (.ply, .compressed.ply, .spz, .sog), in the
-            natural order of their names: ``frame_2`` before ``frame_10``. Files of other kinds are ignored.
-        fps: Frames a second, above 0.
-        drop_invalid: As of `load`, for each frame.
+        folder: A folder with one capture per frame, all with the same extension (.ply, .compressed.ply, .spz, .sog),
+            in the natural order of their names: ``frame_2`` before ``frame_10``. Other files are ignored.
+        fps: Frames per second, above 0.
+        drop_invalid: As in `load`, for each frame.
 
     Raises:
-        FormatError: There is no such folder, no frame in it, frames of two kinds, or the first one cannot be read.
+        FormatError: The folder does not exist, holds no frame or frames of two kinds, or the first frame cannot be
+            read.
         SceneError: ``fps`` is out of range.
     """
     from lumisplat.io.splats.sequence import read_sequence
@@ -313,55 +327,53 @@ def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
 
     Args:
         path: The scene file.
-        drop_invalid: As of `load`, for each capture.
+        drop_invalid: As in `load`, for each capture.
 
     Raises:
-        FormatError: The file or one that it names cannot be read, or an entry is bad; names the line and the key.
+        FormatError: The file, or a file that it names, cannot be read, or an entry is invalid; names the line and the
+            key.
     """
     from lumisplat.io.scene_toml.animation import read_animation
 
-    def load_sized(file: Path, width: int | None, height: int | None) -> list[Camera]:
-        return load_cameras(file, width=width, height=height)
-
-    return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_sized)
+    return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_cameras)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
     """Saves cameras as a `transforms.json` that `load_cameras` and nerfstudio read.
 
     Args:
-        path: Where to. The file appears complete or not at all.
-        cameras: At least one, all of one model; names become the frames' file paths.
+        path: The file to write. It appears complete or not at all.
+        cameras: At least one camera, all of one model; names become the frames' file paths.
 
     Raises:
-        SceneError: There is no camera, models are mixed, or a camera has an aperture or a rolling shutter, for which
-            the format has no place.
+        SceneError: There is no camera, models differ, or a camera has an aperture or a rolling shutter, which the
+            format cannot store.
         FormatError: The file cannot be written.
     """
-    from lumisplat.io.cameras import camera_json
+    from lumisplat.io.cameras.transforms_json import write_transforms
 
-    camera_json.save_cameras(path, cameras)
+    write_transforms(path, cameras)
 
 
 def save_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float = 25.0) -> None:
-    """Saves pictures as an animation; the extension chooses how. All but videos repeat for ever.
+    """Saves pictures as an animation; the extension selects the format. All but videos repeat for ever.
 
-    ``.gif``: 256 colours for all frames together, dithered by a pattern that stands still, so that what does not move
-    does not flicker. ``.webp``: lossy, small. ``.png``, ``.apng``: exact, large. ``.mp4``: H.264 in BT.709, by PyAV
-    (``pip install 'lumisplat[video]'``); an odd width or height is made even by repeating the last column or row.
+    ``.gif``: 256 colours for all frames, dithered by a fixed pattern, so that static parts do not flicker. ``.webp``:
+    lossy, small. ``.png``, ``.apng``: lossless, large. ``.mp4``: H.264 in BT.709, by PyAV (``pip install
+    'lumisplat[video]'``); an odd width or height is made even by repeating the last column or row.
 
     Args:
-        path: Where to. The file appears complete or not at all.
+        path: The file to write. It appears complete or not at all.
         frames: Display-referred values, 0..1, each of the same shape (H, W, 3), as ``Frame.pixels_srgb`` gives them
             over a background.
-        fps: Frames a second, above 0, at most 50; of a video 240.
+        fps: Frames per second, above 0, at most 50, or 240 for a video.
 
     Raises:
         ConfigError: ``fps`` is out of range.
-        SceneError: There is no frame, one is no such image, or sizes differ.
-        FormatError: The extension is none of these, or the file cannot be written.
+        SceneError: There is no frame, a frame has the wrong shape, or sizes differ.
+        FormatError: The extension is unknown, or the file cannot be written.
         MissingExtraError: A video needs PyAV.
     """
-    from lumisplat.io.images import animation
+    from lumisplat.io.images.animation import write_animation
 
-    animation.write_animation(path, frames, fps)
+    write_animation(path, frames, fps)

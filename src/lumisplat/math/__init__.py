@@ -1,1 +1,1 @@
-"""Mathematics of the host: arrays, colour, rotations, spherical harmonics. NumPy only."""
+"""Mathematics on the host, NumPy only: checked arrays, colour, tone mapping, rotations, spherical harmonics."""

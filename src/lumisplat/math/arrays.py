@@ -1,6 +1,8 @@
-"""Arrays at the door: converted, checked, kept where nobody can change them. Shared by the scene dataclasses."""
+"""Arrays that the user gives: converted, checked and made read-only. The scene dataclasses share these functions."""
 
 from __future__ import annotations
+
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,22 +13,36 @@ from lumisplat.errors import SceneError
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
 
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 """Largest number that a kernel can be given."""
 
+_Float = TypeVar("_Float", bound=np.floating[Any])
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
-    """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers.
+    """Returns ``values`` as a read-only, C-contiguous float32 array of finite numbers; see `finite_array`.
 
-    What the caller can still write to is copied: data that was checked must not change afterwards. Large arrays that
-    are made read-only first are taken as they are.
+    Raises:
+        SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
+    """
+    return finite_array(name, values, np.float32)
+
+
+def finite_array(name: str, values: npt.ArrayLike, dtype: type[_Float]) -> npt.NDArray[_Float]:
+    """Returns ``values`` as a read-only, C-contiguous array of finite numbers.
+
+    Arrays that the caller can still write to are copied, because checked data must not change afterwards. Large arrays
+    that are already read-only are used without a copy.
 
     Raises:
         SceneError: The values are not numbers, or some are NaN or infinite (the message counts them).
     """
     try:
         with np.errstate(over="ignore"):  # Overflow to infinity is reported below.
-            array = kept(values, np.float32)
+            array = read_only_array(values, dtype)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{name} is not an array of numbers: {error}") from None
     invalid = array.size - np.count_nonzero(np.isfinite(array))
@@ -35,11 +51,33 @@ def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
     return array
 
 
+def finite_numbers(values: object, shape: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
+    """Returns ``values`` as a float64 array of that shape, None if they are not as many finite numbers."""
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return numbers if numbers.shape == shape and np.isfinite(numbers).all() else None
+
+
+def three_numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Returns ``values``, rounded to float32 as kernels take them, as a float64 array of shape (3,).
+
+    Raises:
+        SceneError: They are not three finite numbers.
+    """
+    array = float_array(name, values)
+    if array.shape != (3,):
+        raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
+    return array.astype(np.float64)
+
+
 def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
     """Returns a read-only float64 affine transform, the identity for ``None``.
 
     Raises:
-        SceneError: Not 4x4, not finite, the last row is not (0, 0, 0, 1), singular, or out of float32's reach.
+        SceneError: The matrix is not 4x4, not finite, singular, its last row is not (0, 0, 0, 1), or its entries or
+            those of its inverse are too large for float32.
     """
     try:
         matrix = np.array(np.eye(4) if values is None else values, dtype=np.float64)
@@ -54,7 +92,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     scale = np.linalg.norm(matrix[:3, :3])
     if scale == 0.0 or abs(np.linalg.det(matrix[:3, :3] / scale)) < 1e-9:
         raise SceneError(f"{name} is singular")
-    # Kernels take the matrix and its inverse in float32.
+    # Kernels use the matrix and its inverse in float32.
     if max(np.abs(matrix).max(), np.abs(np.linalg.inv(matrix)).max()) > TRANSFORM_MAX:
         raise SceneError(f"{name} scales or moves by more than {TRANSFORM_MAX:g}, or by as much in its inverse")
     matrix.flags.writeable = False
@@ -69,39 +107,39 @@ def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> No
 
 
 def refuse_outside_unit(name: str, values: FloatArray) -> None:
-    """Raises a `SceneError` where a row of ``values`` leaves 0..1."""
+    """Raises a `SceneError` that counts the rows of ``values`` with a number outside 0..1, if there are any."""
     outside = (values < 0.0) | (values > 1.0)
     refuse_rows(name, "outside 0..1", np.asarray(outside.any(axis=tuple(range(1, values.ndim)))))
 
 
-def handed_over(values: npt.NDArray) -> npt.NDArray:
-    """A read-only view of ``values``, which nobody else keeps: scene classes then take it as it is, without a copy."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
-
-
-def normalised(name: str, vectors: FloatArray) -> FloatArray:
-    """Rows of unit length, read-only; those that have it already are kept to the bit.
+def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
+    """Returns the rows scaled to unit length, read-only; rows that have unit length already keep their bits.
 
     Raises:
-        SceneError: Some are of zero length.
+        SceneError: Some rows have zero length.
     """
-    # Scaled by the largest component first: tiny but valid quaternions would underflow when squared.
+    # Divided by the largest component first: small but valid quaternions would underflow when squared.
     largest = np.abs(vectors).max(axis=1, keepdims=True)
     refuse_rows(name, "of zero length", largest[:, 0] == 0.0)
     scaled = vectors / largest
     length = np.linalg.norm(scaled, axis=1, keepdims=True)
-    # Unit ones stay as they are: a subset, or a file read back, must not drift by a rounding each time.
-    already = np.abs(length * largest.astype(np.float64) - 1.0) < 1e-6
-    unit = vectors if already.all() else np.where(already, vectors, scaled / length)
+    # Unit rows keep their bits: a subset, or a file that is read back, must not drift by one rounding each time.
+    is_unit = np.abs(length * largest.astype(np.float64) - 1.0) < 1e-6
+    unit = vectors if is_unit.all() else np.where(is_unit, vectors, scaled / length)
     unit.flags.writeable = False
     return unit
 
 
-def kept(values: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray:
-    """A read-only, C-contiguous array of ``values``: themselves if they are read-only, else a copy."""
-    fixed = isinstance(values, np.ndarray) and not values.flags.writeable
-    array = np.ascontiguousarray(values, dtype=dtype) if fixed else np.array(values, dtype=dtype, order="C")
+def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[_Scalar]:
+    """Returns ``values`` as a read-only, C-contiguous array: the same array if it is that already, else a copy."""
+    is_fixed = isinstance(values, np.ndarray) and not values.flags.writeable
+    array = np.ascontiguousarray(values, dtype=dtype) if is_fixed else np.array(values, dtype=dtype, order="C")
     array.flags.writeable = False
     return array
+
+
+def read_only_view(values: npt.NDArray[_Scalar]) -> npt.NDArray[_Scalar]:
+    """Returns a read-only view of an array that nobody else writes to, so that scene classes use it without a copy."""
+    view = values.view()
+    view.flags.writeable = False
+    return view

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 
 def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Linear values of display-referred ones; odd-symmetric and unclamped, so that round trips lose nothing."""
+    """Linear values of display-referred ones. Odd-symmetric and unclamped, so that round trips lose nothing."""
     encoded = np.asarray(encoded)
     encoded = encoded if encoded.dtype.kind == "f" else encoded.astype(np.float32)
     magnitude = np.abs(encoded)
@@ -16,7 +16,7 @@ def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
 
 
 def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Display-referred values of linear ones; odd-symmetric and unclamped."""
+    """Display-referred values of linear ones. Odd-symmetric and unclamped."""
     linear = np.asarray(linear)
     linear = linear if linear.dtype.kind == "f" else linear.astype(np.float32)
     magnitude = np.abs(linear)

@@ -1,6 +1,6 @@
-"""Latitude-longitude images: where their pixels look, how much of the sphere each covers, what they show in between.
+"""Latitude-longitude images: the directions and solid angles of their pixels, and bilinear lookups between pixels.
 
-Axes are those of `LightEnvironment`: +y at the top, -z in the middle, +x right of it.
+Axes are those of `LightEnvironment`: +y at the top, -z in the middle, +x to the right of the middle.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _Doubles = npt.NDArray[np.float64]
 
 
 def panorama_directions(height: int, width: int) -> _Doubles:
-    """Unit directions of the pixels' centres, shape (H, W, 3)."""
+    """Unit directions of the pixel centres, shape (H, W, 3)."""
     theta = (np.arange(height)[:, None] + 0.5) * (np.pi / height)
     phi = (np.arange(width) + 0.5) * (2.0 * np.pi / width) - np.pi
     sine = np.sin(theta)
@@ -20,13 +20,13 @@ def panorama_directions(height: int, width: int) -> _Doubles:
 
 
 def panorama_solid_angles(height: int, width: int) -> _Doubles:
-    """Solid angle of a pixel of each row, steradians, exact, shape (H,): times the width they sum to 4 pi."""
+    """Exact solid angle of one pixel in each row, steradians, shape (H,). Times the width, they sum to 4 pi."""
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
     return (edges[:-1] - edges[1:]) * (2.0 * np.pi / width)
 
 
 def panorama_lookup(image: npt.NDArray[np.floating], directions: _Doubles) -> _Doubles:
-    """What an image shows along unit directions: bilinear, left and right edges joined, as renderers look it up.
+    """Values of an image along unit directions: bilinear, with the left and right edges joined, as kernels look it up.
 
     Args:
         image: Shape (H, W, 3).

@@ -1,4 +1,4 @@
-"""Rotations of many things at once: quaternions to matrices and back, and the shortest way between two of them."""
+"""Rotations as quaternions and as matrices, of many things at once. Quaternions are wxyz: the scalar comes first."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 
 _Floats = npt.NDArray[np.floating]
+_Doubles = npt.NDArray[np.float64]
 
 
-def rotation_matrix(wxyz: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """The matrix of a quaternion of any length but zero, scalar first, shape (3, 3).
+def rotation_matrix(wxyz: npt.ArrayLike) -> _Doubles:
+    """The rotation matrix of one quaternion of any length above 0, shape (3, 3) from (4,).
 
     Raises:
-        SceneError: It has zero length, or is not finite.
+        SceneError: The quaternion has zero length, or is not finite.
     """
-    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
-    length2 = w * w + x * x + y * y + z * z
-    if not 0.0 < length2 < np.inf:
+    quaternion = np.asarray(wxyz, dtype=np.float64)
+    if not 0.0 < quaternion @ quaternion < np.inf:
         raise SceneError("a rotation of zero length or not finite, expected a unit quaternion")
+    return matrices_from_quaternions(quaternion[None])[0]
+
+
+def matrices_from_quaternions(wxyz: _Floats) -> _Doubles:
+    """Rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
+    w, x, y, z = np.asarray(wxyz, dtype=np.float64).T
     scaled = np.array(
         [
             [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -27,24 +33,13 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> npt.NDArray[np.float64]:
             [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
         ]
     )
-    return scaled / length2
-
-
-def matrices_from_quaternions(wxyz: _Floats) -> npt.NDArray[np.float64]:
-    """Rotation matrices, shape (N, 3, 3), of unit quaternions, shape (N, 4), scalar first."""
-    w, x, y, z = np.asarray(wxyz, dtype=np.float64).T
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.moveaxis(scaled / (w * w + x * x + y * y + z * z), 2, 0)
 
 
 def quaternions_from_matrices(matrices: _Floats) -> _Floats:
-    """Unit quaternions wxyz of rotation matrices, shape (N, 4) from (N, 3, 3).
+    """Unit quaternions of rotation matrices, shape (N, 4) from (N, 3, 3).
 
-    Of the four ways to write one (Shepperd 1978), each row takes the one with the largest divisor.
+    There are four formulas (Shepperd 1978); each matrix uses the one with the largest divisor.
     """
     m = matrices
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
@@ -60,21 +55,31 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
         axis=1,
     )
     best = np.argmax(np.diagonal(ways, axis1=1, axis2=2), axis=1)
-    picked = ways[np.arange(best.size), best]
-    return picked / np.linalg.norm(picked, axis=1, keepdims=True)
+    largest = ways[np.arange(best.size), best]
+    return largest / np.linalg.norm(largest, axis=1, keepdims=True)
 
 
-def slerp(first: _Floats, second: _Floats, share: float) -> npt.NDArray[np.float64]:
-    """The unit quaternion that far along the shorter arc (Shoemake 1985), shape (4,).
+def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
+    """Hamilton's product of one quaternion, shape (4,), with each of N, shape (N, 4): ``right`` turns first."""
+    w, x, y, z = left
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return right @ matrix.T
+
+
+def slerp(first: _Floats, second: _Floats, share: float) -> _Doubles:
+    """Interpolates between two unit quaternions along the shorter arc (Shoemake 1985).
 
     Args:
-        first: Unit quaternion, in any order of components, shape (4,).
-        second: Likewise; its negative is the same rotation, and the nearer of the two is gone to.
-        share: 0 gives ``first``, 1 ``second``.
+        first: Unit quaternion, shape (4,).
+        second: Unit quaternion, shape (4,). Its negative is the same rotation; the nearer of the two is used.
+        share: 0 gives ``first``, 1 gives ``second``.
+
+    Returns:
+        Unit quaternion, shape (4,).
     """
     cosine = float(first @ second)
     target, cosine = (second, cosine) if cosine >= 0.0 else (-second, -cosine)
-    # The chord's half length knows small angles, of which the cosine has lost half the digits.
+    # From the half chord, because the cosine of a small angle has lost half of its digits.
     angle = 2.0 * np.arctan2(np.linalg.norm(first - target), np.linalg.norm(first + target))
     if angle < 1e-6:  # sin(x) = x here
         blend = (1.0 - share) * first + share * target

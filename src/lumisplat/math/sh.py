@@ -1,7 +1,4 @@
-"""Real spherical harmonics of any degree, in the order and with the signs of captures (Kerbl et al. 2023).
-
-Captures end at degree 3, and have their polynomials in `lumisplat.scene.ops.sh_colors`; probes go on.
-"""
+"""Real spherical harmonics of any degree, in the order and with the signs of captures (Kerbl et al. 2023)."""
 
 from __future__ import annotations
 
@@ -10,48 +7,84 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-_Doubles = npt.NDArray[np.float64]
+from lumisplat.constants import SH_C0
+
+_Floats = npt.NDArray[np.floating]
+
+# Square roots of 3/4; of 15/4, 5/16, 15/16; of 35/32, 105/4, 21/32, 7/16, 105/16; all over pi.
+_C1 = 0.4886025119029199
+_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+_C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 
 
-def sh_basis(directions: npt.ArrayLike, degree: int) -> _Doubles:
-    """Values of the basis functions: orthonormal over the sphere, constant first.
+def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = np.float64) -> _Floats:
+    """Evaluates the real spherical harmonics, which are orthonormal over the sphere.
 
-    Function ``l^2 + l + m`` is ``Y_lm``, with the Condon-Shortley phase ``(-1)^m``; m > 0 goes with the cosine of the
-    angle about z, m < 0 with the sine. Up to degree 3 they are those of captures, so that coefficients mean
-    the same.
+    Function ``l^2 + l + m`` is ``Y_lm`` with the Condon-Shortley phase ``(-1)^m``: m > 0 goes with the cosine of the
+    angle about z, m < 0 with the sine. Captures store at most degree 3; probes go further.
 
     Args:
         directions: Unit vectors, shape (..., 3).
         degree: Highest degree, at least 0.
+        dtype: Precision of the computation and of the result.
 
     Returns:
-        Shape (..., (degree + 1)^2), float64.
+        Shape (..., (degree + 1)^2), the constant function first.
     """
-    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
-    basis = np.empty((*z.shape, (degree + 1) ** 2))
-    # Cosine and sine of m times the angle are powers of x + i y, times sin(theta)^m: Legendre functions lack that.
-    cosine, sine = np.ones_like(z), np.zeros_like(z)
-    start = math.sqrt(0.25 / math.pi)
+    x, y, z = np.moveaxis(np.asarray(directions, dtype), -1, 0)
+    functions = _polynomials(x, y, z, degree)
+    if degree > 3:
+        functions += _recurrence(x, y, z, degree)
+    return np.moveaxis(np.array(functions), 0, -1)
+
+
+def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:
+    """The functions up to degree 3, or to ``degree`` if that is lower, as polynomials."""
+    functions = [np.full_like(x, SH_C0)]
+    if degree >= 1:
+        functions += [-_C1 * y, _C1 * z, -_C1 * x]
+    if degree >= 2:
+        a, b, c = _C2
+        functions += [a * x * y, -a * y * z, b * (3.0 * z * z - 1.0), -a * x * z, c * (x * x - y * y)]
+    if degree >= 3:
+        a, b, c, d, e = _C3
+        wide = 5.0 * z * z - 1.0
+        functions += [
+            -a * y * (3.0 * x * x - y * y),
+            b * x * y * z,
+            -c * y * wide,
+            d * z * (wide - 2.0),
+            -c * x * wide,
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3.0 * y * y),
+        ]
+    return functions
+
+
+def _recurrence(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:
+    """The functions of degree 4 up to ``degree``, from normalised Legendre functions by their recurrence in l."""
+    functions = {}
+    # Cosine and sine of m times the angle, times sin(theta)^m, are the parts of (x + i y)^m.
+    cosine, sine = np.ones_like(x), np.zeros_like(x)
+    start = SH_C0
     for m in range(degree + 1):
-        if m:
+        if m > 0:
             cosine, sine = x * cosine - y * sine, x * sine + y * cosine
-            start *= math.sqrt((2 * m + 1) / (2 * m))
+            start *= -math.sqrt((2 * m + 1) / (2 * m))
         before, legendre = np.zeros_like(z), np.full_like(z, start)
         for level in range(m, degree + 1):
             if level > m:
                 before, legendre = legendre, _next_legendre(level, m, z, legendre, before)
-            center = level * level + level
             if m == 0:
-                basis[..., center] = legendre
+                functions[level, 0] = legendre
             else:
-                signed = ((-1) ** m * math.sqrt(2.0)) * legendre
-                basis[..., center + m] = signed * cosine
-                basis[..., center - m] = signed * sine
-    return basis
+                functions[level, m] = math.sqrt(2.0) * legendre * cosine
+                functions[level, -m] = math.sqrt(2.0) * legendre * sine
+    return [functions[level, m] for level in range(4, degree + 1) for m in range(-level, level + 1)]
 
 
-def _next_legendre(level: int, m: int, z: _Doubles, last: _Doubles, before: _Doubles) -> _Doubles:
-    """Normalised ``P_level^m`` from those one and two levels lower (recurrence in the degree)."""
+def _next_legendre(level: int, m: int, z: _Floats, last: _Floats, before: _Floats) -> _Floats:
+    """Normalised ``P_level^m`` from those one and two levels lower."""
     outer = math.sqrt((4 * level**2 - 1) / (level**2 - m**2))
     inner = math.sqrt(((level - 1) ** 2 - m**2) / (4 * (level - 1) ** 2 - 1))
     return outer * (z * last - inner * before)

@@ -1,4 +1,4 @@
-"""How lit frames become pictures: exposure, tone mapping, and captured colours that stay as they were captured.
+"""From lit frames to pictures: exposure, tone mapping, and captured colours that keep the tones of the capture.
 
 The equations are in docs/method/lighting.md#pictures.
 """
@@ -15,16 +15,17 @@ from lumisplat.math.color import decode_srgb, encode_srgb
 _Light = npt.NDArray[np.floating]
 
 _BRIGHTEST = 2.0**64
-"""Radiance above which all is alike: far beyond every tone mapper's white, far from float32's end."""
+"""Radiance is clamped to this: far above the white of every tone mapper, far below float32's largest number."""
 _WEIGHT_ROUNDING = 1e-5
-"""A captured share that falls short of the whole by this is the whole: weights are sums of float32 products."""
+"""Weights this close to 1 count as 1, because they are sums of float32 products."""
 
 # Khronos PBR Neutral, github.com/KhronosGroup/ToneMapping: F90, Ks and Kd of its specification.
 _NEUTRAL_TOE = 0.04
 _NEUTRAL_START = 0.8 - _NEUTRAL_TOE
 _NEUTRAL_DESATURATION = 0.15
 
-# AgX. Blender's primaries: Rec.2020's, drawn in before the curve and out behind it (github.com/EaryChow/AgX_LUT_Gen).
+# AgX. Blender insets the Rec.2020 primaries before the curve and outsets them after it
+# (github.com/EaryChow/AgX_LUT_Gen).
 _REC2020_FROM_REC709 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
 _REC709_FROM_REC2020 = np.linalg.inv(_REC2020_FROM_REC709).astype(np.float32)
 _INSET = [
@@ -40,38 +41,38 @@ _OUTSET = [
 ]
 _REC2020_FROM_AGX = np.linalg.inv(_OUTSET).astype(np.float32)
 _AGX_STOPS = (-12.47393, 4.026069)
-"""What the curve spans, log2 of radiance: 10 stops below middle grey to 6.5 above."""
-# Sobotka's first configuration (AgX-S2O3): the curve passes its pivot, middle grey, at half of display white.
+"""Domain of the curve, log2 of radiance: from 10 stops below middle grey to 6.5 above."""
+# Sobotka's first configuration (AgX-S2O3): the curve maps its pivot, middle grey, to half of display white.
 _AGX_PIVOT = (10.0 / 16.5, 0.5)
 _AGX_SLOPE, _AGX_TOE, _AGX_SHOULDER = 2.0, 3.0, 3.25
 _AGX_GAMMA = 2.2
 
 
 def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatArray:
-    """Linear Rec.709 of what was captured: un-premultiplied, decoded and weighted again.
+    """Linear Rec.709 of captured colours: un-premultiplied, decoded and premultiplied again.
 
     Args:
         captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
-        weight: Its share of the pixel, 0..1, shape (...).
+        weight: Share of the pixel that shows the capture, 0..1, shape (...).
 
     Returns:
-        Shape (..., 3); zero where ``weight`` is.
+        Shape (..., 3); zero where ``weight`` is zero.
     """
     captured, share = np.asarray(captured, np.float32), np.asarray(weight, np.float32)[..., None]
     straight = np.divide(captured, share, out=np.zeros_like(captured), where=share > 0.0)
     return (decode_srgb(straight) * share).astype(np.float32)
 
 
-def tone_mapped(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
+def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
     """Display colours of linear light.
 
-    ``AGX`` is Blender's and Filament's variant, in Rec.2020 primaries, with Sobotka's curve in closed form where
-    Filament and three.js fit a polynomial to it (at most 0.006 apart), and without Blender's mix of hues.
+    ``AGX`` is the variant of Blender and Filament, in Rec.2020 primaries. It uses Sobotka's curve in closed form, where
+    Filament and three.js fit a polynomial to it (at most 0.006 apart), and leaves out Blender's mixing of hues.
 
     Args:
-        linear: Linear Rec.709 with the exposure applied, shape (..., 3); what is negative counts as 0. Infinite values
-            are the brightest; NaN stays.
-        tone_map: How.
+        linear: Linear Rec.709 with the exposure applied, shape (..., 3). Negative values count as 0, infinite ones as
+            the brightest; NaN stays NaN.
+        tone_map: Which curve.
 
     Returns:
         sRGB, 0..1, shape (..., 3).
@@ -89,40 +90,40 @@ def lit_picture(
 ) -> FloatArray:
     """Display colours of pixels that show captures, lights, or both.
 
-    Captured light is shown by the sRGB curve that it was captured through, other light by the tone mapper. In between,
-    the captured part e of the pixel's light x brings the difference of the two curves with it as far as it makes up
-    the pixel: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, over the channels' maxima.
-    Light that is added makes no channel darker than the capture was, light that is taken none brighter.
+    Captured light is shown by the sRGB curve that it was captured through, other light by the tone mapper. In a mixed
+    pixel with radiance x, of which e is captured, the difference of the two curves at e is added in proportion to the
+    captured part: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, where both magnitudes are
+    maxima over the channels. Where light is added, no channel becomes darker than the capture; where light is removed,
+    none becomes brighter.
 
     Args:
         captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
         weight: Share of the pixel that was captured, 0..1, shape (...).
-        light: Linear Rec.709 that is added to it, or taken, shape (..., 3).
-        exposure: Stops by which all of it is brightened.
-        tone_map: For what was not captured.
+        light: Linear Rec.709 that is added to the capture, or removed where negative, shape (..., 3).
+        exposure: Stops by which the sum is brightened.
+        tone_map: Curve of the light that was not captured.
 
     Returns:
-        sRGB, shape (..., 3): 0..1, but for pixels with nothing else than a capture and no exposure, which are
-        ``captured`` to the bit.
+        sRGB, shape (..., 3), 0..1. Pixels that show only a capture, at exposure 0, are ``captured`` to the bit.
     """
     captured, weight, light = (np.asarray(values, np.float32) for values in (captured, weight, light))
     result = np.array(captured)
     whole = weight >= 1.0 - _WEIGHT_ROUNDING
     changed = ~whole | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(whole)
     radiance, gain = captured_radiance(captured[changed], weight[changed]), np.exp2(np.float32(exposure).clip(-64, 64))
-    seen, before = (np.clip(gain * part, 0.0, _BRIGHTEST) for part in (radiance + light[changed], radiance))
-    largest = np.maximum(seen, before).max(axis=-1, keepdims=True)
-    difference = np.abs(seen - before).max(axis=-1, keepdims=True)
-    kept = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)
+    lit, before = (np.clip(gain * part, 0.0, _BRIGHTEST) for part in (radiance + light[changed], radiance))
+    largest = np.maximum(lit, before).max(axis=-1, keepdims=True)
+    difference = np.abs(lit - before).max(axis=-1, keepdims=True)
+    captured_part = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)
     untouched = encode_srgb(before)
-    shown = tone_mapped(seen, tone_map) + kept * (untouched - tone_mapped(before, tone_map))
-    shown = np.where(seen >= before, np.maximum(shown, untouched), np.minimum(shown, untouched))
+    shown = apply_tone_map(lit, tone_map) + captured_part * (untouched - apply_tone_map(before, tone_map))
+    shown = np.where(lit >= before, np.maximum(shown, untouched), np.minimum(shown, untouched))
     result[changed] = np.clip(shown, 0.0, 1.0)
     return result
 
 
 def _neutral(light: _Light) -> _Light:
-    """Khronos PBR Neutral, linear to linear: takes off what a dielectric's Fresnel adds, compresses above 0.76."""
+    """Khronos PBR Neutral, linear to linear: subtracts a dielectric's Fresnel reflection, compresses above 0.76."""
     least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * _NEUTRAL_TOE)
     color = light - (least - least**2 / (4.0 * _NEUTRAL_TOE))
     peak = color.max(axis=-1, keepdims=True)
@@ -130,12 +131,13 @@ def _neutral(light: _Light) -> _Light:
     bright = np.maximum(peak, _NEUTRAL_START)
     compressed = 1.0 - room**2 / (bright + room - _NEUTRAL_START)
     saturation = 1.0 / (_NEUTRAL_DESATURATION * (bright - compressed) + 1.0)
-    highlight = compressed + saturation * (color * (compressed / bright) - compressed)
-    return np.where(peak < _NEUTRAL_START, color, highlight)
+    highlight: _Light = compressed + saturation * (color * (compressed / bright) - compressed)
+    result: _Light = np.where(peak < _NEUTRAL_START, color, highlight)
+    return result
 
 
 def _agx(light: _Light) -> _Light:
-    """AgX, linear to linear; at times below 0 or above 1, out of the display's gamut."""
+    """AgX, linear to linear. Colours outside the display's gamut come out below 0 or above 1."""
     low, high = _AGX_STOPS
     stops = np.log2(np.maximum(light @ _AGX_FROM_REC709.T, np.float32(2.0**low)))
     curved = _agx_curve(np.clip((stops - low) / (high - low), 0.0, 1.0))
@@ -143,14 +145,14 @@ def _agx(light: _Light) -> _Light:
 
 
 def _agx_curve(x: _Light) -> _Light:
-    """Jed Smith's sigmoid: straight at the pivot, bending by a power each way to pass (0, 0) and (1, 1)."""
+    """Jed Smith's sigmoid: straight at the pivot, bent by a power on each side to pass (0, 0) and (1, 1)."""
     pivot_x, pivot_y = _AGX_PIVOT
-    curved = x.copy()  # NaN is on neither side
+    curved = x.copy()  # NaN is on neither side of the pivot
     for side, run, rise, power in (
         (x < pivot_x, pivot_x, pivot_y, _AGX_TOE),
         (x >= pivot_x, 1.0 - pivot_x, 1.0 - pivot_y, _AGX_SHOULDER),
     ):
-        # How far off the asymptote is for which the curve passes its end.
+        # Distance of the asymptote from the pivot for which the curve passes its end point.
         scale = _AGX_SLOPE * run / ((_AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
         distance = (_AGX_SLOPE / scale) * (x[side] - pivot_x)
         curved[side] = pivot_y + scale * distance / (1.0 + np.abs(distance) ** power) ** (1.0 / power)

@@ -1,1 +1,1 @@
-"""How well lighting fits and images agree: each metric by its definition, unit and source. None of it needs Warp."""
+"""Metrics of images, shadows and lighting, each with its definition, unit and source. None of them needs Warp."""

@@ -1,9 +1,10 @@
-"""Points with normals and colours: what metrics of lighting take, of Gaussians or of anything else."""
+"""Points with normals and colours, the input of the metrics of lighting; from Gaussians or from anything else."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +12,13 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number, quoted
 from lumisplat.constants import SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, normalised, refuse_rows
+from lumisplat.math.arrays import FloatArray, float_array, normalise_rows, refuse_rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.metrics.chromaticity import luminance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
+
+_Doubles = npt.NDArray[np.float64]
 
 Lit = Gaussians | SplatInstance | Scene
 """What `LitPoints.of` takes."""
@@ -23,7 +26,7 @@ Lit = Gaussians | SplatInstance | Scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LitPoints:
-    """N points of surfaces as light has left them. Arrays become read-only float32, normals are normalised.
+    """N points of lit surfaces. Arrays become read-only float32; normals are normalised.
 
     Raises:
         SceneError: There is no point, shapes do not fit, values are not finite, or a colour is negative.
@@ -43,42 +46,39 @@ class LitPoints:
         if self.count == 0:
             raise SceneError("zero points: there is no light to compare")
         refuse_rows("rgb", "negative", np.asarray((self.rgb < 0.0).any(axis=1)))
-        object.__setattr__(self, "normals", normalised("normals", self.normals))
+        object.__setattr__(self, "normals", normalise_rows("normals", self.normals))
 
     @classmethod
     def of(cls, subject: Lit, *, around: npt.ArrayLike | None = None, radius: float | None = None) -> LitPoints:
-        """The Gaussians of a set, an instance or a scene, in world space.
+        """Makes points from the Gaussians of a set, an instance or a scene, in world space.
 
-        Colours are those of degree 0, the mean over all directions, decoded to linear light. Normals are those that a
-        set has, else `estimate_normals`.
+        Colours are those of SH degree 0, the mean over all directions, decoded to linear light. Normals are those of
+        the set, else `estimate_normals`.
 
         Args:
-            subject: Gaussians, an instance of them, or a scene, of which all instances count; meshes do not.
-            around: Only those near this point, world space, shape (3,), with estimated normals turned towards it: the
-                sides of a room that face who stands in it. None: all, and outwards.
-            radius: How near, metres; with ``around``.
+            subject: Gaussians, an instance of them, or a scene, all splat instances of which count; meshes do not.
+            around: Use only Gaussians near this point in world space, shape (3,), and turn estimated normals towards
+                it, like the walls of a room around a person. None: use all, with outward normals.
+            radius: Largest distance from ``around``, metres; required with it.
 
         Raises:
             ConfigError: ``radius`` is not above 0.
-            SceneError: There are no Gaussians, or none is near (says where the nearest one is); ``around`` is no point.
+            SceneError: There are no Gaussians, or none is near enough (the message says how far the nearest one is), or
+                ``around`` is not a point.
         """
-        center = None
-        if around is not None:
-            check_radius(radius)
-            center = float_array("around", around).astype(np.float64)
-            check_shapes(around=(center, "3"))
+        ball = None if around is None else _Ball.of(around, radius)
         parts = list(_instances(subject))
         if not parts:
             raise SceneError("the scene has no Gaussians: there is no light to compare")
-        near = [_near(part, center, radius) for part in parts]
-        if not any(rows.any() for rows in near):
-            nearest = min(float(_distances(part, center).min()) for part in parts)
-            told = ", ".join(f"{value:.3g}" for value in np.asarray(center).tolist())
+        selections = [np.ones(part.gaussians.count, np.bool_) if ball is None else ball.holds(part) for part in parts]
+        if ball is not None and not any(rows.any() for rows in selections):
+            nearest = min(float(ball.distances(part).min()) for part in parts)
+            listed = ", ".join(f"{value:.3g}" for value in ball.center.tolist())
             raise SceneError(
-                f"no Gaussian of the scene is within {radius:g} of the avatar's centre ({told}), the nearest is "
+                f"no Gaussian of the scene is within {ball.radius:g} of the avatar's centre ({listed}), the nearest is "
                 f"{nearest:.3g} away: is the avatar where it should be, and the unit a metre?"
             )
-        made = [_points(part, rows, center) for part, rows in zip(parts, near, strict=True) if rows.any()]
+        made = [_points(part, rows, ball) for part, rows in zip(parts, selections, strict=True) if rows.any()]
         positions, normals, colors = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
         return cls(positions, normals, colors)
 
@@ -93,17 +93,36 @@ class LitPoints:
         return luminance(self.rgb)
 
 
-def check_radius(radius: object) -> None:
-    """Refuses what is no length.
-
-    Raises:
-        ConfigError: ``radius`` is not a finite number above 0.
-    """
+def check_radius(radius: object) -> float:
+    """Returns ``radius``; raises a `ConfigError` unless it is a finite number above 0."""
     if not is_number(radius) or not 0.0 < radius < np.inf:
         raise ConfigError(f"radius is {quoted(radius)}, expected metres above 0")
+    return radius
 
 
-def _instances(subject: Lit) -> Iterator[SplatInstance]:
+class _Ball(NamedTuple):
+    """The part of space that counts."""
+
+    center: _Doubles
+    radius: float
+
+    @classmethod
+    def of(cls, center: npt.ArrayLike, radius: object) -> _Ball:
+        checked = check_radius(radius)
+        point = float_array("around", center).astype(np.float64)
+        check_shapes(around=(point, "3"))
+        return cls(point, checked)
+
+    def distances(self, instance: SplatInstance) -> _Doubles:
+        """Distances of the means from the centre, shape (N,)."""
+        return np.linalg.norm(instance.world_means - self.center, axis=1)
+
+    def holds(self, instance: SplatInstance) -> npt.NDArray[np.bool_]:
+        """Which means are inside, shape (N,)."""
+        return self.distances(instance) <= self.radius
+
+
+def _instances(subject: object) -> Iterator[SplatInstance]:
     if isinstance(subject, Scene):
         yield from subject.splats
     elif isinstance(subject, SplatInstance):
@@ -114,31 +133,21 @@ def _instances(subject: Lit) -> Iterator[SplatInstance]:
         raise SceneError(f"metrics of lighting take Gaussians or LitPoints, got a {type(subject).__name__}")
 
 
-def _distances(instance: SplatInstance, center: npt.NDArray | None) -> npt.NDArray[np.float64]:
-    return np.linalg.norm(instance.world_means - (0.0 if center is None else center), axis=1)
-
-
-def _near(instance: SplatInstance, center: npt.NDArray | None, radius: float | None) -> npt.NDArray[np.bool_]:
-    if center is None or radius is None:
-        return np.ones(instance.gaussians.count, np.bool_)
-    return _distances(instance, center) <= radius
-
-
 def _points(
-    instance: SplatInstance, rows: npt.NDArray[np.bool_], center: npt.NDArray | None
-) -> tuple[npt.NDArray, npt.NDArray, npt.NDArray]:
-    """Positions, normals and linear colours of some of an instance's Gaussians."""
-    kept = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
+    instance: SplatInstance, rows: npt.NDArray[np.bool_], ball: _Ball | None
+) -> tuple[_Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+    """Positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
+    selected = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
     positions = instance.world_means[rows]
-    normals = kept.normals
-    if normals is None:
+    own_normals = selected.normals
+    if own_normals is None:
         from lumisplat.scene.ops.estimate_normals import estimate_normals
 
-        normals = estimate_normals(kept)
-    # A similarity turns normals as it turns everything else; its scale goes when they are normalised.
-    normals = normals @ instance.transform[:3, :3].T
-    if kept.normals is None and center is not None:
-        away = np.einsum("ij,ij->i", normals, center - positions) < 0.0
+        own_normals = estimate_normals(selected)
+    # The similarity rotates normals; its scale is removed when they are normalised.
+    normals = own_normals @ instance.transform[:3, :3].T
+    if selected.normals is None and ball is not None:
+        away = np.einsum("ij,ij->i", normals, ball.center - positions) < 0.0
         normals = np.where(away[:, None], -normals, normals)
-    display = np.maximum(SH_C0 * kept.sh[:, 0].astype(np.float64) + 0.5, 0.0)
+    display = np.maximum(SH_C0 * selected.sh[:, 0].astype(np.float64) + 0.5, 0.0)
     return positions, normals, decode_srgb(display)

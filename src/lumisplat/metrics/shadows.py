@@ -1,6 +1,6 @@
-"""How near images of shadow strength are to a reference: SAE, SM-IoU and BF (docs/method/relighting.md#metrics).
+"""SAE, SM-IoU and BF of an image of shadow strength against its reference (docs/method/relighting.md#metrics).
 
-Shadow strength S is 0 where light arrives and 1 where none does. A pixel is in shadow where S > tau.
+Shadow strength S is 0 where all light arrives and 1 where none does. A pixel is in shadow where S > tau.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from lumisplat.config import check_range
 from lumisplat.constants import BOUNDARY_TOLERANCE_PX, SHADOW_MASK_THRESHOLD
-from lumisplat.metrics.arguments import Image, same_masks
+from lumisplat.metrics.image_pairs import Image, shadow_pair
 
 _Mask = npt.NDArray[np.bool_]
 
@@ -26,20 +26,20 @@ def sae(
 ) -> float:
     """Shadow attenuation error: the mean of ``|S - S_ref|`` over the pixels with ``S_ref > threshold``.
 
-    Shadow outside of the reference's does not count here: `sm_iou` sees it. Source: Mir et al. 2026, section 4.2.
+    Shadow outside of that of the reference does not count here, but in `sm_iou`. Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
-        reference: That of the reference, of the same shape.
+        reference: Shadow strength of the reference, of the same shape.
         threshold: tau, 0..1.
-        region: Booleans of the same shape, where to look; None: everywhere.
+        region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
-        0..1, the lower the better. NaN where the reference has no shadow: there is nothing to average.
+        0..1, the lower the better. NaN if the reference has no shadow.
 
     Raises:
         ConfigError: ``threshold`` is out of range.
-        SceneError: These are no two images of one size and range.
+        SceneError: These are not two images of one size in 0..1.
     """
     tested, wanted = _checked(shadow, reference, threshold, region)
     inside = wanted > threshold
@@ -53,22 +53,22 @@ def sm_iou(
     threshold: float = SHADOW_MASK_THRESHOLD,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """Shadow matte intersection over union: pixels in shadow in both images, over those in shadow in one at least.
+    """Shadow matte intersection over union: pixels in shadow in both images, over those in shadow in at least one.
 
     Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
-        reference: That of the reference, of the same shape.
+        reference: Shadow strength of the reference, of the same shape.
         threshold: tau, 0..1.
-        region: Booleans of the same shape, where to look; None: everywhere.
+        region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
-        0..1, the higher the better; 1 where there is no shadow in either.
+        0..1, the higher the better; 1 if neither image has a shadow.
 
     Raises:
         ConfigError: ``threshold`` is out of range.
-        SceneError: These are no two images of one size and range.
+        SceneError: These are not two images of one size in 0..1.
     """
     tested, wanted = (image > threshold for image in _checked(shadow, reference, threshold, region))
     either = np.count_nonzero(tested | wanted)
@@ -83,7 +83,7 @@ def boundary_f(
     threshold: float = SHADOW_MASK_THRESHOLD,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """Boundary F-measure (BF): how well the outlines of two shadows agree.
+    """Boundary F-measure (BF): agreement of the outlines of two shadows.
 
     A pixel in shadow is on the boundary if one of its four neighbours is lit; the border of the image or of the region
     is no boundary. With P the share of the boundary's pixels that have a pixel of the reference's boundary within
@@ -93,24 +93,24 @@ def boundary_f(
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
-        reference: That of the reference, of the same shape.
+        reference: Shadow strength of the reference, of the same shape.
         tolerance: Pixels, 0..100.
         threshold: tau, 0..1.
-        region: Booleans of the same shape, where to look; None: everywhere.
+        region: The pixels to compare, booleans of the same shape; None: all.
 
     Returns:
-        0..1, the higher the better. 1 where neither has a boundary, 0 where one has none.
+        0..1, the higher the better. 1 if neither image has a boundary, 0 if only one has.
 
     Raises:
         ConfigError: ``tolerance`` or ``threshold`` is out of range.
-        SceneError: These are no two images of one size and range.
+        SceneError: These are not two images of one size in 0..1.
     """
     check_range("tolerance", tolerance, 0, 100)
     tested, wanted = (_boundary(image, threshold) for image in _checked(shadow, reference, threshold, region))
     if not tested.any() or not wanted.any():
         return float(tested.any() == wanted.any())
-    precision = np.count_nonzero(tested & _grown(wanted, tolerance)) / np.count_nonzero(tested)
-    recall = np.count_nonzero(wanted & _grown(tested, tolerance)) / np.count_nonzero(wanted)
+    precision = np.count_nonzero(tested & _dilate(wanted, tolerance)) / np.count_nonzero(tested)
+    recall = np.count_nonzero(wanted & _dilate(tested, tolerance)) / np.count_nonzero(wanted)
     return float(2.0 * precision * recall / (precision + recall)) if precision + recall else 0.0
 
 
@@ -118,7 +118,7 @@ def _checked(
     shadow: npt.ArrayLike, reference: npt.ArrayLike, threshold: float, region: npt.ArrayLike | None
 ) -> tuple[Image, Image]:
     check_range("threshold", threshold, 0, 1)
-    return same_masks(shadow, reference, region)
+    return shadow_pair(shadow, reference, region)
 
 
 def _boundary(image: Image, threshold: float) -> _Mask:
@@ -128,14 +128,14 @@ def _boundary(image: Image, threshold: float) -> _Mask:
     return (image > threshold) & beside
 
 
-def _grown(mask: _Mask, radius: float) -> _Mask:
-    """Pixels within ``radius`` of one of ``mask``."""
+def _dilate(mask: _Mask, radius: float) -> _Mask:
+    """Pixels within ``radius`` of a pixel of ``mask``."""
     reach = math.floor(radius)
     height, width = mask.shape
     padded = np.pad(mask, reach)
-    grown_capacity = np.zeros_like(mask)
+    dilated = np.zeros_like(mask)
     for down in range(-reach, reach + 1):
         for right in range(-reach, reach + 1):
             if down * down + right * right <= radius * radius:
-                grown_capacity |= padded[reach + down : reach + down + height, reach + right : reach + right + width]
-    return grown_capacity
+                dilated |= padded[reach + down : reach + down + height, reach + right : reach + right + width]
+    return dilated

@@ -1,1 +1,1 @@
-"""What there is to render: frozen descriptions over NumPy. Nothing here imports Warp."""
+"""Scenes as frozen dataclasses over NumPy: cameras, Gaussians, meshes, lights, materials. No module imports Warp."""

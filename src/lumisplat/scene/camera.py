@@ -12,19 +12,23 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.arrays import finite_numbers, matrix_4x4
+from lumisplat.scene.checks import check_positive
+
+_Doubles = npt.NDArray[np.float64]
 
 
 class CameraModel(Enum):
-    """Which ray a pixel sees, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` of the pixel's centre (x, y)."""
+    """The ray of a pixel, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` for the pixel's centre (x, y)."""
 
     PINHOLE = "pinhole"
-    """From the eye along (u, v, 1)."""
+    """The ray goes from the eye along (u, v, 1)."""
     FISHEYE = "fisheye"
-    """Equidistant: from the eye, ``theta = |(u, v)|`` radians off the axis; fx and fy are pixels per radian. Views of
-    more than 180 degrees are fine; a pixel beyond ``theta = pi`` sees nothing."""
+    """Equidistant: the ray leaves the eye at ``theta = |(u, v)|`` radians from the axis; fx and fy are pixels per
+    radian. Views wider than 180 degrees are allowed; a pixel beyond ``theta = pi`` has no ray."""
     ORTHOGRAPHIC = "orthographic"
-    """Along the axis, from (u, v, 0) on the plane through the eye; fx and fy are pixels per scene unit."""
+    """The ray is parallel to the axis and starts at (u, v, 0), on the plane through the eye; fx and fy are pixels per
+    scene unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -32,8 +36,8 @@ class Camera:
     """A camera with OpenCV axes: a projection, a pose, and, for rays only, a thin lens and a rolling shutter.
 
     Raises:
-        SceneError: A size or focal length is not positive, a pose is not a rigid transform, the lens is impossible, or
-            the two poses of a rolling shutter are half a turn apart.
+        SceneError: A size or focal length is not positive, a pose is not a rigid transform, the aperture is negative,
+            or the two poses of a rolling shutter are half a turn apart.
     """
 
     width: int
@@ -41,31 +45,33 @@ class Camera:
     height: int
     """Image height, pixels."""
     fx: float
-    """Horizontal focal length, pixels; of a fisheye per radian, of an orthographic camera per scene unit."""
+    """Horizontal focal length, pixels; for a fisheye pixels per radian, for an orthographic camera per scene unit."""
     fy: float
-    """Vertical focal length, likewise."""
+    """Vertical focal length, in the same unit as ``fx``."""
     cx: float
     """Principal point, pixels from the left edge of the image."""
     cy: float
     """Principal point, pixels from the top edge of the image."""
     camera_from_world: npt.NDArray[np.float64]
-    """Rigid transform, shape (4, 4), column vectors; with a rolling shutter, that at the start of the first row."""
+    """Rigid transform for column vectors, shape (4, 4); with a rolling shutter, the pose at the start of the first
+    row."""
     near: float = NEAR_PLANE
-    """Nothing closer than this view depth is drawn, scene units; for a fisheye, than this distance."""
+    """Nothing at a smaller view depth is drawn, scene units; for a fisheye, nothing at a smaller distance."""
     name: str = ""
-    """Where the frame comes from: the image's name in a camera file."""
+    """Name of the frame: in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
-    """Which ray a pixel sees."""
+    """How pixels map to rays."""
     aperture: float = 0.0
-    """Radius of the lens, scene units; 0: all is sharp. A disc in the plane through the eye; for a fisheye, square to
-    the ray of each pixel."""
+    """Radius of the lens, scene units; 0: everything is in focus. The lens is a disc in the plane through the eye; for
+    a fisheye, perpendicular to the ray of each pixel."""
     focus_distance: float = 1.0
-    """View depth of the plane that the lens shows sharp, scene units; for a fisheye, radius of the sphere."""
+    """View depth of the plane in focus, scene units; for a fisheye, the radius of the sphere in focus."""
     camera_from_world_end: npt.NDArray[np.float64] | None = None
-    """The pose at the end of the last row, shape (4, 4), of a rolling shutter: row y is exposed when (y + 0.5) / height
-    of the way is done, the eye moving straight and the rotation steadily (slerp). None: all rows at once."""
+    """Rolling shutter: the pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction
+    (y + 0.5) / height of the motion; the eye moves on a straight line, the rotation is slerped. None: all rows are
+    exposed at once."""
     exposure: float = 0.0
-    """Of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
+    """Exposure of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -74,8 +80,8 @@ class Camera:
             value = getattr(self, name)
             if not is_number(value) or not math.isfinite(value):
                 raise SceneError(f"camera {name} is {value}, expected a finite number")
-            if name in ("fx", "fy", "near", "focus_distance") and value <= 0.0:
-                raise SceneError(f"camera {name} is {value}, expected a positive number")
+            if name in ("fx", "fy", "near", "focus_distance"):
+                check_positive(f"camera {name}", value)
             object.__setattr__(self, name, float(value))
         if abs(self.exposure) > EXPOSURE_MAX:
             raise SceneError(
@@ -83,9 +89,7 @@ class Camera:
             )
         if self.aperture < 0.0:
             raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
-        if not isinstance(self.model, CameraModel):
-            models = ", ".join(f"CameraModel.{model.name}" for model in CameraModel)
-            raise SceneError(f"camera model is {self.model!r}, expected one of {models}")
+        _check_model(self.model)
         object.__setattr__(self, "camera_from_world", _rigid("camera_from_world", self.camera_from_world))
         if self.camera_from_world_end is not None:
             end = _rigid("camera_from_world_end", self.camera_from_world_end)
@@ -110,11 +114,11 @@ class Camera:
         aperture: float = 0.0,
         focus_distance: float | None = None,
     ) -> Camera:
-        """A camera at ``eye`` that looks at ``target``.
+        """Makes a camera at ``eye`` with ``target`` in the centre of its image.
 
         Args:
             eye: World position, shape (3,).
-            target: World point in the image's centre, shape (3,).
+            target: World position, shape (3,).
             up: World direction that points up in the image, any length, shape (3,).
             width: Image width, pixels.
             height: Image height, pixels.
@@ -122,33 +126,22 @@ class Camera:
                 as a pinhole camera of that field of view would at the distance of ``target``.
             near: Near plane, scene units.
             name: Name of the frame.
-            model: Which ray a pixel sees.
-            aperture: Radius of the lens, scene units; 0: all is sharp.
-            focus_distance: What the lens shows sharp, scene units; None: ``target``.
+            model: How pixels map to rays.
+            aperture: Radius of the lens, scene units; 0: everything is in focus.
+            focus_distance: Distance in focus, scene units; None: that of ``target``.
 
         Raises:
             SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
                 or something is not of its shape.
         """
         width, height = _pixel_count("width", width), _pixel_count("height", height)
-        eye, target, up = _point("eye", eye), _point("target", target), _point("up", up)
-        fisheye = model is CameraModel.FISHEYE
-        widest = 2.0 * math.pi if fisheye else math.nextafter(math.pi, 0.0)
-        if not is_number(fov_y) or not 0.0 < fov_y <= widest:
-            raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and {'2 pi' if fisheye else 'pi'}")
-        forward = target - eye
+        eye, up = _point("eye", eye), _point("up", up)
+        forward = _point("target", target) - eye
         right = np.cross(forward, up)
         if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
             raise SceneError("look_at needs eye and target apart, and up not parallel to the view direction")
         distance = float(np.linalg.norm(forward))
-        forward = forward / distance
-        right = right / np.linalg.norm(right)
-        camera_from_world = np.eye(4)
-        camera_from_world[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ eye
-        focal = height / fov_y if fisheye else 0.5 * height / math.tan(0.5 * fov_y)
-        if model is CameraModel.ORTHOGRAPHIC:
-            focal /= distance
+        focal = _focal_length(model, fov_y, height, distance)
         return cls(
             width=width,
             height=height,
@@ -156,7 +149,7 @@ class Camera:
             fy=focal,
             cx=0.5 * width,
             cy=0.5 * height,
-            camera_from_world=camera_from_world,
+            camera_from_world=camera_pose(eye, right / np.linalg.norm(right), forward / distance),
             near=near,
             name=name,
             model=model,
@@ -165,38 +158,39 @@ class Camera:
         )
 
     @property
-    def world_from_camera(self) -> npt.NDArray[np.float64]:
+    def world_from_camera(self) -> _Doubles:
         """Inverse pose, shape (4, 4)."""
         return np.asarray(np.linalg.inv(self.camera_from_world), dtype=np.float64)
 
     @property
-    def eye(self) -> npt.NDArray[np.float64]:
+    def eye(self) -> _Doubles:
         """World position of the centre of projection, shape (3,); orthographic: of the principal point."""
         return self.world_from_camera[:3, 3]
 
     @property
     def fov_y(self) -> float:
-        """Vertical field of view, radians (of a centred principal point); orthographic: 0, as all rays are parallel."""
+        """Vertical field of view, radians, as if the principal point were centred; 0 for an orthographic camera."""
         if self.model is CameraModel.FISHEYE:
             return self.height / self.fy
         return 2.0 * math.atan(0.5 * self.height / self.fy) if self.model is CameraModel.PINHOLE else 0.0
 
     @property
-    def shutter_motion(self) -> npt.NDArray[np.float64]:
-        """How far the eye moves from the first row's start to the last row's end, world space, shape (3,)."""
+    def shutter_motion(self) -> _Doubles:
+        """Motion of the eye from the start of the first row to the end of the last, world space, shape (3,)."""
         return self._world_from_camera_end[:3, 3] - self.eye
 
     @property
-    def shutter_turn(self) -> npt.NDArray[np.float64]:
-        """How far the camera turns meanwhile: the axis in world space, as long as the angle in radians, shape (3,)."""
+    def shutter_turn(self) -> _Doubles:
+        """Rotation of the camera over the same time: axis in world space times angle in radians, shape (3,)."""
         sine, cosine = self._turn()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
 
-    def ray_directions(self) -> npt.NDArray[np.float64]:
-        """Unit directions through the pixels' centres, camera space, shape (H, W, 3).
+    def ray_directions(self) -> _Doubles:
+        """Unit directions through the pixel centres, camera space, shape (H, W, 3).
 
-        Zero where a fisheye sees nothing. Orthographic rays start on the plane through the eye, all others in the eye.
+        Pixels of a fisheye that have no ray have direction 0. Orthographic rays start on the plane through the eye, all
+        others at the eye.
         """
         u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         v = (np.arange(self.height)[:, None] + 0.5 - self.cy) / self.fy
@@ -214,7 +208,7 @@ class Camera:
         return rays
 
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
-        """The same view at another resolution; one given side keeps the aspect ratio (square pixels stay square)."""
+        """The same view at another resolution. If only one side is given, the other follows from the aspect ratio."""
         if width is None and height is None:
             return self
         if width is None:
@@ -226,33 +220,56 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
     @property
-    def _world_from_camera_end(self) -> npt.NDArray[np.float64]:
+    def _world_from_camera_end(self) -> _Doubles:
         end = self.camera_from_world if self.camera_from_world_end is None else self.camera_from_world_end
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
-    def _turn(self) -> tuple[npt.NDArray[np.float64], float]:
-        """Axis times sine, and cosine, of the turn from the first pose to the last; exactly 0 and about 1 for none."""
+    def _turn(self) -> tuple[_Doubles, float]:
+        """The rotation from the first pose to the last: axis times sine (exactly 0 without a rotation), and cosine."""
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
 
-def _pixel_count(name: str, value: float) -> int:
+def camera_pose(eye: _Doubles, right: _Doubles, forward: _Doubles) -> _Doubles:
+    """``camera_from_world``, shape (4, 4), from the eye and two perpendicular unit axes in world space, shape (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    return pose
+
+
+def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float) -> float:
+    """Focal length for a field of view, in the unit of the model; orthographic: as of a pinhole at ``distance``."""
+    fisheye = model is CameraModel.FISHEYE
+    widest = 2.0 * math.pi if fisheye else math.nextafter(math.pi, 0.0)
+    if not is_number(fov_y) or not 0.0 < fov_y <= widest:
+        raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and {'2 pi' if fisheye else 'pi'}")
+    if fisheye:
+        return height / fov_y
+    focal = 0.5 * height / math.tan(0.5 * fov_y)
+    return focal / distance if model is CameraModel.ORTHOGRAPHIC else focal
+
+
+def _check_model(model: object) -> None:
+    if not isinstance(model, CameraModel):
+        models = ", ".join(f"CameraModel.{one.name}" for one in CameraModel)
+        raise SceneError(f"camera model is {model!r}, expected one of {models}")
+
+
+def _pixel_count(name: str, value: object) -> int:
     if not is_number(value) or not 1 <= value <= 65536 or value != int(value):
         raise SceneError(f"camera {name} is {value}, expected a whole number from 1 to 65536")
     return int(value)
 
 
-def _point(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    try:
-        point = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        point = np.empty(0)
-    if point.shape != (3,) or not np.isfinite(point).all():
+def _point(name: str, values: npt.ArrayLike) -> _Doubles:
+    point = finite_numbers(values, (3,))
+    if point is None:
         raise SceneError(f"camera {name} is {values}, expected three finite numbers")
     return point
 
 
-def _rigid(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _rigid(name: str, values: npt.ArrayLike) -> _Doubles:
     matrix = matrix_4x4(name, values)
     rotation = matrix[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:

@@ -1,16 +1,25 @@
-"""A set of 3D Gaussians: the asset that a capture file holds."""
+"""A set of 3D Gaussians: the asset that a capture file stores."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, handed_over, normalised, refuse_outside_unit, refuse_rows
+from lumisplat.math.arrays import (
+    FloatArray,
+    float_array,
+    normalise_rows,
+    read_only_view,
+    refuse_outside_unit,
+    refuse_rows,
+)
+from lumisplat.scene.checks import check_whole
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -22,24 +31,24 @@ _OPTIONAL = ("normals", "albedo", "roughness", "metallic")
 class Gaussians:
     """N anisotropic 3D Gaussians with view-dependent, display-referred colour (Kerbl et al. 2023).
 
-    Arrays become read-only float32, copied unless they are that already. Inputs are validated: finite, matching
-    shapes, positive scales, opacities in 0..1; quaternions are normalised.
+    Arrays become read-only float32; they are copied unless they are that already. Inputs must be finite, of matching
+    shapes, with positive scales and opacities in 0..1. Quaternions are normalised.
 
     Raises:
-        SceneError: An input breaks one of those rules; the message names it and counts the offenders.
+        SceneError: An input breaks one of these rules; the message names it and counts the offenders.
     """
 
     means: FloatArray
     """Centres, scene units, shape (N, 3)."""
     rotations_wxyz: FloatArray
-    """Unit quaternions object-from-Gaussian, scalar first, shape (N, 4)."""
+    """Unit quaternions, object from Gaussian, scalar first, shape (N, 4)."""
     scales: FloatArray
-    """Standard deviations along the Gaussian's own axes, scene units, > 0, shape (N, 3)."""
+    """Standard deviations along each Gaussian's own axes, scene units, > 0, shape (N, 3)."""
     opacities: FloatArray
     """Opacity at the centre, 0..1, shape (N,)."""
     sh: FloatArray
-    """SH coefficients of display-referred sRGB, INRIA order and signs, shape (N, K, 3), K in 1, 4, 9, 16.
-    Colour = max(sum + 0.5, 0)."""
+    """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3), K in 1, 4, 9, 16.
+    The colour is max(sum + 0.5, 0)."""
     normals: FloatArray | None = None
     """Unit surface normals in object space, shape (N, 3)."""
     albedo: FloatArray | None = None
@@ -49,12 +58,31 @@ class Gaussians:
     metallic: FloatArray | None = None
     """Metalness, 0..1, shape (N,)."""
     antialiased: bool = field(default=False, kw_only=True)
-    """The capture was trained with Mip-Splatting opacity compensation, and must be rendered with it."""
+    """Whether the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
     kernel_degree: int = field(default=KERNEL_DEGREE, kw_only=True)
-    """Exponent of the distance in the response that the capture was trained with, 0 (linear) to 5 (quintic); 2 is the
-    Gaussian of ordinary captures. The ray tracer follows it, the rasteriser draws every capture as Gaussian."""
+    """Exponent of the distance in the response that the capture was trained with, 0 (linear) to 5 (quintic); ordinary
+    captures have 2, the Gaussian. The ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
-    """What the file said about itself, kept on conversion."""
+    """Comments of the file, kept on conversion."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(  # noqa: PLR0917
+            self,
+            means: npt.ArrayLike,
+            rotations_wxyz: npt.ArrayLike,
+            scales: npt.ArrayLike,
+            opacities: npt.ArrayLike,
+            sh: npt.ArrayLike,
+            normals: npt.ArrayLike | None = None,
+            albedo: npt.ArrayLike | None = None,
+            roughness: npt.ArrayLike | None = None,
+            metallic: npt.ArrayLike | None = None,
+            *,
+            antialiased: bool = False,
+            kernel_degree: int = KERNEL_DEGREE,
+            comments: tuple[str, ...] = (),
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for name in (*_REQUIRED, *_OPTIONAL):
@@ -75,18 +103,15 @@ class Gaussians:
             raise SceneError("zero Gaussians: there is nothing to render")
         if self.sh.shape[1] not in SH_DEGREE_FROM_COUNT:
             raise SceneError(f"sh has {self.sh.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
-        degree = self.kernel_degree
-        whole = isinstance(degree, int | np.integer) and not isinstance(degree, bool)
-        if not whole or not 0 <= degree <= KERNEL_DEGREE_MAX:
-            raise SceneError(f"kernel_degree is {degree}, expected a whole number from 0 to {KERNEL_DEGREE_MAX}")
+        check_whole("kernel_degree", self.kernel_degree, 0, KERNEL_DEGREE_MAX)
         refuse_rows("scales", "not positive", self.scales.min(axis=1) <= 0.0)
         for name in ("opacities", "albedo", "roughness", "metallic"):
             values = getattr(self, name)
             if values is not None:
                 refuse_outside_unit(name, values)
-        object.__setattr__(self, "rotations_wxyz", normalised("rotations_wxyz", self.rotations_wxyz))
+        object.__setattr__(self, "rotations_wxyz", normalise_rows("rotations_wxyz", self.rotations_wxyz))
         if self.normals is not None:
-            object.__setattr__(self, "normals", normalised("normals", self.normals))
+            object.__setattr__(self, "normals", normalise_rows("normals", self.normals))
 
     def __len__(self) -> int:
         return self.count
@@ -108,26 +133,26 @@ class Gaussians:
         return SH_DEGREE_FROM_COUNT[self.sh.shape[1]]
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Corners (min, max) of the box around the means, object space, shape (3,) each."""
+        """Corners (min, max) of the bounding box of the means, object space, shape (3,) each."""
         return self.means.min(axis=0), self.means.max(axis=0)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """The arrays that there are, by name."""
+        """The arrays by name, without the optional ones that are None."""
         named = {name: getattr(self, name) for name in (*_REQUIRED, *_OPTIONAL)}
         return {name: values for name, values in named.items() if values is not None}
 
     def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
         """The Gaussians that ``rows`` (a mask or indices) selects, in that order."""
-        return replace(self, **{name: handed_over(values[rows]) for name, values in self.arrays().items()})
+        return replace(self, **{name: read_only_view(values[rows]) for name, values in self.arrays().items()})
 
 
-def merged(sets: Sequence[Gaussians]) -> Gaussians:
-    """One set out of several in the same space, in order; optional arrays are kept where all sets have them.
+def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
+    """Joins sets in the same space into one, in order. Optional arrays are kept if all sets have them.
 
-    SH of lower degree is padded with zeros. Comments are the first set's.
+    SH of lower degree is padded with zeros. The comments are those of the first set.
 
     Raises:
-        SceneError: There is no set, some are antialiased and some not, or their kernel degrees differ.
+        SceneError: The list is empty, only some sets are antialiased, or their kernel degrees differ.
     """
     if not sets:
         raise SceneError("zero Gaussian sets: there is nothing to merge")
@@ -140,6 +165,6 @@ def merged(sets: Sequence[Gaussians]) -> Gaussians:
     coefficients = max(one.sh.shape[1] for one in sets)
     padded = [np.pad(one.sh, ((0, 0), (0, coefficients - one.sh.shape[1]), (0, 0))) for one in sets]
     columns = [one.arrays() | {"sh": sh} for one, sh in zip(sets, padded, strict=True)]
-    shared = set.intersection(*map(set, columns))
-    joined = {name: handed_over(np.concatenate([column[name] for column in columns])) for name in shared}
+    shared = [name for name in columns[0] if all(name in column for column in columns)]
+    joined = {name: read_only_view(np.concatenate([column[name] for column in columns])) for name in shared}
     return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined))

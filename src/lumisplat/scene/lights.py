@@ -1,6 +1,6 @@
-"""Lights, in the units of glTF's KHR_lights_punctual: candela, lux, and for what has an area, radiance.
+"""Lights, in the units of glTF's KHR_lights_punctual: candela and lux; lights with an area have radiance.
 
-All share ``color`` (linear Rec.709, at least 0; multiplied with the intensity), ``intensity``, ``enabled``,
+All lights have a ``color`` (linear Rec.709, at least 0, multiplied with the intensity), ``intensity``, ``enabled``,
 ``casts_shadow`` and ``name``. Positions and directions are in world space.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +15,14 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array
+from lumisplat.scene.checks import check_flag
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightPoint:
-    """A light that shines alike in all directions.
+    """A light that shines equally in all directions.
 
     Irradiance at distance d is ``intensity / d^2``, faded out towards ``range`` by the window that glTF recommends,
     ``clamp(1 - (d / range)^4, 0, 1)``.
@@ -36,9 +36,9 @@ class LightPoint:
     intensity: float = 1.0
     """Candela."""
     range: float = math.inf
-    """Distance at which it ends, scene units, > 0."""
+    """Distance beyond which it lights nothing, scene units, > 0."""
     radius: float = 0.0
-    """Of the sphere that it is for soft shadows, scene units; 0: a point."""
+    """Radius of the sphere that it is for soft shadows, scene units; 0: a point."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -52,7 +52,7 @@ class LightPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSpot:
-    """A point light that shines into a cone, as bright inside ``inner_angle`` and fading out to ``outer_angle``.
+    """A point light that shines into a cone: at full intensity within ``inner_angle``, fading out to ``outer_angle``.
 
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angles
@@ -61,18 +61,18 @@ class LightSpot:
 
     position: Vector
     direction: Vector
-    """Where it shines, of any length; made unit."""
+    """Direction in which it shines, of any length; normalised."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    """Candela, on the axis."""
+    """Candela along the axis."""
     range: float = math.inf
-    """Distance at which it ends, scene units, > 0."""
+    """Distance beyond which it lights nothing, scene units, > 0."""
     inner_angle: float = 0.0
-    """From the axis, radians."""
+    """Angle from the axis, radians."""
     outer_angle: float = math.pi / 4.0
-    """From the axis, radians."""
+    """Angle from the axis, radians."""
     radius: float = 0.0
-    """Of the sphere that it is for soft shadows, scene units; 0: a point."""
+    """Radius of the sphere that it is for soft shadows, scene units; 0: a point."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -102,10 +102,10 @@ class LightDirectional:
     """
 
     direction: Vector
-    """The way the light travels, of any length; made unit."""
+    """Direction in which the light travels, of any length; normalised."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    """Lux: irradiance of a surface that faces it."""
+    """Lux: irradiance of a surface that faces the light."""
     angle: float = 0.0
     """Angular radius for soft shadows, radians; the sun's is 0.00465."""
     enabled: bool = field(default=True, kw_only=True)
@@ -122,9 +122,9 @@ class LightDirectional:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSphere:
-    """A sphere whose surface shines alike in all directions. It lights, but is not itself seen.
+    """A sphere whose surface shines equally in all directions. It lights the scene, but is not itself visible.
 
-    From outside, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
+    Outside of it, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
 
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape.
@@ -135,7 +135,7 @@ class LightSphere:
     """Scene units, > 0."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    """Radiance: candela a square metre."""
+    """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -148,21 +148,21 @@ class LightSphere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightRect:
-    """A rectangle (or parallelogram) that shines on one side. It lights, but is not itself seen.
+    """A rectangle (or parallelogram) that shines on one side. It lights the scene, but is not itself visible.
 
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape, or the edges are parallel.
     """
 
     position: Vector
-    """Its centre."""
+    """Centre of the rectangle."""
     edge_u: Vector
     """One edge, scene units."""
     edge_v: Vector
-    """The other: it shines to the side of ``cross(edge_u, edge_v)``."""
+    """The other edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    """Radiance: candela a square metre."""
+    """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -178,25 +178,24 @@ class LightRect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightEnvironment:
-    """Light from everywhere around, infinitely far away, by a latitude-longitude image or of one colour.
+    """Light from all directions, infinitely far away: a latitude-longitude image, or one colour.
 
-    The image's upper edge is the environment's +y, its middle column -z, and +x is right of the middle:
+    The image's upper edge is the environment's +y, its middle column -z, and +x is to the right of the middle:
     ``u = 1/2 + atan2(x, -z) / (2 pi)``, ``v = acos(y) / pi``.
 
     Raises:
-        SceneError: The image is no finite, non-negative (H, W, 3) array, or another value is bad.
+        SceneError: The image is not a finite, non-negative (H, W, 3) array, or another value is out of range.
     """
 
     image: FloatArray | None = None
     """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
-    """Factor of the image."""
+    """Factor of the image's radiance."""
     rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)
-    """World from environment: a quaternion, scalar first. Captures with y down need (0, 1, 0, 0): half a turn about
-    x."""
+    """World from environment, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), half a turn about x."""
     visible: bool = True
-    """Whether it is seen behind everything, too; mirrors always show it."""
+    """Whether it is the background of pictures; mirrors always show it."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -219,8 +218,7 @@ class LightEnvironment:
         if wxyz.shape != (4,) or length == 0.0:
             raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
         object.__setattr__(self, "rotation_wxyz", tuple(float(x) / length for x in wxyz))
-        if not isinstance(self.visible, bool | np.bool_):
-            raise SceneError(f"visible is {self.visible}, expected True or False")
+        check_flag("visible", self.visible)
 
 
 Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment
@@ -228,18 +226,17 @@ Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | Li
 
 
 def _check_shared(light: Light) -> None:
-    """Checks what all lights have, and keeps the colour as a tuple."""
+    """Checks the fields that all lights have, and stores the colour as a tuple."""
     color = _vector("color", light.color)
     if min(color) < 0.0:
         raise SceneError(f"color is {color}, expected no negative number")
     object.__setattr__(light, "color", color)
     _check_number("intensity", light.intensity, 0.0)
     for name in ("enabled", "casts_shadow"):
-        if not isinstance(getattr(light, name), bool | np.bool_):
-            raise SceneError(f"{name} is {getattr(light, name)}, expected True or False")
+        check_flag(name, getattr(light, name))
 
 
-def _vector(name: str, values: Any) -> Vector:
+def _vector(name: str, values: npt.ArrayLike) -> Vector:
     array = float_array(name, values)
     if array.shape != (3,):
         raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
@@ -247,7 +244,7 @@ def _vector(name: str, values: Any) -> Vector:
     return x, y, z
 
 
-def _direction(name: str, values: object) -> Vector:
+def _direction(name: str, values: npt.ArrayLike) -> Vector:
     vector = np.array(_vector(name, values))
     length = np.linalg.norm(vector)
     if length == 0.0:
@@ -256,8 +253,8 @@ def _direction(name: str, values: object) -> Vector:
     return x, y, z
 
 
-def _check_number(name: str, value: Any, low: float, *, above: bool = False, finite: bool = True) -> None:
-    above_low = is_number(value) and (value > low if above else value >= low)
-    if not above_low or (finite and value > FLOAT32_MAX):
+def _check_number(name: str, value: object, low: float, *, above: bool = False, finite: bool = True) -> None:
+    high = FLOAT32_MAX if finite else math.inf
+    if not is_number(value) or not low <= value <= high or (above and value == low):
         bound = f"above {low:g}" if above else f"at least {low:g}"
         raise SceneError(f"{name} is {value}, expected a number {bound}")

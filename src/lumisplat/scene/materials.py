@@ -1,8 +1,8 @@
-"""Surface materials, one set for meshes and splats: metallic-roughness as glTF 2.0 defines it, and a simpler one.
+"""Surface materials for meshes and splats: metallic-roughness as in glTF 2.0, and a simpler one.
 
-A mesh's own colour is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of its
-Gaussians where they carry any and the material does not shine by itself, else the captured colour, decoded;
-``base_color`` and textures are not used. Roughness and metallic of Gaussians that carry them replace the material's.
+The surface colour of a mesh is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of
+its Gaussians if they have one and the material is not emissive, else the captured colour, decoded; ``base_color`` and
+textures are not used. Roughness and metallic of the Gaussians, if they have them, replace those of the material.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, kept
+from lumisplat.math.arrays import FLOAT32_MAX, read_only_array
 
 Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]
@@ -27,8 +27,8 @@ Texture = npt.NDArray[np.uint8]
 class MaterialPbr:
     """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,emissive_strength}).
 
-    Where roughness is 0 the surface is smooth, and rays go on from it: a mirror where metallic, glass where
-    transmission. Unlit frames show the base colour of all else.
+    At roughness 0 the surface is smooth, and rays are reflected or refracted: a mirror where it is metallic, glass
+    where it transmits. Unlit frames show the base colour of all other surfaces.
 
     Raises:
         SceneError: A value is outside its range, or a texture is not (H, W, 3 or 4) uint8.
@@ -37,32 +37,31 @@ class MaterialPbr:
     base_color: Color = (0.8, 0.8, 0.8)
     """Linear Rec.709, 0..1."""
     metallic: float = 0.0
-    """0 dielectric, 1 metal."""
+    """0: dielectric, 1: metal."""
     roughness: float = 0.5
-    """Perceptual roughness, 0..1; exactly 0 is smooth. Splats are never quite: theirs is at least 0.03."""
+    """Perceptual roughness, 0..1; exactly 0 is smooth. The roughness of splats is at least 0.03."""
     specular: float = 1.0
     """Strength of the dielectric reflection, 0..1."""
     ior: float = 1.5
-    """Index of refraction, >= 1; 1 neither reflects nor bends light."""
+    """Index of refraction, >= 1; with 1, light is neither reflected nor bent."""
     transmission: float = 0.0
-    """Share of the light that is not reflected that goes on through the dielectric, refracted, and tinted by the base
-    colour at each crossing, 0..1. The mesh should be closed, its triangles counter-clockwise from outside: that is how
-    a ray knows whether it enters or leaves. Splats do not transmit, nor does what is rough: it scatters that share
-    back."""
+    """Share of the light not reflected that is refracted through the dielectric, 0..1, tinted by the base colour at
+    each crossing. The mesh should be closed and its triangles counter-clockwise from outside, which is how a ray
+    decides whether it enters or leaves. Splats and rough surfaces do not transmit: they scatter that share back."""
     emissive: Color = (0.0, 0.0, 0.0)
-    """What it shines by itself: linear radiance, at least 0; on a splat set, times the captured colour."""
+    """Emitted linear radiance, at least 0; on a splat set, a factor of the captured colour."""
     base_color_texture: Texture | None = None
     """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); alpha is ignored."""
     metallic_roughness_texture: Texture | None = None
-    """Factors of roughness (green) and metallic (blue), as they are."""
+    """Factors of roughness (green) and metallic (blue), linear."""
     normal_texture: Texture | None = None
-    """Tangent-space normals, ``2 c - 1``: x along u, y against v, z out of the surface."""
+    """Tangent-space normals ``2 c - 1``: x along u, y against v, z away from the surface."""
     normal_scale: float = 1.0
-    """Factor of its x and y."""
+    """Factor of x and y of the normal texture."""
     occlusion_texture: Texture | None = None
-    """Share of the environment's light that arrives (red)."""
+    """Share of the environment's light that reaches the surface (red)."""
     occlusion_strength: float = 1.0
-    """How much of that counts, 0..1."""
+    """Strength of the occlusion, 0..1."""
     emissive_texture: Texture | None = None
     """sRGB-encoded factor of ``emissive``."""
     name: str = ""
@@ -82,29 +81,29 @@ class MaterialPbr:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether rays go on from it, reflected or refracted."""
+        """Whether rays are reflected or refracted by it."""
         return self.roughness == 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MaterialSimple:
-    """Emission, diffuse reflection and a Phong highlight, a factor each a channel (docs/method/materials.md#simple).
+    """Emission, diffuse reflection and a Phong highlight, each with its factor (docs/method/materials.md#simple).
 
-    The defaults shine as captured and reflect nothing: what a splat set has unless it is given a material. Diffuse and
-    specular factors whose sum exceeds 1 are scaled down together, so that no more light leaves than comes.
+    With the defaults a splat set shines as captured and reflects nothing, as it does without a material. If the diffuse
+    and specular factors add up to more than 1, both are scaled down, so that no more light leaves than arrives.
 
     Raises:
         SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
     """
 
     emissive: Color = (1.0, 1.0, 1.0)
-    """Share of its own colour that it shows without any light, at least 0."""
+    """Factor of the surface colour that shows without any light, at least 0."""
     ambient: Color = (0.0, 0.0, 0.0)
-    """Share of its own colour that it shows once there is lighting, wherever the lights are, at least 0."""
+    """Factor of the surface colour that shows in lit frames, wherever the lights are, at least 0."""
     diffuse: Color = (0.0, 0.0, 0.0)
-    """Share of its own colour that it reflects diffusely, 0..1."""
+    """Factor of the surface colour that is reflected diffusely, 0..1."""
     specular: Color = (0.0, 0.0, 0.0)
-    """What it reflects in a highlight around the mirrored direction, 0..1."""
+    """Reflectance of the highlight around the mirror direction, 0..1."""
     shininess: float = 32.0
     """Exponent of the highlight, 0..10,000: higher is sharper."""
     base_color: Color = (1.0, 1.0, 1.0)
@@ -128,7 +127,7 @@ class MaterialSimple:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether rays go on from it: never."""
+        """Whether rays are reflected or refracted by it: never."""
         return False
 
 
@@ -136,26 +135,26 @@ Material = MaterialPbr | MaterialSimple
 """Any material."""
 
 
-def _color(name: str, value: Any, high: float) -> Color:
-    """Three numbers in 0..high; one number is taken for all three.
+def _color(name: str, value: object, high: float) -> Color:
+    """Three numbers in 0..high; one number stands for all three channels.
 
     Raises:
-        SceneError: It is something else.
+        SceneError: The value is neither.
     """
     values = (value,) * 3 if is_number(value) else value
-    try:
-        numbers = isinstance(values, Sequence | np.ndarray) and all(is_number(c) for c in values)
-        color = tuple(float(c) for c in values) if numbers else ()
-    except (TypeError, ValueError):
-        color = ()
-    if len(color) != 3 or not all(0.0 <= c <= min(high, FLOAT32_MAX) for c in color):
+    color = [float(one) for one in values if is_number(one)] if _is_vector(values) and len(values) == 3 else []
+    if len(color) != 3 or not all(0.0 <= one <= min(high, FLOAT32_MAX) for one in color):
         bound = f"in 0..{high:g}" if math.isfinite(high) else "of at least 0"
         raise SceneError(f"{name} is {value}, expected three numbers {bound}")
     return color[0], color[1], color[2]
 
 
+def _is_vector(values: object) -> TypeGuard[Sequence[object]]:
+    return isinstance(values, Sequence) or (isinstance(values, np.ndarray) and values.ndim == 1)
+
+
 def _check_unit(name: str, value: object) -> None:
-    if not is_number(value) or not 0.0 <= value <= 1.0:  # type: ignore[operator]
+    if not is_number(value) or not 0.0 <= value <= 1.0:
         raise SceneError(f"{name} is {value}, expected 0..1")
 
 
@@ -165,4 +164,4 @@ def _texture(name: str, value: npt.ArrayLike | None) -> Texture | None:
     texture = np.asarray(value)
     if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
         raise SceneError(f"{name} is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
-    return kept(texture, np.uint8)
+    return read_only_array(texture, np.uint8)

@@ -4,28 +4,38 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, IntArray, float_array, handed_over, kept, normalised, refuse_outside_unit
+from lumisplat.math.arrays import (
+    FloatArray,
+    IntArray,
+    float_array,
+    normalise_rows,
+    read_only_array,
+    read_only_view,
+    refuse_outside_unit,
+)
 from lumisplat.scene.materials import Material, MaterialPbr
-from lumisplat.scene.triangles import check_triangles
+from lumisplat.scene.triangles import area_vectors, check_triangles, sum_at_vertices
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """V vertices, F triangles, counter-clockwise seen from outside.
+    """V vertices and F triangles, counter-clockwise seen from outside.
 
-    Arrays become read-only, copied unless they are that already. Normals are normalised; those of zero length become
-    the mean of the faces around, weighted by area. Triangles with an index out of range, and those without area, are
-    left out, and a log line counts them; vertices all stay.
+    Arrays become read-only; they are copied unless they are that already. Normals are normalised; a normal of zero
+    length becomes the mean of the adjacent faces' normals, weighted by area. Triangles with an index out of range, and
+    those without area, are left out, and a log line counts them; all vertices stay.
 
     Raises:
         SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, indices are not integers, or no
-            triangle is left.
+            usable triangle is left.
     """
 
     positions: FloatArray
@@ -41,6 +51,19 @@ class Mesh:
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
 
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(  # noqa: PLR0917
+            self,
+            positions: npt.ArrayLike,
+            indices: npt.ArrayLike,
+            normals: npt.ArrayLike | None = None,
+            uvs: npt.ArrayLike | None = None,
+            material: Material = ...,
+            colors: npt.ArrayLike | None = None,
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         for name in ("positions", "normals", "uvs", "colors"):
             if getattr(self, name) is not None:
@@ -53,9 +76,9 @@ class Mesh:
         )
         if self.colors is not None:
             refuse_outside_unit("colors", self.colors)
-        object.__setattr__(self, "indices", self._usable(np.asarray(self.indices)))
+        object.__setattr__(self, "indices", self._usable_triangles(np.asarray(self.indices)))
         if self.normals is not None:
-            object.__setattr__(self, "normals", normalised("normals", self._filled(self.normals)))
+            object.__setattr__(self, "normals", normalise_rows("normals", self._fill_normals(self.normals)))
 
     def __repr__(self) -> str:
         extras = "".join(f", {name}" for name in ("normals", "uvs", "colors") if getattr(self, name) is not None)
@@ -75,25 +98,22 @@ class Mesh:
         """Corners (min, max) of the bounding box, object space, shape (3,) each."""
         return self.positions.min(axis=0), self.positions.max(axis=0)
 
-    def _usable(self, indices: np.ndarray) -> IntArray:
+    def _usable_triangles(self, indices: npt.NDArray[Any]) -> IntArray:
         check = check_triangles(self.positions, indices)
         if not check.usable.any():
             raise SceneError(f"the mesh has no triangles{check.problems and ' but ' + check.problems}")
         if check.problems:
             _log.warning("mesh %r: triangles left out: %s", self.name, check.problems)
-            indices = handed_over(indices[check.usable])
-        return kept(indices, np.int32)
+            indices = read_only_view(indices[check.usable])
+        return read_only_array(indices, np.int32)
 
-    def _filled(self, normals: FloatArray) -> FloatArray:
+    def _fill_normals(self, normals: FloatArray) -> FloatArray:
+        """The normals; those of zero length replaced by the area-weighted mean of the faces around."""
         missing = np.abs(normals).max(axis=1) == 0.0
         if not missing.any():
             return normals
-        a, b, c = self.positions.astype(np.float64)[self.indices].swapaxes(0, 1)
-        doubled_areas = np.cross(b - a, c - a)
-        around = np.zeros(normals.shape)
-        for k in range(3):
-            np.add.at(around, self.indices[:, k], doubled_areas)
-        # Scaled, for areas of small meshes leave float32. Vertices without any area around are never seen.
+        around = sum_at_vertices(area_vectors(self.positions, self.indices), self.indices, self.vertex_count)
+        # Scaled, because areas of small meshes underflow in float32. Vertices without any area around are never seen.
         largest = np.abs(around).max(axis=1, keepdims=True)
         around = np.where(largest > 0.0, around / np.where(largest > 0.0, largest, 1.0), (0.0, 1.0, 0.0))
         return np.where(missing[:, None], around, normals).astype(np.float32)

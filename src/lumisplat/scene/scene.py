@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +12,14 @@ import numpy.typing as npt
 from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
-from lumisplat.scene.materials import Material
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
+
+_Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,36 +27,31 @@ class SplatInstance:
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
 
     Raises:
-        SceneError: The asset is none, or ``world_from_object`` mirrors, shears or scales the axes differently; the
-            message says which, and by how much.
+        SceneError: ``gaussians`` is something else, or ``world_from_object`` mirrors, shears or scales the axes
+            differently; the message says which, and by how much.
     """
 
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
     """Similarity transform, shape (4, 4); None: the identity."""
     material: Material | None = None
-    """How it takes light; None: it shines as captured, whatever the lights."""
+    """How it reflects light; None: it shines as captured, whatever the lights."""
     name: str = field(default="", kw_only=True)
     sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
-    """Highest SH degree that is evaluated, 0..3: less drops what light from other directions was baked in."""
+    """Highest SH degree that is evaluated, 0..3. A lower degree removes view-dependent light that was baked in."""
     shadow_only: bool = field(default=False, kw_only=True)
-    """It keeps its captured look, light does not brighten it, and its own Gaussians do not shadow it: it is only
-    darkened where something else blocks a light. By how much depends on the light that it has besides, the
-    ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
+    """Whether it shows its captured colours and only receives shadows: lights do not brighten it, its own Gaussians do
+    not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
+    the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.gaussians, Gaussians):
-            raise SceneError(f"a splat instance holds Gaussians, got a {type(self.gaussians).__name__}")
-        if self.material is not None and not isinstance(self.material, Material):
-            raise SceneError(f"material is a {type(self.material).__name__}, expected a MaterialPbr or MaterialSimple")
-        degree = self.sh_degree
-        whole = isinstance(degree, int | np.integer) and not isinstance(degree, bool)
-        if not whole or not 0 <= degree <= SH_DEGREE_MAX:
-            raise SceneError(f"sh_degree is {degree}, expected a whole number from 0 to {SH_DEGREE_MAX}")
-        if not isinstance(self.shadow_only, bool | np.bool_):
-            raise SceneError(f"shadow_only is {self.shadow_only}, expected True or False")
+        check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
+        if self.material is not None:
+            check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
+        check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
+        check_flag("shadow_only", self.shadow_only)
         matrix = matrix_4x4("world_from_object", self.world_from_object)
-        refuse_dissimilar(matrix[:3, :3])
+        check_similarity(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
     @property
@@ -63,7 +63,7 @@ class SplatInstance:
     @property
     def world_means(self) -> npt.NDArray[np.float64]:
         """Means in world space, shape (N, 3)."""
-        return self.gaussians.means @ self.transform[:3, :3].T + self.transform[:3, 3]
+        return transform_points(self.transform, self.gaussians.means)
 
     @property
     def scale(self) -> float:
@@ -76,7 +76,7 @@ class MeshInstance:
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
-        SceneError: The asset is none, or ``world_from_object`` is no such transform.
+        SceneError: ``mesh`` is something else, or ``world_from_object`` is not an invertible affine transform.
     """
 
     mesh: Mesh
@@ -85,8 +85,7 @@ class MeshInstance:
     name: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.mesh, Mesh):
-            raise SceneError(f"a mesh instance holds a Mesh, got a {type(self.mesh).__name__}")
+        check_kind("mesh", self.mesh, Mesh, "a Mesh")
         object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
 
     @property
@@ -101,13 +100,22 @@ class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 
     Raises:
-        SceneError: An entry is neither an asset nor an instance of one, or no light, or there are two environments.
+        SceneError: An entry of a list has the wrong type, or two environments are enabled.
     """
 
     splats: tuple[SplatInstance, ...] = field(default=())
     meshes: tuple[MeshInstance, ...] = field(default=())
     lights: tuple[Light, ...] = field(default=())
-    """At most one of those that are enabled is a `LightEnvironment`."""
+    """At most one enabled light is a `LightEnvironment`."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            splats: Iterable[SplatInstance | Gaussians] = (),
+            meshes: Iterable[MeshInstance | Mesh] = (),
+            lights: Iterable[Light] = (),
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lights", checked_lights(self.lights))
@@ -125,7 +133,7 @@ class Scene:
         return sum(instance.mesh.face_count for instance in self.meshes)
 
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Corners (min, max) of a world-space box around all means and vertices, shape (3,) each.
+        """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
         Raises:
             SceneError: The scene is empty.
@@ -134,22 +142,22 @@ class Scene:
         clouds += [(i.mesh.positions, i.transform) for i in self.meshes]
         if not clouds:
             raise SceneError("an empty scene has no bounds")
-        worlds = [points @ matrix[:3, :3].T + matrix[:3, 3] for points, matrix in clouds]
+        worlds = [transform_points(matrix, points) for points, matrix in clouds]
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
 
 
-def refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
-    """Refuses what a splat instance cannot be placed by.
+def check_similarity(linear: npt.NDArray[np.float64]) -> None:
+    """Checks that a matrix, shape (3, 3), is a rotation times a uniform scale, as a splat instance needs.
 
     Raises:
-        SceneError: The matrix, shape (3, 3), does not only turn and scale uniformly; with the figures.
+        SceneError: It mirrors, scales the axes differently or shears; the message says by how much.
     """
     gram = linear.T @ linear
     gram /= np.trace(gram) / 3.0
     factors = np.linalg.norm(linear, axis=0)
     x, y, z = linear.T / factors[:, None]
     determinant = np.linalg.det(linear)
-    reasons = []
+    reasons: list[str] = []
     if determinant < 0.0:
         reasons.append(f"mirrors (determinant {determinant:.4g})")
     if np.abs(np.diag(gram) - 1.0).max() > SIMILARITY_TOLERANCE:
@@ -158,22 +166,20 @@ def refuse_dissimilar(linear: npt.NDArray[np.float64]) -> None:
         angles = np.degrees(np.arccos(np.clip([x @ y, y @ z, z @ x], -1.0, 1.0)))
         reasons.append("shears (its axes meet at {:.5g}, {:.5g} and {:.5g} degrees)".format(*angles))
     if reasons:
-        said = " and ".join(reasons)
+        listed = " and ".join(reasons)
         raise SceneError(
-            f"world_from_object {said}: a splat instance takes rotation, uniform scale and translation only"
+            f"world_from_object {listed}: a splat instance takes rotation, uniform scale and translation only"
         )
 
 
 def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
-    """The lights of a list.
+    """The lights of a list that the user gives, as a tuple.
 
     Raises:
-        SceneError: It is none, holds something else, or two environments that are enabled.
+        SceneError: It is not a list, an entry is not a light, or two environments are enabled.
     """
-    if not isinstance(lights, Iterable):
-        raise SceneError(f"lights is one {type(lights).__name__}, expected a list")
-    checked = []
-    for light in lights:
+    checked: list[Light] = []
+    for light in items_of("lights", lights):
         if not isinstance(light, Light):
             raise SceneError(f"lights holds a {type(light).__name__}, expected a LightPoint or another light")
         checked.append(light)
@@ -182,11 +188,12 @@ def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:
     return tuple(checked)
 
 
-def _instances(name: str, items: Iterable[object], asset: type, instance: type) -> tuple:
-    if not isinstance(items, Iterable):
-        raise SceneError(f"{name} is one {type(items).__name__}, expected a list")
-    placed = tuple(instance(item) if isinstance(item, asset) else item for item in items)
-    for item in placed:
-        if not isinstance(item, instance):
-            raise SceneError(f"{name} holds a {type(item).__name__}, expected {instance.__name__} or {asset.__name__}")
-    return placed
+def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
+    """The entries of a list as instances; bare assets are placed at the origin."""
+    placed: list[_Placed] = []
+    for item in items_of(name, items):
+        one = instance(cast("Any", item)) if isinstance(item, asset) else item
+        if not isinstance(one, instance):
+            raise SceneError(f"{name} holds a {type(one).__name__}, expected {instance.__name__} or {asset.__name__}")
+        placed.append(one)
+    return tuple(placed)

@@ -1,8 +1,8 @@
-"""Which triangles of a mesh can be used: those whose vertices exist and that have an area."""
+"""Triangles of a mesh: which are usable (their vertices exist, their area is not zero), and their areas and normals."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,40 +11,40 @@ from lumisplat.constants import TRIANGLE_HEIGHT_MIN
 from lumisplat.errors import SceneError, check_shapes
 
 _BLOCK = 2**16
-"""Triangles checked at once: their corners in float64 stay in the cache."""
+"""Triangles checked at once: few enough for their float64 corners to stay in the cache."""
 
 
 class TriangleCheck(NamedTuple):
-    """Which triangles can be used, and what is wrong with the others."""
+    """Which triangles are usable, and why the others are not."""
 
     usable: npt.NDArray[np.bool_]
     """Shape (F,)."""
     out_of_range: int
-    """Triangles with an index that is no vertex."""
+    """Number of triangles with an index that is no vertex."""
     without_area: int
-    """Triangles whose corners coincide or lie on a line."""
+    """Number of triangles whose corners coincide or lie on a line."""
 
     @property
     def problems(self) -> str:
-        """What is wrong, counted, in one phrase; empty where all can be used."""
-        return problems(self.out_of_range, self.without_area)
+        """The counts as a phrase for messages; empty if all triangles are usable."""
+        return describe_problems(self.out_of_range, self.without_area)
 
 
-def problems(out_of_range: int, without_area: int) -> str:
-    """How messages say it: ``2 with an index that is no vertex, 7 without area``; empty for none of both."""
+def describe_problems(out_of_range: int, without_area: int) -> str:
+    """The phrase of messages: ``2 with an index that is no vertex, 7 without area``; empty if both are 0."""
     counts = {"with an index that is no vertex": out_of_range, "without area": without_area}
     return ", ".join(f"{count:,} {problem}" for problem, count in counts.items() if count)
 
 
-def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray) -> TriangleCheck:
-    """Looks for triangles that must be left out.
+def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any]) -> TriangleCheck:
+    """Finds the triangles that a mesh cannot use.
 
     Args:
         positions: Vertices, shape (V, 3).
-        indices: Triangles, shape (F, 3), of any integer type.
+        indices: Triangles of any integer type, shape (F, 3).
 
     Raises:
-        SceneError: ``indices`` has another shape, or is not of integers.
+        SceneError: ``indices`` has another shape, or another type.
     """
     if indices.dtype.kind not in "iu":
         raise SceneError(f"indices must be integers, got {indices.dtype}")
@@ -57,7 +57,23 @@ def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray) ->
         edges = corners[:, [1, 2, 0]] - corners
         doubled_areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
         longest2 = np.einsum("fki,fki->fk", edges, edges).max(axis=1)
-        # Positions that are not finite are refused by their own name, not as triangles without area.
+        # Non-finite positions get an error of their own; their triangles do not count as without area.
         usable[rows] = ~((doubled_areas <= TRIANGLE_HEIGHT_MIN * longest2) & np.isfinite(longest2))
-    known, kept = int(np.count_nonzero(in_range)), int(np.count_nonzero(usable))
-    return TriangleCheck(usable, len(indices) - known, known - kept)
+    in_range_count, usable_count = int(np.count_nonzero(in_range)), int(np.count_nonzero(usable))
+    return TriangleCheck(usable, len(indices) - in_range_count, in_range_count - usable_count)
+
+
+def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
+    """Cross products of the edges, shape (F, 3): the direction is the triangle's normal, the length twice its area."""
+    corners = positions.astype(np.float64)[indices]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def sum_at_vertices(
+    vectors: npt.NDArray[np.float64], indices: npt.NDArray[np.integer], vertex_count: int
+) -> npt.NDArray[np.float64]:
+    """For each vertex, the sum of the vectors, shape (F, 3), of the triangles around it, shape (V, 3)."""
+    sums = np.zeros((vertex_count, 3))
+    for corner in range(3):
+        np.add.at(sums, indices[:, corner], vectors)
+    return sums

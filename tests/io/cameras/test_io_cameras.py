@@ -1,4 +1,4 @@
-"""Camera files: axes, intrinsics, names, round trip, and one clear error for each thing that can be wrong."""
+"""Camera files: axes, intrinsics, names, round trip, and one clear error for each mistake."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.camera_json import load_cameras, save_cameras
+from lumisplat.io import load_cameras, save_cameras
 from lumisplat.scene.camera import Camera
 from support.files.mesh_files import png_bytes
 
@@ -76,7 +76,7 @@ def test_field_of_view_and_image_size(tmp_path: Path) -> None:
 
 
 def test_image_size_of_the_caller(tmp_path: Path) -> None:
-    """Where neither the file nor an image tells a size, that of the caller is taken; it overrides nothing."""
+    """If neither the file nor an image gives a size, that of the caller is used; it overrides nothing."""
     (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
     (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
     assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
@@ -88,14 +88,14 @@ def test_image_size_of_the_caller(tmp_path: Path) -> None:
 
 
 def test_names_are_unique(tmp_path: Path) -> None:
-    """Pictures are named after cameras, so equal and missing names are told apart; inner dots stay."""
+    """Pictures are named after cameras, so equal and missing names become distinct; inner dots stay."""
     paths = ["a/1.png", "b/1.png", "", "c/view.left"]
     cameras = load(tmp_path, {**FILE, "frames": [{**FRAME, "file_path": p} for p in paths]})
     assert [camera.name for camera in cameras] == ["1", "1_2", "frame_00002", "view.left"]
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    """What is saved loads as the same cameras to float precision, in order, with their names."""
+    """Saved cameras load as the same cameras to float precision, in order, with their names."""
     rng = np.random.default_rng(4)
     cameras = [
         replace(
@@ -152,7 +152,7 @@ def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
     ],
 )
 def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    """Nothing is left out in silence: a lens, a rolling shutter and mixed models are named, and no file is written."""
+    """A lens, a rolling shutter and mixed models are named in an error, and no file is written."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0), name="late")
     with pytest.raises(SceneError, match=message):
         save_cameras(tmp_path / "transforms.json", [camera, replace(camera, **changes)])
@@ -160,7 +160,7 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[st
 
 
 def test_exposures_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """In one line, however many cameras there are; without any nothing is said."""
+    """One log line for any number of cameras; none if all exposures are 0."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0))
     with caplog.at_level(logging.WARNING, "lumisplat"):
         save_cameras(tmp_path / "plain.json", [camera, camera])
@@ -190,7 +190,7 @@ def pose(*diagonal: float) -> dict:
 
 
 def without(content: dict, *names: str) -> dict:
-    """The content less some keys."""
+    """The content without some keys."""
     return {key: value for key, value in content.items() if key not in names}
 
 
@@ -242,7 +242,7 @@ def without(content: dict, *names: str) -> dict:
     ],
 )
 def test_bad_camera_files(tmp_path: Path, content: object, expected: str) -> None:
-    """Every bad camera file is one line that names the file and what is wrong, of which frame."""
+    """Every invalid camera file gives one line with the file, the frame and the mistake."""
     with pytest.raises(FormatError, match=expected) as raised:
         load(tmp_path, content)
     assert str(raised.value).startswith(str(tmp_path / "cameras.json") + ": ")
@@ -250,7 +250,7 @@ def test_bad_camera_files(tmp_path: Path, content: object, expected: str) -> Non
 
 
 def test_missing_camera_file(tmp_path: Path) -> None:
-    """A path that does not exist, and a folder, say so."""
+    """A path that does not exist, and a folder, have their own messages."""
     with pytest.raises(FormatError, match="no such file"):
         load_cameras(tmp_path / "none.json")
     with pytest.raises(FormatError, match="is a folder"):

@@ -37,7 +37,7 @@ def test_failure_leaves_the_old_file(tmp_path: Path, failure: type[BaseException
 
 
 def test_a_folder_in_the_way(tmp_path: Path) -> None:
-    """A folder of that name is refused before anything is written."""
+    """A folder of that name is refused before a file is written."""
     (tmp_path / "out.ply").mkdir()
     with pytest.raises(FormatError, match=r"out\.ply: is a folder"):
         ls.save(tmp_path / "out.ply", capture(3))
@@ -60,6 +60,6 @@ def test_unknown_output_extension(tmp_path: Path) -> None:
 
 
 def test_only_gaussians_are_saved(tmp_path: Path) -> None:
-    """Saving something else says what it is."""
+    """The error for anything else names its type."""
     with pytest.raises(FormatError, match="only Gaussians can be saved, got Scene"):
         ls.save(tmp_path / "out.ply", ls.Scene())  # type: ignore[arg-type]

@@ -61,7 +61,7 @@ def test_bound_pose_is_the_mesh(tmp_path):
 
 
 def test_a_carried_rig_is_a_rigid_body(tmp_path):
-    """Where the root alone moves, all vertices and normals move as it does."""
+    """If only the root moves, all vertices and normals move with it."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
     for time in (0.3, 1.0, 1.9):
@@ -96,7 +96,7 @@ def test_the_rest_is_what_load_shows(tmp_path):
 
 
 def test_mirrored_rigs_face_outwards(tmp_path):
-    """A rig whose root mirrors has its triangles turned round, and its normals with them."""
+    """A rig whose root mirrors has its triangles reversed, and its normals with them."""
     rig = TubeRig()
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     mesh = load(rig, tmp_path).mesh
@@ -108,7 +108,7 @@ def test_mirrored_rigs_face_outwards(tmp_path):
 
 
 def test_meshes_without_a_skin_follow_their_node(tmp_path):
-    """A mesh that a node alone moves is a rig as well: its vertices go where the node takes them."""
+    """A mesh that is moved by its node alone is a rig as well: its vertices follow the node."""
     rig = TubeRig(joints=None, weights=None, clips={"go": [(0, *CARRY[0][1:]), (0, *CARRY[1][1:])]})
     del rig.nodes[0]["skin"]
     loaded = load(rig, tmp_path)
@@ -139,7 +139,7 @@ def two_primitives(rig: TubeRig, same_material: bool):
 
 
 def test_primitives_of_one_material_are_one_mesh(tmp_path):
-    """Those of one material are joined; others are meshes of their own, which `poses` gives and `pose` refuses."""
+    """Primitives of one material are joined; others are separate meshes, which `poses` gives and `pose` refuses."""
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
     (tmp_path / "one.glb").write_bytes(two_primitives(rig, True).glb())
@@ -157,7 +157,7 @@ def test_primitives_of_one_material_are_one_mesh(tmp_path):
 
 
 def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
-    """A rig that has shrunk away has no meshes at that time, and says so where one is asked for."""
+    """A rig that is scaled to nothing has no meshes at that time, and `pose` raises an error."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
     with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to nothing"):
@@ -165,7 +165,7 @@ def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
 
 
 def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
-    """Poses share their triangles, by which shadow maps know a surface again, also where some are left out."""
+    """Poses share their triangle arrays, by which shadow maps recognise a surface, also if some are left out."""
     rig = TubeRig(clips={"bend": BEND})
     rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
     read = load(rig, tmp_path)
@@ -175,7 +175,7 @@ def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
 
 
 def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
-    """A mesh that its node hides by a scale of 0 is left out with a line; a rig of nothing else is refused."""
+    """A mesh that its node hides by a scale of 0 is left out with a log line; a rig without other meshes is refused."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
     gltf = rig.gltf()
@@ -191,7 +191,7 @@ def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
 
 
 def test_clips_are_chosen_by_name(tmp_path):
-    """The first clip is the default; another name is refused with those there are."""
+    """The first clip is the default; an unknown name is refused with a list of the clips."""
     loaded = load(TubeRig(clips={"bend": BEND, "carry": CARRY}), tmp_path)
     assert loaded.duration("carry") == 2.0
     np.testing.assert_array_equal(loaded.pose(0.5).positions, loaded.pose(0.5, "bend").positions)
@@ -291,7 +291,7 @@ def test_damaged_rigs_are_refused_or_read(tmp_path):
 
 
 def test_other_kinds_of_files_are_no_rigs(tmp_path):
-    """By their names, before what is in them is taken for a glTF that breaks off; capital letters are fine."""
+    """Files are refused by their extensions, before their contents are parsed; capital letters are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
         ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
@@ -301,15 +301,15 @@ def test_other_kinds_of_files_are_no_rigs(tmp_path):
 
 
 def test_a_matrix_is_not_animated(tmp_path):
-    """A node that is given as a matrix has no parts that a clip could move."""
+    """A node with a matrix has no parts that a clip could animate."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
     with pytest.raises(ls.FormatError, match=r"moves nodes\[3\], which has a matrix"):
         load(rig, tmp_path)
 
 
-def test_colours_that_are_none_are_told_and_left_out(tmp_path, caplog):
-    """Vertex colours multiply the base colour, as the format says; nearly black ones are told, and can be left out."""
+def test_black_vertex_colours_are_logged_and_left_out(tmp_path, caplog):
+    """Vertex colours multiply the base colour, as the format demands; nearly black ones are logged, or left out."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     path = rig.write(tmp_path / "tube.glb")

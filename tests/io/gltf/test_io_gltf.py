@@ -101,7 +101,7 @@ def test_strips_and_fans(tmp_path: Path, mode: int, corners: list, triangles: li
 
 
 def test_interleaved_normalised_and_sparse_accessors(tmp_path: Path) -> None:
-    """Strides, offsets, normalised integers and sparse replacements are decoded as section 3.6.2 says."""
+    """Strides, offsets, normalised integers and sparse replacements are decoded as section 3.6.2 defines."""
     gltf = quad_gltf(textured=False)
     rows = b"".join(struct.pack("<3f4B", *p, 255, 51, 0, 255) for p in QUAD)
     view = gltf.view(rows, byteStride=16)
@@ -174,7 +174,7 @@ GLASS = {
 
 
 def test_glass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A solid that transmits is read without a word; factors left out are those of the extensions."""
+    """A solid that transmits is read without a log line; missing factors are those of the extensions."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0] = {
         "extensions": GLASS,
@@ -221,7 +221,7 @@ def test_what_is_lost_of_glass_is_announced(
 
 
 def test_unread_materials_are_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Transparency gives one line for the whole file; else there is none."""
+    """Transparency gives one log line for the whole file; without transparency there is none."""
     gltf = quad_gltf()
     with caplog.at_level(logging.WARNING, "lumisplat"):
         read(tmp_path, gltf)
@@ -242,7 +242,7 @@ def test_texture_is_opaque(tmp_path: Path) -> None:
 
 
 def test_texture_without_coordinates_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A texture whose set of coordinates the primitive lacks is dropped with a log line."""
+    """A texture without its set of coordinates is dropped with a log line."""
     gltf = quad_gltf()
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):

@@ -1,4 +1,4 @@
-"""Cameras of glTF files: their axes, their size, and what is refused."""
+"""Cameras of glTF files: axes, sizes, and refused cameras."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def perspective(**changes: Any) -> dict[str, Any]:
 
 
 def test_axes(tmp_path: Path) -> None:
-    """At the identity it looks along -z with y up; nodes move it, and what they scale or mirror does not count."""
+    """At the identity a camera has -z forward and y up; nodes move it, and their scales and mirrorings do not count."""
     (camera,) = read(tmp_path, camera_gltf(perspective()))
     np.testing.assert_allclose(camera.camera_from_world, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-15)
     gltf = camera_gltf(perspective(), rotation=[0, HALF, 0, HALF], translation=[0, 0, 1], scale=[2, 3, 4], name="door")
@@ -63,7 +63,7 @@ def test_axes(tmp_path: Path) -> None:
     ],
 )
 def test_sizes(tmp_path: Path, aspect: float | None, given: dict[str, int], size: tuple[int, int]) -> None:
-    """The file knows an aspect ratio at most: it is fitted into 1280 x 720, or into what is given; fov_y stays."""
+    """A file has an aspect ratio at most, which is fitted into 1280 x 720 or into the given size; fov_y stays."""
     (camera,) = read(tmp_path, camera_gltf(perspective(aspectRatio=aspect)), **given)
     assert (camera.width, camera.height) == size
     assert camera.fov_y == pytest.approx(0.8)
@@ -83,7 +83,7 @@ def test_orthographic(tmp_path: Path) -> None:
 
 
 def test_many_cameras_and_none(tmp_path: Path) -> None:
-    """In the order of the nodes, with names of their own; a file without any gives an empty list."""
+    """Cameras have the order of the nodes and distinct names; a file without cameras gives an empty list."""
     gltf = camera_gltf(perspective(), name="left")
     gltf.add("nodes", camera=0)
     gltf.add("nodes", camera=0, name="left")
@@ -92,7 +92,7 @@ def test_many_cameras_and_none(tmp_path: Path) -> None:
 
 
 def test_a_file_of_cameras_is_a_scene(tmp_path: Path) -> None:
-    """Without meshes it is an empty one."""
+    """A file with cameras only is an empty scene."""
     read(tmp_path, camera_gltf(perspective()))
     scene = ls.load(tmp_path / "a.glb")
     assert isinstance(scene, ls.Scene)

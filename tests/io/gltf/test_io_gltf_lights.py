@@ -1,4 +1,4 @@
-"""KHR_lights_punctual: what a light is, where its node puts it, and what is refused."""
+"""KHR_lights_punctual: properties of lights, placement by nodes, and refused lights."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scale", [[1, 1, 1], [3, 3, 3], [1, 2, 5]])
 def test_nodes_place_a_spot(tmp_path: Path, scale: list[float]) -> None:
-    """It shines along the node's -z from its origin; scales move it, and change neither intensity nor range."""
+    """A spot shines along -z from the origin of its node; scales move it, and change neither intensity nor range."""
     light = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
     gltf = lamp(light, translation=[0, 1, 0], rotation=TURN_DOWN, name="over the table")
     gltf.add("nodes", children=[0], translation=[10, 0, 0], scale=scale, rotation=[0, 0, 1, 0])
@@ -79,7 +79,7 @@ def test_the_sun(tmp_path: Path) -> None:
 
 
 def test_lights_beside_meshes(tmp_path: Path) -> None:
-    """Meshes and lights of one file; nodes may share a light; other scenes and nodes scaled to nothing give none."""
+    """A file may have meshes and lights; nodes may share a light; other scenes and hidden nodes have none."""
     gltf = quad_gltf()
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}, {"type": "directional"}]}}
     for which, keys in enumerate([{"translation": [1, 0, 0]}, {"translation": [2, 0, 0]}, {"scale": [0, 0, 0]}, {}]):
@@ -136,7 +136,7 @@ def test_wrong_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: 
 
 
 def test_a_file_of_nothing_is_refused(tmp_path: Path) -> None:
-    """Neither mesh nor light nor camera."""
+    """A file without mesh, light or camera is refused."""
     gltf = Gltf()
     gltf.add("nodes", name="empty")
     with pytest.raises(ls.FormatError, match="no triangle mesh, light or camera"):

@@ -1,4 +1,4 @@
-"""glTF materials whole: every texture, emission, unlit ones; which textures one set of coordinates can place."""
+"""glTF materials: all textures, emission, unlit ones, and the textures that one set of coordinates can place."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
 
 
 def test_every_texture_has_its_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Each texture with its factors, as stored; nothing is said about what is read."""
+    """All textures and their factors are as stored, and there is no log line."""
     gltf = textured(
         normalTexture={"index": 2, "scale": 0.5},
         occlusionTexture={"index": 3, "strength": 0.25},
@@ -60,7 +60,7 @@ def test_every_texture_has_its_place(tmp_path: Path, caplog: pytest.LogCaptureFi
 
 
 def test_without_textures_and_emission(tmp_path: Path) -> None:
-    """What a file leaves out is as the format says: no emission, whatever its strength."""
+    """Missing values have the format's defaults: no emission, whatever its strength."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
     material = read(tmp_path, gltf).material
@@ -71,7 +71,7 @@ def test_without_textures_and_emission(tmp_path: Path) -> None:
 
 
 def test_unlit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """KHR_materials_unlit shines by its base colour and reflects nothing; its other textures mean nothing."""
+    """KHR_materials_unlit shines by its base colour and reflects nothing; its other textures are ignored."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, extensions={"KHR_materials_unlit": {}})
     with caplog.at_level(logging.WARNING, "lumisplat"):
         material = read(tmp_path, gltf).material
@@ -86,7 +86,7 @@ TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
 
 
 def test_textures_placed_otherwise_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Another set of coordinates or another transform than the base colour's: one line names them all."""
+    """Textures with other coordinates or another transform than the base colour are named in one line."""
     gltf = textured(
         normalTexture={"index": 2, "texCoord": 1},
         occlusionTexture={"index": 3},
@@ -107,7 +107,7 @@ def test_textures_placed_otherwise_are_left_out(tmp_path: Path, caplog: pytest.L
 
 
 def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The transform is applied to the coordinates, and the same number written otherwise is the same."""
+    """The transform is applied to the coordinates; transforms are equal if their numbers are."""
     gltf = textured(
         normalTexture={"index": 2, "extensions": {"KHR_texture_transform": {"scale": [2, 2], "offset": [0, 0]}}}
     )
@@ -120,7 +120,7 @@ def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest
 
 
 def test_without_a_base_colour_texture_the_first_one_leads(tmp_path: Path) -> None:
-    """The normal texture's set of coordinates is taken where it is the material's first texture."""
+    """The normal texture's coordinates are used if it is the material's first texture."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
     del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -132,7 +132,7 @@ def test_without_a_base_colour_texture_the_first_one_leads(tmp_path: Path) -> No
 
 
 def test_textures_without_coordinates_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """All of them, and one line counts them."""
+    """All textures are left out, and one line counts them."""
     gltf = textured(normalTexture={"index": 2})
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):

@@ -1,4 +1,4 @@
-"""Images of radiance: both encodings of Radiance HDR, OpenEXR, and one clear line for what is neither."""
+"""Images of radiance: the encodings of Radiance HDR, OpenEXR, and one clear line for other files."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.io.images.radiance_hdr import decode_hdr
+from lumisplat.io.images.hdr import decode_hdr
 from support.files.hdr_files import HEADER, hdr_bytes, radiance, write_exr
 from support.files.mesh_files import TEXELS, png_bytes
 
 
 def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np.ndarray:
-    """RGBE bytes with runs in them, none of which looks like a mark of the encodings, shape (H, W, 4)."""
+    """RGBE bytes with runs, none of which equals a marker of the encodings, shape (H, W, 4)."""
     rng = np.random.default_rng(seed)
     rgbe = np.repeat(rng.integers(2, levels, (height, width, 4)), 4, axis=1)[:, rng.integers(0, 4) :][:, :width]
     rgbe[..., 0] |= 4
@@ -59,7 +59,7 @@ def test_any_picture_comes_back(width: int, height: int, seed: int, encoding: st
 
 
 def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
-    """Each row says how it is stored; one of runs, one flat, one of old repeats."""
+    """Each row has its own encoding: one has runs, one is flat, one has old repeats."""
     rgbe = pixels(2, height=3)
     parts = [hdr_bytes(rgbe[k : k + 1], name, b"", b"-") for k, name in enumerate(("new", "flat", "old"))]
     data = HEADER + b"\n-Y 3 +X 40\n" + b"".join(part[len(b"\n-\n") :] for part in parts)
@@ -113,7 +113,7 @@ GOOD = pixels(5)
     ],
 )
 def test_what_is_no_radiance_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
-    """In one line that names the file, whatever its extension says."""
+    """One line names the file, whatever its extension."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         load(tmp_path, data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.hdr'}: ")
@@ -151,7 +151,7 @@ PLANE = np.ones((3, 5), np.float32)
     ],
 )
 def test_exr_of_other_channels(tmp_path: Path, channels: dict[str, np.ndarray], message: str) -> None:
-    """What lacks a colour, or counts instead of measuring, is refused by name."""
+    """A file without one of the colours, or with integer channels, is refused, and the channels are named."""
     write_exr(tmp_path / "a.exr", **channels)
     with pytest.raises(ls.FormatError, match=message):
         ls.load_radiance(tmp_path / "a.exr")
@@ -167,7 +167,7 @@ def test_truncated_exr(tmp_path: Path) -> None:
 
 
 def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Negative and non-finite values become 0, with one line that counts both; good files are silent."""
+    """Negative and non-finite values become 0, and one line counts both; valid files log nothing."""
     plane = np.ones((2, 4), np.float32)
     bad = plane.copy()
     bad[0] = (np.nan, np.inf, -np.inf, -0.5)
@@ -182,7 +182,7 @@ def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture
 
 
 def test_an_environment_takes_it_as_it_is(tmp_path: Path) -> None:
-    """What was loaded is neither copied nor changed."""
+    """The loaded image is neither copied nor changed."""
     image = load(tmp_path, hdr_bytes(GOOD))
     assert ls.LightEnvironment(image=image).image is image
 

@@ -50,7 +50,7 @@ def test_frames_come_back(tmp_path: Path, suffix: str, error: float) -> None:
 
 
 def test_gif_does_not_flicker(tmp_path: Path) -> None:
-    """What stands still keeps its bytes through all frames, dithered or not."""
+    """Static parts keep their bytes in all frames, dithered or not."""
     save_animation(tmp_path / "a.gif", moving_light())
     frames, _ = read(tmp_path / "a.gif")
     for frame in frames[1:]:
@@ -91,7 +91,7 @@ def test_one_palette(tmp_path: Path) -> None:
 
 
 def test_bad_animations_are_refused(tmp_path: Path) -> None:
-    """What is no animation is refused in one line, and no file appears."""
+    """Invalid frames are refused in one line, and no file appears."""
     good = moving_light(2, 8, 12)
     with pytest.raises(SceneError, match="got none"):
         save_animation(tmp_path / "a.gif", [])

@@ -29,7 +29,7 @@ def patches(width: int = 64, height: int = 48) -> np.ndarray:
 
 
 def test_colors_come_back(tmp_path):
-    """Flat colours are within two steps of 255: matrix and range are those that the tags say."""
+    """Flat colours are within two steps of 255: matrix and range match the tags."""
     ls.save_animation(tmp_path / "a.mp4", [patches()] * 3, fps=25)
     frames, stream = decoded(tmp_path / "a.mp4")
     for column in (8, 24, 40, 56):
@@ -60,7 +60,7 @@ def test_odd_sizes_are_made_even(tmp_path):
 
 
 def test_whole_or_not_at_all(tmp_path):
-    """Where a frame fails, nothing is left behind, and an old file stays."""
+    """If a frame fails, no file is left behind, and an old file stays."""
     (tmp_path / "old.mp4").write_bytes(b"as before")
 
     def failing():
@@ -75,8 +75,8 @@ def test_whole_or_not_at_all(tmp_path):
     assert (tmp_path / "old.mp4").read_bytes() == b"as before"
 
 
-def test_mistakes_are_told(tmp_path, monkeypatch):
-    """No frames, transparent ones, rates out of range, no place, no package."""
+def test_mistakes_are_refused(tmp_path, monkeypatch):
+    """No frames, transparent frames, rates out of range, an unwritable folder and a missing package are refused."""
     with pytest.raises(ls.SceneError, match="got none"):
         ls.save_animation(tmp_path / "a.mp4", [])
     with pytest.raises(ls.SceneError, match=r"got \(4, 4, 4\)"):

@@ -47,7 +47,7 @@ def survives(path: Path, data: bytes) -> None:
 
 @pytest.mark.parametrize("kind", VALID)
 def test_empty_missing_and_folder(tmp_path: Path, kind: str) -> None:
-    """Zero bytes, no file and a folder are said as such."""
+    """An empty file, a missing file and a folder have their own messages."""
     path = tmp_path / f"a{VALID[kind][0]}"
     with pytest.raises(FormatError, match="no such file"):
         ls.load(path)
@@ -69,7 +69,7 @@ def test_truncated_anywhere(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["ply ascii", "ply little", "ply big", "stl binary", "stl ascii", "glb", "gltf"])
 def test_half_a_file_is_refused(tmp_path: Path, kind: str) -> None:
-    """Formats that say how much they hold never load as half of it."""
+    """Formats that store the size of their contents never load half of it."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     refuses(tmp_path / f"a{extension}", data[: len(data) // 2], ".")
@@ -106,7 +106,7 @@ def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
     ],
 )
 def test_bad_obj(tmp_path: Path, text: str, expected: str) -> None:
-    """What is wrong in an OBJ is said with its line."""
+    """An error in an OBJ names the line."""
     refuses(tmp_path / "a.obj", text.encode(), expected)
 
 
@@ -254,7 +254,7 @@ def test_bad_gltf(tmp_path: Path, damage: Callable[[Gltf], object], expected: st
 
 
 def test_obj_leaves_out_faces_without_vertices(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Faces that name a vertex that is not there are counted, triangle by triangle, and the rest is read."""
+    """Faces with a vertex that does not exist are counted, triangle by triangle, and the rest is read."""
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 9\nf 2 4 3\n")
     mesh = ls.load(path)
@@ -297,7 +297,7 @@ def flawed_gltf(_: Path) -> bytes:
 def test_unusable_triangles_are_left_out(
     tmp_path: Path, extension: str, make: Callable, problems: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What no mesh can use goes, with one line for the whole file that counts it; the quad is there."""
+    """Unusable triangles are removed, and one line counts them for the whole file; the quad stays."""
     path = tmp_path / f"a.{extension}"
     path.write_bytes(make(tmp_path))
     with caplog.at_level("WARNING", "lumisplat"):
@@ -321,7 +321,7 @@ def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
 
 
 def test_a_restarted_strip_is_not_flawed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Corners that repeat in a strip, to begin another one in it, are no triangles that a line has to count."""
+    """Repeated corners, which restart a strip, are not counted as unusable triangles."""
     gltf = quad_gltf(textured=False)
     strip = gltf.accessor(np.array([0, 1, 2, 2, 0, 0, 0, 2, 3], np.uint8))
     primitive(gltf).update(mode=5, indices=strip)
@@ -343,7 +343,7 @@ def test_nan_position(tmp_path: Path) -> None:
 
 
 def test_bad_containers(tmp_path: Path) -> None:
-    """A missing or short external buffer, bad base64 and broken JSON each have their own words."""
+    """A missing or short external buffer, bad base64 and broken JSON each have their own message."""
     gltf = quad_gltf()
     path = tmp_path / "a.gltf"
     path.write_bytes(gltf.gltf("none.bin"))

@@ -36,7 +36,7 @@ def read_one(path: Path) -> Mesh:
 
 
 def test_obj_has_the_texture_right_way_up(tmp_path: Path) -> None:
-    """OBJ counts v from the bottom, we from the top: the lower left corner must show the image's lower left texel."""
+    """OBJ has v from the bottom, we from the top: the lower left corner must show the image's lower left texel."""
     mesh = read_one(write_obj(tmp_path))
     np.testing.assert_array_equal(mesh.positions, QUAD)
     np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
@@ -53,7 +53,7 @@ def test_obj_material_and_unit_normals(tmp_path: Path) -> None:
 
 
 def test_obj_index_of_refraction(tmp_path: Path) -> None:
-    """Ni is the ior; below 1, as some exporters write it, it means nothing and becomes 1."""
+    """Ni is the ior; values below 1, which some exporters write, become 1."""
     path = write_obj(tmp_path)
     for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
         (tmp_path / "quad.mtl").write_text(f"newmtl painted\nNi {stored}\n")
@@ -90,7 +90,7 @@ def test_obj_relative_indices_comments_and_continuations(tmp_path: Path) -> None
 
 
 def test_obj_vertex_colors(tmp_path: Path) -> None:
-    """Six numbers in a vertex line are a position and an sRGB colour, which nothing else darkens."""
+    """Six numbers in a vertex line are a position and an sRGB colour, under a white base colour."""
     (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
     mesh = read_one(tmp_path / "a.obj")
     np.testing.assert_allclose(mesh.colors, np.diag([1.0, decode_srgb(0.5), 1.0]), rtol=1e-6)
@@ -98,7 +98,7 @@ def test_obj_vertex_colors(tmp_path: Path) -> None:
 
 
 def test_obj_without_its_library_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Geometry without its MTL still loads, and one log line says what is missing."""
+    """Geometry without its MTL still loads, and one log line names the missing file."""
     (tmp_path / "a.obj").write_text(OBJ)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert read_one(tmp_path / "a.obj").material.base_color_texture is None
@@ -119,7 +119,7 @@ def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> N
 def test_texture_without_coordinates_is_left_out(
     tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A texture that nothing can place is dropped with one log line, and the mesh keeps its colour."""
+    """A texture without coordinates is dropped with one log line, and the mesh keeps its colour."""
     path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
     if extension == "obj":
         path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")
@@ -163,7 +163,7 @@ def test_ply_texture_and_corner_uvs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encode", [stl_bytes, stl_text])
 def test_stl_triangles(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) -> None:
-    """Both encodings give the triangles as stored; a binary header that says "solid" fools nobody."""
+    """Both encodings give the triangles as stored, also if a binary header begins with "solid"."""
     corners = QUAD[QUAD_TRIANGLES]
     (tmp_path / "a.stl").write_bytes(encode(corners))
     mesh = read_one(tmp_path / "a.stl")

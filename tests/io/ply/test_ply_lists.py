@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumisplat.io.ply.ply_lists import read_ply_lists
-from lumisplat.io.ply.ply_rows import read_ply_header
+from lumisplat.io.ply.header import read_ply_header
+from lumisplat.io.ply.lists import read_ply_lists
 
 HEADER = """ply
 format {} 1.0

@@ -1,4 +1,4 @@
-"""Settings in files: whatever is saved comes back, and what is wrong is said with its line."""
+"""Settings in files: saved settings load again, and errors name the line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damaged scene files, lamp-lit glTF files and environments: they load, or one line says what is wrong."""
+"""Damaged scene files, glTF files with lights and environments: they load, or one line names the mistake."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OURS = ("object at", "has no attribute", "unexpected keyword", "positional argum
 
 
 def survives(load: Callable[[], object]) -> bool:
-    """Whether it loads; else one line says why. Warnings are errors here, as in all tests."""
+    """Whether it loads; otherwise the error is one line. Warnings are errors here, as in all tests."""
     try:
         load()
     except ls.FormatError as error:
@@ -142,7 +142,7 @@ HEADINGS = ["x = 1", "[a]", "[[lights]]", "[[cameras]]", '"a.b" = 1', "[render.t
 
 
 def test_damaged_scene_files(tmp_path: Path) -> None:
-    """Values of any kind for any key, and headings where none should be."""
+    """Values of any kind for any key, and headings in wrong places."""
     rng, loaded = random.Random(3), 0
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     for _ in range(400):

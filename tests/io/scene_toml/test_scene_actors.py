@@ -1,4 +1,4 @@
-"""Actors and animations in scene files: what they show and when, and errors that name the line."""
+"""Actors and animations in scene files: their subjects and times, and errors that name the line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def load_text(folder, text: str) -> ls.Animation:
 
 
 def test_everything_of_an_actor_is_read(folder):
-    """Placement, keyframes, clip and switches come as they are written; the scene has what does not move."""
+    """Placement, keyframes, clip and flags are as written; the scene has the static parts."""
     animation = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -88,7 +88,7 @@ def test_every_kind_of_file_is_an_actor(folder):
 
 
 def test_keyframes_keep_what_they_do_not_say(folder):
-    """A key that leaves something out has it as the one before."""
+    """A keyframe keeps the values of the one before that it does not set."""
     text = (
         ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [1, 2, 3]\nscale = 2\n"
         "[[actors.keyframes]]\ntime = 1\nrotation_wxyz = [0, 0, 0, 1]\n"
@@ -108,7 +108,7 @@ def test_keyframes_keep_what_they_do_not_say(folder):
     ],
 )
 def test_the_number_of_frames(animation, count, folder):
-    """As written, else from a duration, else as long as what moves."""
+    """The number is as written, else from the duration, else from the longest actor."""
     assert load_text(folder, ACTOR + f"[animation]\n{animation}\n").frame_count == count
 
 
@@ -173,7 +173,7 @@ def test_bad_entries_are_refused(text, problem, folder):
 
 
 def test_broken_files_are_named(folder):
-    """What is wrong with a file that an actor names is said of that file."""
+    """An error in a file that an actor names is about that file."""
     rig = TubeRig(clips={"bend": BEND})
     rig.weights[:] = 0.0
     rig.write(folder / "tube.glb")

@@ -43,7 +43,7 @@ def test_instances_are_placed(folder):
 
 
 def test_kernel_degree_of_an_entry(folder):
-    """An entry says the degree of a capture whose file does not; entries that say the same share the capture."""
+    """An entry sets the degree of a capture whose file has none; entries with the same degree share the capture."""
     entry = '[[splats]]\npath = "capture.ply"\n'
     scene = load_text(folder, entry + (entry + "kernel_degree = 4\n") * 2)
     plain, quartic, again = (splat.gaussians for splat in scene.splats)
@@ -53,7 +53,7 @@ def test_kernel_degree_of_an_entry(folder):
 
 
 def test_material_of_an_entry(folder):
-    """What an entry says about the material replaces the file's, the rest stays, and so do other entries."""
+    """The material of an entry replaces values of the file's, the rest stays, and other entries do not change."""
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl tin\nf 1 2 3\n")
     (folder / "a.mtl").write_text("newmtl tin\nKd 0.5 0.25 1\nPr 0.75\n")
     scene = load_text(
@@ -82,7 +82,7 @@ def test_material_reaches_every_mesh_of_a_file(folder):
 
 
 def test_how_splats_take_light(folder):
-    """An entry says how many bands of its colour count, whether it only takes shadows, and of what it is made."""
+    """An entry sets the SH degree, whether it only receives shadows, and the material."""
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -99,7 +99,7 @@ def test_how_splats_take_light(folder):
 
 
 def test_comments_and_byte_order_marks_do_not_matter(folder):
-    """As editors of other systems write them."""
+    """Files of editors on other systems load as well."""
     text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
     (folder / "scene.toml").write_bytes(text.encode())
     assert len(ls.load(folder / "scene.toml").meshes) == 1  # type: ignore[union-attr]
@@ -151,7 +151,7 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
     ],
 )
 def test_bad_scene_files(folder, text, problem):
-    """What is wrong is said in one line that names the file, the line and the key."""
+    """Errors are one line that names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, text)
     assert str(caught.value).startswith(f"{folder / 'scene.toml'}: ")
@@ -160,7 +160,7 @@ def test_bad_scene_files(folder, text, problem):
 
 
 def test_a_bad_file_is_named_itself(folder):
-    """What is wrong inside a file that an entry names is said of that file."""
+    """An error inside a file that an entry names is about that file."""
     (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, '[[splats]]\npath = "broken.ply"\n')

@@ -37,7 +37,7 @@ focus_distance = 3
 
 
 def test_a_view(tmp_path: Path) -> None:
-    """What `Camera.look_at` makes of the same values, and the exposure."""
+    """A view is the camera of `Camera.look_at` with the same values, and an exposure."""
     (camera,) = load(tmp_path, VIEW)
     expected = ls.Camera.look_at(
         (0, 1, 4),
@@ -58,7 +58,7 @@ def test_a_view(tmp_path: Path) -> None:
 
 
 def test_what_a_view_leaves_out(tmp_path: Path) -> None:
-    """Up is y, the lens is normal and sharp, and a name is given."""
+    """Defaults: up is y, a pinhole camera in focus, and a generated name."""
     first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
     expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
     assert (first.width, first.height, first.fx, first.exposure) == (1280, 720, expected.fx, 0.0)
@@ -67,14 +67,14 @@ def test_what_a_view_leaves_out(tmp_path: Path) -> None:
 
 
 def test_a_fisheye_may_see_behind_itself(tmp_path: Path) -> None:
-    """Its field of view ends at 360 degrees, that of others before 180."""
+    """The field of view of a fisheye ends at 360 degrees, that of other cameras below 180."""
     text = '[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\nmodel = "fisheye"\nfov_y_degrees = 220\n'
     (camera,) = load(tmp_path, text)
     assert camera.fov_y == pytest.approx(math.radians(220))
 
 
 def test_camera_files(tmp_path: Path) -> None:
-    """Cameras of files and views in the order of the scene file, with names of their own; sizes and exposure."""
+    """Cameras of files and views have the order of the scene file and distinct names; sizes and exposure apply."""
     ls.save_cameras(tmp_path / "transforms.json", [front_camera(name="left"), front_camera(name="right")])
     text = (
         '[[cameras]]\npath = "transforms.json"\nwidth = 32\nexposure = -1\n'
@@ -121,14 +121,14 @@ def test_placed_cameras_see_what_they_saw(tmp_path: Path) -> None:
 
 
 def test_sizes_of_the_caller(tmp_path: Path) -> None:
-    """Where neither the scene file nor its camera file tells a size, that of the caller is taken."""
+    """If neither the scene file nor its camera file gives a size, that of the caller is used."""
     camera_glb(tmp_path)
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\n', width=64, height=48)[0].width == 64
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\nwidth = 30\n', width=64, height=48)[0].width == 30
 
 
 def test_a_scene_file_without_cameras(tmp_path: Path) -> None:
-    """None is no mistake: somebody else may choose one; and the scene need not be loaded."""
+    """A scene file without cameras is valid, and the scene need not be loaded."""
     assert load(tmp_path, '[[splats]]\npath = "lost.ply"\n') == []
 
 

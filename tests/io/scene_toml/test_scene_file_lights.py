@@ -1,4 +1,4 @@
-"""Lights and environments of scene files, and those that glTF files bring along."""
+"""Lights and environments of scene files, and lights of the glTF files that they name."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ intensity = 3.0
 
 
 def test_every_light(tmp_path: Path) -> None:
-    """Keys are the fields of the lights; what is left out is as in Python; angles are in degrees."""
+    """Keys are the fields of the lights, with the defaults of Python; angles are in degrees."""
     point, spot, sun, sphere, rect = load_scene(tmp_path, ALL).lights
     assert isinstance(point, ls.LightPoint)
     assert (point.name, point.position, point.color) == ("bulb", (1.0, 2.0, 3.0), (1.0, 0.5, 0.25))
@@ -88,7 +88,7 @@ def test_an_environment(tmp_path: Path) -> None:
 
 
 def test_an_environment_of_one_colour(tmp_path: Path) -> None:
-    """Without an image; it comes after the other lights."""
+    """An environment needs no image; it comes after the other lights."""
     lights = load_scene(tmp_path, "[environment]\ncolor = [0.1, 0.2, 0.3]\n" + ALL).lights
     assert isinstance(lights[-1], ls.LightEnvironment) and len(lights) == 6
     assert lights[-1].image is None and lights[-1].color == (0.1, 0.2, 0.3)
@@ -180,7 +180,7 @@ def test_wrong_lights_are_refused(tmp_path: Path, text: str, problem: str) -> No
 
 
 def test_a_picture_is_no_environment(tmp_path: Path) -> None:
-    """What is wrong with the image is said of the image."""
+    """An error in the image is about the image."""
     (tmp_path / "sky.png").write_bytes(png_bytes())
     with pytest.raises(ls.FormatError, match=r"sky\.png: is a PNG image and is 8 bit"):
         load_scene(tmp_path, '[environment]\npath = "sky.png"\n')

@@ -1,4 +1,4 @@
-"""Materials of scene files: named or written in place, of both kinds, over what a mesh's own file says."""
+"""Materials of scene files: named or written in place, of both kinds, over the material of the mesh's file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_named_materials(tmp_path: Path) -> None:
 
 
 def test_what_is_not_said_stays(tmp_path: Path) -> None:
-    """Of a material of the same kind everything, of one of the other kind its colour, its texture and its name."""
+    """Values that are not set stay: all of a material of the same kind, colour, texture and name of the other kind."""
     write_obj(tmp_path)
     scene = load_scene(
         tmp_path,
@@ -77,7 +77,7 @@ def test_textures(tmp_path: Path) -> None:
 
 
 def test_textures_need_coordinates(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A mesh without any goes without the texture, and one line says so."""
+    """A mesh without coordinates loads without the texture, and one log line says so."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "a.png").write_bytes(png_bytes())
     text = '[[meshes]]\npath = "a.obj"\nmaterial = "wood"\n[materials.wood]\nbase_color_texture = "a.png"\n'

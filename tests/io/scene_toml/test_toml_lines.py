@@ -1,4 +1,4 @@
-"""Lines of keys in TOML: of every way to write them, against documents whose lines are known."""
+"""Lines of keys in TOML: all ways to write keys, against documents with known lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever is wrong with a file, one clear `FormatError` that names it: no traceback, no nonsense, no memory bomb."""
+"""Every damaged file gives one clear `FormatError` that names it, no other error, and no huge allocation."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_one_byte_short(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_garbage(tmp_path: Path, name: str) -> None:
-    """Bytes of nothing in particular are refused."""
+    """Random bytes are refused."""
     (tmp_path / name).write_bytes(np.random.default_rng(0).bytes(5000))
     refused(tmp_path / name)
 
@@ -171,7 +171,7 @@ def test_compressed_count_beyond_the_file(tmp_path: Path) -> None:
 
 
 def test_gzip_bomb(tmp_path: Path) -> None:
-    """Only what the header justifies is inflated: the zeros behind it cost nothing."""
+    """Only as much as the header announces is inflated: further zeros cost nothing."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
     good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
     stream = io.BytesIO()
@@ -220,26 +220,26 @@ def test_image_bomb(tmp_path: Path) -> None:
 
 
 def test_unknown_extension(tmp_path: Path) -> None:
-    """The extensions that are known are listed."""
+    """The message lists the known extensions."""
     (tmp_path / "a.xyz").write_bytes(b"data")
     assert "unknown extension '.xyz', expected .ply, .compressed.ply, .spz" in refused(tmp_path / "a.xyz")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "meta.json", "a.obj", "nothing"])
 def test_missing_file(tmp_path: Path, name: str) -> None:
-    """A file that is not there is said to be missing, whatever its extension."""
+    """A missing file has its own message, whatever its extension."""
     assert "no such file" in refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.ply", "folder.spz"])
 def test_a_folder(tmp_path: Path, name: str) -> None:
-    """A folder that is no SOG capture is refused, even if it is called like a file."""
+    """A folder that is not a SOG capture is refused, even if it has the name of a file."""
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
 
 
 def test_point_cloud(tmp_path: Path) -> None:
-    """A point cloud is recognised as one."""
+    """A point cloud has its own message."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
     assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
 

@@ -1,4 +1,4 @@
-"""Sequences of frames: their order, when each is shown, what is loaded when, and folders that hold none."""
+"""Sequences of frames: order, times, caching, and folders without frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def write_frames(folder, names, counts=None) -> None:
 
 
 def test_frames_come_in_natural_order(tmp_path):
-    """Numbers in names count as such, whatever their width; other files and hidden ones are ignored."""
+    """Numbers in names are compared as numbers, whatever their width; other files and hidden ones are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / "._f_3.ply").write_text("left by a file manager")
@@ -28,7 +28,7 @@ def test_frames_come_in_natural_order(tmp_path):
 
 
 def test_a_frame_is_shown_until_the_next(tmp_path):
-    """Frames of different counts are shown as they are, and held; nothing lies between two of them."""
+    """Frames with different counts are shown unchanged until the next one; nothing is interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.load_sequence(tmp_path, 10.0)
     for time, count in ((-1.0, 4), (0.0, 4), (0.099, 4), (0.1, 5), (0.15, 5), (0.2, 6), (50.0, 6)):
@@ -37,7 +37,7 @@ def test_a_frame_is_shown_until_the_next(tmp_path):
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
 def test_no_frame_is_skipped_by_rounding(fps, tmp_path):
-    """Frame k is what is shown at k / fps, for all k."""
+    """At k / fps frame k is shown, for all k."""
     shown = []
     sequence = GaussianSequence([tmp_path / str(k) for k in range(500)], fps, lambda path: shown.append(int(path.name)))
     for time in ls.Animation(ls.Scene(), fps=fps, frame_count=500).times:
@@ -84,7 +84,7 @@ def test_folders_without_frames_are_refused(tmp_path):
 
 
 def test_meshes_are_no_frames(tmp_path):
-    """A PLY with faces is told apart from a capture."""
+    """A PLY with faces is not a frame."""
     import trimesh
 
     trimesh.creation.box().export(tmp_path / "a1.ply")

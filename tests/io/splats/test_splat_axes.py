@@ -1,4 +1,4 @@
-"""Mirrored captures look the same from the mirrored side."""
+"""Mirrored captures have mirrored colours and covariances."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lumisplat.io.splats.axes import mirrored
+from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import columns_from_gaussians
 from support.files.splat_files import capture
 from support.oracles.raster_oracle import rotation_from_quaternion, sh_basis
@@ -24,7 +24,7 @@ def test_colour_moves_with_the_axes(signs: tuple[int, int, int], degree: int) ->
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     count = (degree + 1) ** 2
     before = np.einsum("nk,nkc->nc", sh_basis(directions)[:, :count], columns.sh)
-    after = np.einsum("nk,nkc->nc", sh_basis(directions * signs)[:, :count], mirrored(columns, signs).sh)
+    after = np.einsum("nk,nkc->nc", sh_basis(directions * signs)[:, :count], mirror_axes(columns, signs).sh)
     np.testing.assert_allclose(after, before, atol=1e-6)
 
 
@@ -32,7 +32,7 @@ def test_colour_moves_with_the_axes(signs: tuple[int, int, int], degree: int) ->
 def test_covariance_moves_with_the_axes(signs: tuple[int, int, int]) -> None:
     """A mirrored Gaussian has the mirrored covariance S Sigma S and the mirrored mean, normals included."""
     columns = columns_from_gaussians(capture(30, normals=np.tile([0.6, 0.0, 0.8], (30, 1))))
-    after = mirrored(columns, signs)
+    after = mirror_axes(columns, signs)
     flip = np.diag(signs)
 
     def covariance(wxyz: np.ndarray) -> np.ndarray:

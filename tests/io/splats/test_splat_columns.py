@@ -1,4 +1,4 @@
-"""From stored numbers to valid Gaussians: what is refused, what is dropped, what is mended."""
+"""From stored numbers to valid Gaussians: refused, dropped and repaired values."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_invalid_values_are_counted_by_property() -> None:
 
 
 def test_columns_are_taken_without_a_copy() -> None:
-    """A capture of gigabytes is in memory once: what was read is what the Gaussians hold."""
+    """Large captures are in memory once: the Gaussians use the arrays that were read."""
     columns = stored()
     gaussians = gaussians_from_columns("a.ply", columns)
     assert np.shares_memory(gaussians.sh, columns.sh) and np.shares_memory(gaussians.means, columns.means)
@@ -98,7 +98,7 @@ def test_large_logits_saturate_quietly() -> None:
 
 
 def test_values_out_of_range_name_the_file() -> None:
-    """What the scene refuses is reported as an error of the file."""
+    """A value that the scene refuses is reported as an error of the file."""
     columns = stored(2)
     columns.roughness = np.array([0.5, 1.5], dtype=np.float32)
     with pytest.raises(FormatError, match=r"a\.ply: roughness"):

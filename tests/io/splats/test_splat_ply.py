@@ -1,4 +1,4 @@
-"""Gaussian PLY: what trainers write, in whatever order and number type."""
+"""Gaussian PLY: files of trainers, in any order and number type."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_windows_line_ends(tmp_path: Path) -> None:
 
 
 def test_other_elements_are_skipped(tmp_path: Path) -> None:
-    """Rows before the vertices are stepped over, rows after them ignored."""
+    """Rows before the vertices are skipped, rows after them ignored."""
     path = write(tmp_path / "extra.ply", NAMES, [ROW])
     header, body = path.read_bytes().split(b"end_header\n")
     header = header.replace(b"element vertex", b"element camera 2\nproperty double t\nelement vertex")
@@ -138,7 +138,7 @@ def test_other_elements_of_text_are_skipped(tmp_path: Path) -> None:
     ],
 )
 def test_incomplete_captures_are_refused(tmp_path: Path, names: list[str], message: str) -> None:
-    """What is missing is named."""
+    """The error names the missing properties."""
     path = write(tmp_path / "partial.ply", names, [[1.0] * len(names)])
     with pytest.raises(FormatError, match=message) as error:
         ls.load(path)

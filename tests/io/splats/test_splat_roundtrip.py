@@ -1,4 +1,4 @@
-"""Every format gives back what went in, within the steps of its own quantisation."""
+"""Every format stores captures to within the steps of its quantisation."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_kernel_degree_survives(tmp_path: Path, name: str, degree: int, comments
 
 @pytest.mark.parametrize("stated", [6, -1, 999_999_999])
 def test_impossible_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
-    """A file that states a degree there is none of is refused by name."""
+    """A file that states an invalid degree is refused, and named."""
     path = tmp_path / "capture.ply"
     ls.save(path, capture(5))
     path.write_bytes(path.read_bytes().replace(b"format ", b"comment lumisplat kernel_degree %d\nformat " % stated, 1))
@@ -146,7 +146,7 @@ def test_impossible_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> N
 
 
 def test_spz_says_that_it_loses_the_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """SPZ has no place for it: one line where that changes something, none otherwise."""
+    """SPZ cannot store the degree: one log line if it is not the default, none otherwise."""
     ls.save(tmp_path / "usual.spz", capture(5))
     assert not caplog.records
     ls.save(tmp_path / "quartic.spz", capture(5, kernel_degree=4))
@@ -178,7 +178,7 @@ def test_materials_survive_in_ply(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["lossy.compressed.ply", "lossy.spz"])
 def test_lost_materials_are_announced(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Formats that cannot hold materials say so instead of dropping them silently."""
+    """Formats that cannot store materials log which they leave out."""
     ls.save(tmp_path / name, capture(10, roughness=np.full(10, 0.5)))
     assert "cannot store roughness" in caplog.text
 

@@ -13,7 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.splats.axes import mirrored
+from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import columns_from_gaussians
 from lumisplat.io.splats.spz import position_bits
 from support.files.splat_files import capture, legacy_spz
@@ -48,7 +48,7 @@ def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int) -> None:
 
 
 def test_stored_axes_are_right_up_back(tmp_path: Path) -> None:
-    """What lies down and forward for us is negative in y and z in the file."""
+    """Positions that are down and forward for us are negative in y and z in the file."""
     one = capture(1)
     ls.save(tmp_path / "one.spz", one)
     stored = gsply_cpp.read_spz(str(tmp_path / "one.spz"))["means"]
@@ -94,7 +94,7 @@ def test_axes_extension(tmp_path: Path, container: str, number: int, signs: tupl
 
 
 def test_exchanged_axes_are_refused(tmp_path: Path) -> None:
-    """Axes that we cannot bring to ours are an error, not a wrong picture."""
+    """Axes that cannot be converted are an error, not a wrong picture."""
     path = v4(tmp_path / "rfu.spz", flags=2, extensions=struct.pack("<III", COORDINATES, 4, 16))
     with pytest.raises(FormatError, match="SPZ_ADOBE_coordinate_system 16"):
         ls.load(path)
@@ -191,7 +191,7 @@ def test_only_the_right_mirroring_lands(data_dir: Path) -> None:
     spz, ply = (ls.load(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []
     for signs in itertools.product([1, -1], repeat=3):
-        other = mirrored(columns_from_gaussians(spz), signs)
+        other = mirror_axes(columns_from_gaussians(spz), signs)
         cosines = np.abs(np.einsum("ij,ij->i", other.rotations_wxyz, ply.rotations_wxyz))
         if np.abs(other.means - ply.means).max() < 1e-3 and cosines.min() > 0.999:
             agreeing.append(signs)

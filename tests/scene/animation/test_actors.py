@@ -1,4 +1,4 @@
-"""Actors and animations: where and what an actor is at a time, and what is refused."""
+"""Actors and animations: placement and subject at a time, and refused values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def rig(tmp_path):
 
 
 def test_keyframes_carry_what_is_placed():
-    """A point is placed first, then carried: the pose is the motion's times the placement."""
+    """A point is placed first, then moved: the pose is the motion times the placement."""
     gaussians = random_gaussians(1, count=5)
     actor = ls.Actor(gaussians, MOVE, TURN, name="one")
     (instance,) = actor.at(1.0)
@@ -31,7 +31,7 @@ def test_keyframes_carry_what_is_placed():
 
 
 def test_clips_repeat_or_hold(rig):
-    """A clip goes round at the actor's speed, or stays at its end."""
+    """A clip repeats at the actor's speed, or stays at its end."""
     rigged = ls.bind_gaussians(rig, 300)
 
     def means(time, **settings):
@@ -47,7 +47,7 @@ def test_clips_repeat_or_hold(rig):
 
 
 def test_every_subject_is_shown(rig):
-    """Meshes and rigs become mesh instances, scenes all of their own, each placed within the scene."""
+    """Meshes and rigs become mesh instances, scenes all of their instances, each with its own placement."""
     (posed,) = ls.Actor(rig).at(0.5)
     np.testing.assert_array_equal(posed.mesh.positions, rig.pose(0.5).positions)
     scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN)], meshes=[rig.mesh])
@@ -59,7 +59,7 @@ def test_every_subject_is_shown(rig):
 
 
 def test_captures_of_a_scene_stay_as_they_are_lit():
-    """Materials, harmonics and shadow-only captures come along, as do names unless the actor has one."""
+    """Materials, SH degrees and ``shadow_only`` are kept, and so are names unless the actor has one."""
     settings = {"material": ls.MaterialPbr(), "sh_degree": 1, "shadow_only": True, "name": "prop"}
     scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN, **settings)])
     (instance,) = ls.Actor(scene, MOVE).at(1.0)
@@ -68,7 +68,7 @@ def test_captures_of_a_scene_stay_as_they_are_lit():
 
 
 def test_an_animation_has_its_times(rig):
-    """Frames are a steady time apart, and all actors are there in their order."""
+    """Frames have a constant distance in time, and actors are in order."""
     gaussians = random_gaussians(1, count=5)
     animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
     np.testing.assert_allclose(animation.times, np.arange(20) / 10.0)
@@ -93,13 +93,13 @@ def test_an_animation_has_its_times(rig):
     ],
 )
 def test_bad_actors_are_refused(settings, problem):
-    """When they are made, not at some frame."""
+    """Invalid values are refused when the actor is made, not at some frame."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
 
 
 def test_a_clip_that_is_not_there_is_refused(rig):
-    """The message lists those there are."""
+    """The message lists the clips."""
     with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
         ls.Actor(rig, clip="walk")
 

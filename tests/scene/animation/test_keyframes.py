@@ -1,4 +1,4 @@
-"""Keyframes: poses at and between keys, the shorter way round, and what is refused."""
+"""Keyframes: poses at and between keys, the shorter rotation, and refused values."""
 
 from __future__ import annotations
 
@@ -78,6 +78,6 @@ def test_bad_keyframes_are_refused(values, problem):
 
 @pytest.mark.parametrize("time", [NAN, np.inf, None, "0"])
 def test_bad_times_are_refused(time):
-    """A pose is asked for at a finite number of seconds."""
+    """Times must be finite numbers."""
     with pytest.raises(ls.SceneError, match="time is"):
         ls.Keyframes([0.0]).at(time)

@@ -1,4 +1,4 @@
-"""Normals of Gaussians without any: along the surface's own, and outwards."""
+"""Estimated normals: along those of the surface, and outwards."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def with_faint(gaussians: ls.Gaussians, means: np.ndarray, opacity: float, scale
 
 
 def test_strays_and_haze_change_little() -> None:
-    """Gaussians far off do not coarsen what tells the sides apart, and faint ones all around are no wall."""
+    """Distant Gaussians do not coarsen the voxels, and faint ones around the set are not a wall."""
     gaussians, truth = bare(shapes.torus(1.0, 0.3), 12_000)
     haze = np.random.default_rng(3).uniform(-1.6, 1.6, (3000, 3))
     strays = np.random.default_rng(4).uniform(-300.0, 300.0, (40, 3))
@@ -99,14 +99,14 @@ def test_normals_move_with_the_set() -> None:
     """Turned, scaled and moved, a set has its normals turned."""
     mesh = SHAPES["knot"]
     pose = similarity((1.0, -2.0, 0.5), 1.3, 40.0, (300.0, -20.0, 7.0))
-    normals, moved = (ls.estimate_normals(bare(one)[0], AXIS) for one in (mesh, shapes.transformed(mesh, pose)))
-    expected = bare(shapes.transformed(mesh, pose))[1]
+    normals, moved = (ls.estimate_normals(bare(one)[0], AXIS) for one in (mesh, shapes.transform_mesh(mesh, pose)))
+    expected = bare(shapes.transform_mesh(mesh, pose))[1]
     assert np.mean(np.einsum("ij,ij->i", moved, expected) > 0.99) > 0.99
     assert normals.shape == moved.shape
 
 
 def test_a_set_s_own_normals_count() -> None:
-    """They are taken as they are, unless another way is asked for."""
+    """A set's own normals are returned, unless another method is requested."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 500)
     upward = replace(gaussians, normals=np.tile([[0.0, 1.0, 0.0]], (500, 1)))
     assert ls.estimate_normals(upward) is upward.normals
@@ -139,7 +139,7 @@ def test_a_few_gaussians_have_normals(method: ls.NormalEstimate, count: int) -> 
 
 
 def test_a_sheet_has_one_side() -> None:
-    """Where both sides are open alike, neighbours agree on one, whichever way their own axes are stored."""
+    """If both sides are equally open, neighbours agree on one, whatever the signs of their axes."""
     flat, truth = bare(shapes.plane(2.0, 2.0), 2000)
     w, x, y, z = flat.rotations_wxyz.T
     flipped = np.stack([-x, w, z, -y], axis=1)  # half a turn about the Gaussian's own first axis
@@ -149,8 +149,8 @@ def test_a_sheet_has_one_side() -> None:
     np.testing.assert_allclose(np.abs(cosine.mean()), 1.0, atol=1e-3)
 
 
-def test_mistakes_are_told() -> None:
-    """A method that is none, a set that is none."""
+def test_mistakes_are_refused() -> None:
+    """An invalid method and an argument that is not a set are refused."""
     with pytest.raises(ls.ConfigError, match=r"expected a NormalEstimate such as NormalEstimate\.PCA"):
         ls.estimate_normals(one_gaussian(), "pca")  # type: ignore[arg-type]
     with pytest.raises(ls.SceneError, match="takes Gaussians, got a Scene"):
@@ -159,7 +159,7 @@ def test_mistakes_are_told() -> None:
 
 @pytest.mark.data
 def test_normals_of_meshes_that_are_open(data_dir) -> None:
-    """The bunny has holes below, through which the flood comes in."""
+    """The bunny has holes below, through which the flood fill enters."""
     bunny = ls.load(data_dir / "meshes" / "stanford-bunny.obj")
     assert isinstance(bunny, ls.Mesh)
     gaussians, truth = bare(bunny, 20_000)

@@ -1,4 +1,4 @@
-"""Rays of pixels in the world, and the points that they meet."""
+"""Rays of pixels in the world, and their points on surfaces."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from support.scenes.lit_frames import BALL, RADIUS, ball_frame
 
 
 def camera(model: CameraModel = CameraModel.PINHOLE, **changes: object) -> Camera:
-    """A camera that looks askew, its principal point off the centre."""
+    """A camera with an oblique view and its principal point off the centre."""
     base = Camera.look_at((1.0, -2.0, 3.0), (0.5, 0.4, 8.0), (0.1, 1.0, 0.2), width=12, height=9, model=model)
     return replace(base, cx=4.5, cy=5.25, **changes)  # type: ignore[arg-type]
 
 
 def shuttered(model: CameraModel) -> Camera:
-    """One that turns and moves while its rows are exposed."""
+    """A camera that rotates and moves while its rows are exposed."""
     end = camera(model).camera_from_world @ Camera.look_at((0.3, 0.0, 0.1), (1.0, 0.2, 3.0)).camera_from_world
     return camera(model, camera_from_world_end=end)
 
@@ -28,7 +28,7 @@ def shuttered(model: CameraModel) -> Camera:
 @pytest.mark.parametrize("model", list(CameraModel))
 @pytest.mark.parametrize("moving", [False, True])
 def test_rays_are_those_of_the_tracer(model: CameraModel, moving: bool) -> None:
-    """As the oracle of the device's rays states them: any model, rows of a rolling shutter each from their own pose."""
+    """Rays are those of the device's oracle: for all models, and with a pose per row for a rolling shutter."""
     view = shuttered(model) if moving else camera(model)
     origins, directions, _ = camera_rays(view, jitter=False)
     found = world_rays(view)

@@ -39,7 +39,7 @@ def color_towards(asset: ls.Gaussians, direction: np.ndarray) -> np.ndarray:
 
 
 def test_the_mean_colour_gets_its_share_of_linear_light() -> None:
-    """Decoded, a mean colour is the factor times what it was, a channel and a Gaussian at a time."""
+    """The decoded mean colour is multiplied by the factor, for each channel and each Gaussian."""
     before = gaussians(500)
     factors = np.random.default_rng(1).uniform(0.0, 3.0, (500, 3))
     after = scale_light(before, factors)
@@ -51,7 +51,7 @@ def test_the_mean_colour_gets_its_share_of_linear_light() -> None:
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
 def test_every_direction_is_scaled_alike(coefficients: int) -> None:
-    """max(SH + 0.5, 0) is the same multiple of what it was from everywhere: highlights keep their contrast."""
+    """max(SH + 0.5, 0) is scaled by the same factor from all directions: highlights keep their contrast."""
     before = gaussians(200, coefficients)
     after = scale_light(before, np.random.default_rng(1).uniform(0.1, 2.0, 200))
     directions = np.random.default_rng(2).normal(size=(20, 3))
@@ -69,7 +69,7 @@ def test_black_takes_the_factor_itself() -> None:
 
 
 def test_no_light_is_black() -> None:
-    """At factor 0 nothing is left, from no direction."""
+    """At factor 0 the colour is black from all directions."""
     dark = scale_light(gaussians(100), np.zeros(100))
     for direction in np.eye(3):
         assert np.abs(color_towards(dark, direction)).max() < 1e-6
@@ -99,7 +99,7 @@ def test_what_is_lit_as_before_keeps_its_bits() -> None:
         ([1, np.nan, np.inf, 1, 1], "2 non-finite"),
     ],
 )
-def test_bad_factors_are_told(factors: object, said: str) -> None:
-    """Shapes and numbers that are no factors of light."""
+def test_bad_factors_are_refused(factors: object, said: str) -> None:
+    """Invalid shapes and numbers are refused."""
     with pytest.raises(ls.SceneError, match=said):
         scale_light(gaussians(5), factors)  # type: ignore[arg-type]

@@ -57,7 +57,7 @@ def test_poisson_disk_keeps_apart_and_leaves_no_gap() -> None:
 
 
 def test_poisson_disk_goes_by_priority() -> None:
-    """Of two points in each other's way, the one with the smaller priority stays."""
+    """Of two points that are too close, the one with the smaller priority number stays."""
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]])
     pairs = neighbour_pairs(points, 1.0)
     np.testing.assert_array_equal(poisson_disk(pairs, np.array([1, 0, 2]), 2, 1.0), [1, 2])

@@ -1,4 +1,4 @@
-"""Gaussians from a mesh: where they lie, how evenly, how they look, and what is refused."""
+"""Gaussians from a mesh: positions, density, appearance, and refused arguments."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_default_count_follows_area_and_extent_but_not_units() -> None:
     diagonal, area = np.linalg.norm(np.ptp(mesh.positions, axis=0)), 4.0 * np.pi**2 * 0.05
     count = gaussians_from_mesh(mesh).count
     assert count == pytest.approx(area / (diagonal / 300.0) ** 2, rel=0.03)
-    tiny = gaussians_from_mesh(shapes.transformed(mesh, np.diag([1e-4, 1e-4, 1e-4, 1.0])))
+    tiny = gaussians_from_mesh(shapes.transform_mesh(mesh, np.diag([1e-4, 1e-4, 1e-4, 1.0])))
     assert tiny.count == pytest.approx(count, abs=2)
 
 
@@ -120,9 +120,9 @@ def test_centres_are_blue_noise() -> None:
 
 def test_density_is_even_whatever_the_triangles() -> None:
     """Counts in equal cells scatter less than random ones would, where one half has 1600 times smaller triangles."""
-    fine = shapes.transformed(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
-    coarse = shapes.transformed(shapes.plane(0.5, 1.0), translated(0.25))
-    gaussians = gaussians_from_mesh(shapes.joined([fine, coarse]), 4000)
+    fine = shapes.transform_mesh(shapes.plane(0.5, 1.0, segments=(20, 40)), translated(-0.25))
+    coarse = shapes.transform_mesh(shapes.plane(0.5, 1.0), translated(0.25))
+    gaussians = gaussians_from_mesh(shapes.join_meshes([fine, coarse]), 4000)
     cells, _, _ = np.histogram2d(gaussians.means[:, 0], gaussians.means[:, 2], bins=8, range=[[-0.5, 0.5]] * 2)
     chi2 = ((cells - 62.5) ** 2 / 62.5).sum()
     # Independent points give about 63 +- 11.
@@ -161,8 +161,8 @@ def test_both_sides_of_a_thin_sheet_are_covered() -> None:
     top = shapes.plane(1.0, 1.0)
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     half_turn[1, 3] = -1e-4
-    bottom = shapes.transformed(top, half_turn)
-    gaussians = gaussians_from_mesh(shapes.joined([top, bottom]), 2000)
+    bottom = shapes.transform_mesh(top, half_turn)
+    gaussians = gaussians_from_mesh(shapes.join_meshes([top, bottom]), 2000)
     assert gaussians.normals is not None
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (2000, 3)) * (0.9, 0.0, 0.9)
     for side in (gaussians.normals[:, 1] > 0.0, gaussians.normals[:, 1] < 0.0):
@@ -191,7 +191,7 @@ def test_colour_is_material_times_vertex_colour_times_texture() -> None:
 
 
 def test_a_simple_material_has_no_roughness_to_pass_on() -> None:
-    """Gaussians of such a mesh have its colour; how they take light is for their instance to say."""
+    """Gaussians of such a mesh have its colour; the material of their instance defines how they reflect light."""
     material = ls.MaterialSimple(base_color=(0.9, 0.8, 0.7), diffuse=1.0)
     gaussians = gaussians_from_mesh(replace(shapes.plane(1.0, 1.0), material=material), 50)
     assert gaussians.roughness is None and gaussians.metallic is None
@@ -243,7 +243,7 @@ def test_a_sliver_takes_no_more_memory_than_its_count_is_worth() -> None:
 
 
 def test_impossible_requests_are_refused() -> None:
-    """A count below one, a fraction, too many, and what is no mesh raise one clear error."""
+    """A count below one, a fraction, too many, and an argument that is not a mesh raise one clear error."""
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
     with pytest.raises(ls.SceneError, match=r"count is 10\.5, expected a whole number"):

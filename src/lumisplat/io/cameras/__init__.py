@@ -1,1 +1,1 @@
-"""Camera files."""
+"""Camera files: `transforms.json` and `cameras.json`."""

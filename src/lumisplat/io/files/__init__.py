@@ -1,1 +1,1 @@
-"""What all formats share: reading what a user named, whole files or none, limits of memory."""
+"""Helpers of all formats: errors of unreadable files, atomic writing, limits of memory."""

@@ -1,10 +1,10 @@
-"""Output files appear complete or not at all."""
+"""Atomic writing: output files appear complete or not at all."""
 
 from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -13,14 +13,14 @@ from lumisplat.io.files.source import PathLike
 
 
 @contextmanager
-def atomic_write(path: PathLike) -> Iterator[Path]:
-    """Gives a temporary path beside ``path`` to write to, and renames it when the block succeeds.
+def atomic_write(path: PathLike) -> Generator[Path]:
+    """Yields a temporary path next to ``path`` to write to, and renames the file if the block succeeds.
 
-    Missing parent folders are created. If the block raises, the temporary file is removed and whatever was at
-    ``path`` before is untouched.
+    Missing parent folders are created. If the block raises, the temporary file is removed and the old file at ``path``
+    stays.
 
     Args:
-        path: Where the finished file goes.
+        path: Path of the finished file.
 
     Yields:
         A path in the same folder, with the same suffix, that does not exist yet.

@@ -1,4 +1,4 @@
-"""What a file may ask of memory: judged from its header, before anything is allocated."""
+"""Limits on the memory that a file may need, checked by its header before anything is allocated."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes:
 
     Args:
         path: The file.
-        what: What takes the memory, for the message.
+        what: Name of the content, for the message.
         decoded_bytes: Memory that reading it would take.
-        stored_bytes: Size of the compressed form.
+        stored_bytes: Size of the compressed content.
 
     Raises:
-        FormatError: Large, and larger than any real compression reaches.
+        FormatError: The content would be large, and more than any compression can store in that size.
     """
     if decoded_bytes > max(DECODED_BYTES_FREE, EXPANSION_MAX * stored_bytes):
         raise FormatError(
@@ -32,12 +32,12 @@ def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, store
 
     Args:
         path: The file.
-        count: Gaussians that the header claims.
+        count: Number of Gaussians that the header claims.
         sh_coefficients: SH coefficients per channel.
-        stored_bytes: Size of the compressed form.
+        stored_bytes: Size of the compressed content.
 
     Raises:
-        FormatError: Zero, or far more than the file can hold.
+        FormatError: There are zero Gaussians, or far more than the file can hold.
     """
     if count <= 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")

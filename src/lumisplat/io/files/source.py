@@ -1,11 +1,11 @@
-"""Reading a file that a user named: every way in which that fails is one `FormatError`."""
+"""Reading files that the user names: every failure becomes one `FormatError`."""
 
 from __future__ import annotations
 
 import json
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,11 +17,11 @@ PathLike = str | os.PathLike[str]
 
 
 def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
-    """The whole file.
+    """Reads a whole file.
 
     Args:
-        path: What to read.
-        wanted_by: The file that refers to this one, named in the error.
+        path: The file.
+        wanted_by: The file that refers to this one, named in errors.
 
     Raises:
         FormatError: The file is missing, a folder, empty or not readable.
@@ -41,18 +41,18 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
 
 
 @contextmanager
-def parsing(path: PathLike, kind: str) -> Iterator[None]:
-    """Turns what malformed content provokes inside the block into one `FormatError` about ``path``.
+def parsing(path: PathLike, kind: str) -> Generator[None]:
+    """Turns the errors that malformed content causes inside the block into one `FormatError` about ``path``.
 
     Args:
-        path: The file being read.
-        kind: What it should be, e.g. ``"a glTF file"``.
+        path: The file that is read.
+        kind: The expected kind of file, such as ``"a glTF file"``.
 
     Raises:
-        FormatError: The block met content that does not parse.
+        FormatError: The content does not parse.
     """
     try:
-        # Garbage numbers overflow on conversion; the scene model then refuses the infinities by name and count.
+        # Garbage numbers overflow when converted; the scene dataclasses then refuse the infinite values.
         with np.errstate(all="ignore"):
             yield
     except FormatError:
@@ -70,7 +70,7 @@ def parsing(path: PathLike, kind: str) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """What of ``error`` means something to the owner of the file, after a colon; nothing where it is about our code."""
+    """The part of an error message that helps the owner of the file, after a colon; empty if it is about our code."""
     match error:
         case UnicodeDecodeError():
             return ": holds bytes that are no text"
@@ -82,4 +82,5 @@ def _reason(error: Exception) -> str:
             return f": lacks {str(error.args[0])[:60]!r}"
         case ValueError():
             return f": {' '.join(str(error).split())}"[:200]
-    return ""
+        case _:
+            return ""

@@ -1,1 +1,1 @@
-"""glTF 2.0: scenes, materials, lights, cameras, and rigs with their animations."""
+"""glTF 2.0 files: scenes with meshes, materials, lights and cameras, and rigs with animations."""

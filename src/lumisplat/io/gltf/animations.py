@@ -1,9 +1,9 @@
-"""Animations of glTF files: keys of nodes' translation, rotation and scale, and of morph weights."""
+"""Animations of glTF files: keys of the translation, rotation and scale of nodes, and of morph weights."""
 
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,12 +21,12 @@ _KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: 
 
 
 def read_clips(file: GltfFile) -> tuple[Clip, ...]:
-    """All animations of a file, each with a name of its own: its number where the file has none.
+    """All animations of a file, with distinct names; an animation without a name has its number instead.
 
-    Channels without a node, and those of extensions, move nothing that is read; a log line counts the latter.
+    Channels without a node, and those of extensions, are left out; a log line counts the latter.
 
     Raises:
-        FormatError: A channel or a sampler is malformed, or its keys are not finite or fall back in time.
+        FormatError: A channel or a sampler is malformed, or its keys are not finite or not in order.
     """
     clips: list[Clip] = []
     for index, animation in enumerate(file.model.animations or []):
@@ -38,27 +38,26 @@ def read_clips(file: GltfFile) -> tuple[Clip, ...]:
 
 
 def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple[Track, ...]:
-    tracks, unread = [], 0
+    tracks: list[Track] = []
+    unread = 0
     for k, channel in enumerate(animation.channels or []):
         target = channel.target
         if target is None or target.path not in {channel.value for channel in Channel}:
             unread += 1
         elif target.node is not None:
-            tracks.append(_track(file, animation, channel, f"{where}.channels[{k}]"))
+            label = f"{where}.channels[{k}]"
+            sampler = _sampler(file, animation, channel.sampler, label)
+            tracks.append(_track(file, sampler, Channel(target.path), target.node, label))
     if unread:
         _log.warning("%s: %s: %d channels left out, they move what is not read", file.path, where, unread)
     return tuple(tracks)
 
 
-def _track(file: GltfFile, animation: pygltflib.Animation, channel: Any, where: str) -> Track:
-    kind, node = Channel(channel.target.path), channel.target.node
+def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, node: int, where: str) -> Track:
+    """The track of a channel that animates a property of a node."""
     item = file.item("nodes", node, where)
     if item.matrix is not None and kind is not Channel.WEIGHTS:
         raise FormatError(file.path, f"{where} moves {node_label(file, node)}, which has a matrix: expected its parts")
-    samplers = animation.samplers or []
-    if channel.sampler not in range(len(samplers)):
-        raise FormatError(file.path, f"{where} refers to samplers[{channel.sampler}], but there are {len(samplers)}")
-    sampler = samplers[channel.sampler]
     if sampler.interpolation not in (None, *(way.value for way in Interpolation)):
         ways = ", ".join(way.value for way in Interpolation)
         raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {ways}")
@@ -83,6 +82,16 @@ def _track(file: GltfFile, animation: pygltflib.Animation, channel: Any, where: 
     return Track(node, kind, way, times, values, keys[:, ::2] if rows == 3 else None)
 
 
+def _sampler(
+    file: GltfFile, animation: pygltflib.Animation, number: int | None, where: str
+) -> pygltflib.AnimationSampler:
+    """The sampler that a channel refers to."""
+    samplers: list[pygltflib.AnimationSampler] = animation.samplers or []
+    if number is None or number not in range(len(samplers)):
+        raise FormatError(file.path, f"{where} refers to samplers[{number}], but there are {len(samplers)}")
+    return samplers[number]
+
+
 def _check_times(file: GltfFile, times: Matrix, where: str) -> None:
     invalid = times.size - np.count_nonzero(np.isfinite(times))
     if invalid:
@@ -96,7 +105,7 @@ def _check_times(file: GltfFile, times: Matrix, where: str) -> None:
 
 
 def _target_count(file: GltfFile, node: pygltflib.Node, where: str) -> int:
-    """Morph targets of a node's mesh."""
+    """Number of morph targets of a node's mesh."""
     mesh = file.item("meshes", node.mesh, where)
     count = max((len(primitive.targets or []) for primitive in mesh.primitives), default=0)
     if not count:

@@ -1,10 +1,10 @@
-"""Cameras of a glTF file: they look along -z of their nodes with y up, and know an aspect ratio but no size."""
+"""Cameras of a glTF file: their nodes have -z forward and y up, and they have an aspect ratio, but no size."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,34 +14,34 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
-from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.camera import Camera, CameraModel, camera_pose
 
 if TYPE_CHECKING:
     import pygltflib
 
 _BOX = (1280, 720)
-"""Width and height, pixels, into which a camera's aspect ratio is fitted where no size is given."""
+"""Largest width and height, pixels, of a camera for which no size is given."""
 
 
 def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
     """The cameras of the default scene, in the order of its nodes; named after the node, else after the camera.
 
-    What a node's scale would do to a camera is ignored, as section 3.10 of the specification says.
+    The scale of a node does not change its camera, as section 3.10 of the specification demands.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        width: Image width, pixels; None: what the height and the file's aspect ratio give.
-        height: Image height, pixels; None: likewise. Without both, the largest size within 1280 x 720. The vertical
-            field of view is the file's in any case.
+        width: Image width, pixels; None: from the height and the file's aspect ratio.
+        height: Image height, pixels; None: from the width and the aspect ratio. If both are None, the largest size
+            within 1280 x 720. The vertical field of view is always that of the file.
 
     Raises:
-        FormatError: The file is malformed, or a camera impossible; names the camera.
+        FormatError: The file is malformed, or a camera is invalid; names the camera.
     """
     path = Path(path)
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
         world_from_node = world_transforms(file)
-        cameras = []
+        cameras: list[Camera] = []
         for index in scene_nodes(file):
             node = file.model.nodes[index]
             if node.camera is None:
@@ -60,17 +60,12 @@ def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | No
 
 
 def _pose(world_from_node: Matrix) -> Matrix:
-    """``camera_from_world`` with our axes, of length 1 and square to each other whatever the node scales or shears."""
+    """``camera_from_world`` with our axes, rigid also if the node scales or shears."""
     up, back = world_from_node[:3, 1], world_from_node[:3, 2]
     right = np.cross(up, back)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(up) * np.linalg.norm(back):
-        raise SceneError("is scaled to nothing: its camera looks nowhere")
-    forward = -back / np.linalg.norm(back)
-    right = right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ world_from_node[:3, 3]
-    return pose
+        raise SceneError("is scaled to nothing: its camera has no direction")
+    return camera_pose(world_from_node[:3, 3], right / np.linalg.norm(right), -back / np.linalg.norm(back))
 
 
 def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | None, height: int | None) -> Camera:
@@ -79,8 +74,8 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         yfov = _positive(lens, "yfov")
         if yfov >= math.pi:
             raise SceneError(f"yfov is {yfov:g}, expected less than pi (radians)")
-        given = lens is not None and lens.aspectRatio is not None
-        aspect = _positive(lens, "aspectRatio") if given else _BOX[0] / _BOX[1]
+        has_aspect = lens is not None and lens.aspectRatio is not None
+        aspect = _positive(lens, "aspectRatio") if has_aspect else _BOX[0] / _BOX[1]
         model, half_height = CameraModel.PINHOLE, math.tan(0.5 * yfov)
     elif definition.type == "orthographic":
         lens = definition.orthographic
@@ -98,13 +93,14 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         cx=0.5 * width,
         cy=0.5 * height,
         camera_from_world=pose,
-        near=getattr(lens, "znear", None) or NEAR_PLANE,  # 0 is allowed for parallel rays only, and means none
+        near=getattr(lens, "znear", None) or NEAR_PLANE,  # 0, for parallel rays only, means none
         name=name,
         model=model,
     )
 
 
 def _size(aspect: float, width: int | None, height: int | None) -> tuple[int, int]:
+    """Width and height, pixels; see `read_gltf_cameras`."""
     if width is None and height is None:
         if aspect >= _BOX[0] / _BOX[1]:
             width = _BOX[0]
@@ -116,8 +112,8 @@ def _size(aspect: float, width: int | None, height: int | None) -> tuple[int, in
     return width, max(1, round(width / aspect)) if height is None else height
 
 
-def _positive(lens: Any, name: str) -> float:
-    value: Any = getattr(lens, name, None)
+def _positive(lens: object, name: str) -> float:
+    value: object = getattr(lens, name, None)
     if not is_number(value) or not 0.0 < value < math.inf:
         raise SceneError(f"{name} is {value}, expected a positive number")
     return float(value)

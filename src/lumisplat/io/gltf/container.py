@@ -1,7 +1,7 @@
-"""The glTF 2.0 container: GLB chunks, JSON, buffers and accessors. Knows bytes and numbers, no meaning.
+"""The glTF 2.0 container: GLB chunks, JSON, buffers and accessors, as bytes and numbers.
 
-pygltflib turns the JSON into objects and checks nothing; every index, offset and size that is used is checked here,
-before anything is allocated.
+pygltflib turns the JSON into objects without checks. Every index, offset and size is checked here before anything is
+allocated.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
     _RowSource = pygltflib.Accessor | pygltflib.AccessorSparseIndices | pygltflib.AccessorSparseValues
 
+_Stored = npt.NDArray[Any]
+"""Numbers of the type that the file stores."""
+
 _GLB_HEADER_BYTES = 12
 _CHUNK_HEADER_BYTES = 8
 _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -31,7 +34,7 @@ _COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 class GltfFile:
-    """A parsed file whose items are fetched by checked index."""
+    """A parsed file, with access to its items by checked indices."""
 
     def __init__(self, path: Path) -> None:
         import pygltflib
@@ -54,31 +57,31 @@ class GltfFile:
         self._buffers: dict[int, bytes] = {}
 
     def item(self, collection: str, index: object, referrer: str) -> Any:
-        """``collection[index]``, with the index checked.
+        """``collection[index]``.
 
         Args:
             collection: ``"nodes"``, ``"meshes"``, ``"accessors"``, ...
-            index: As the file gives it.
-            referrer: Who refers to it, for the message.
+            index: Index as stored in the file.
+            referrer: The item that refers to it, for the message.
 
         Raises:
-            FormatError: The index is not one of the collection.
+            FormatError: The collection has no such index.
         """
-        items = getattr(self.model, collection) or []
+        items: list[Any] = getattr(self.model, collection) or []
         if not _is_count(index) or index >= len(items):
             raise FormatError(self.path, f"{referrer} refers to {collection}[{index}], but there are {len(items)}")
         return items[index]
 
     def floats(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.float32]:
-        """An accessor's values, normalised integers decoded, shape (count, components).
+        """The values of an accessor, shape (count, components); normalised integers become floats.
 
         Args:
-            index: The accessor.
-            kind: ``"VEC3"``, or several as ``"VEC3 VEC4"``.
-            referrer: Who refers to it, for the message.
+            index: Index of the accessor.
+            kind: The expected type, ``"VEC3"``, or several as ``"VEC3 VEC4"``.
+            referrer: The item that refers to it, for the message.
 
         Raises:
-            FormatError: A bad index, type, offset or size.
+            FormatError: The index, type, an offset or a size is invalid.
         """
         accessor = self.item("accessors", index, referrer)
         values = self._values(accessor, f"accessors[{index}]", kind)
@@ -87,10 +90,10 @@ class GltfFile:
         return values.astype(np.float32)
 
     def integers(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.int64]:
-        """An accessor of unsigned integers, shape (count, components).
+        """The values of an accessor of unsigned integers, shape (count, components).
 
         Raises:
-            FormatError: A bad index, type, offset or size.
+            FormatError: The index, type, an offset or a size is invalid.
         """
         values = self._values(self.item("accessors", index, referrer), f"accessors[{index}]", kind)
         if values.dtype.kind != "u":
@@ -98,10 +101,10 @@ class GltfFile:
         return values.astype(np.int64)
 
     def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
-        """The bytes of a buffer view, and its stride where it has one.
+        """The bytes of a buffer view, and its stride, None if it has none.
 
         Raises:
-            FormatError: A bad index, or the view does not fit into its buffer.
+            FormatError: The index is invalid, or the view does not fit into its buffer.
         """
         view = self.item("bufferViews", index, referrer)
         buffer = self._buffer(view.buffer, f"bufferViews[{index}]")
@@ -113,7 +116,7 @@ class GltfFile:
         return memoryview(buffer)[start : start + size], view.byteStride
 
     def resource(self, uri: object, referrer: str) -> bytes:
-        """What a URI holds: base64 data in the file itself, or a file beside it.
+        """The data of a URI: base64 data in the file itself, or the contents of a file next to it.
 
         Raises:
             FormatError: The data are damaged, or the file is missing.
@@ -144,8 +147,8 @@ class GltfFile:
             self._buffers[index] = data[: buffer.byteLength]
         return self._buffers[index]
 
-    def _values(self, accessor: pygltflib.Accessor, name: str, kind: str) -> npt.NDArray:
-        """As stored, shape (count, components)."""
+    def _values(self, accessor: pygltflib.Accessor, name: str, kind: str) -> _Stored:
+        """The values of an accessor as stored, shape (count, components)."""
         if accessor.type not in kind.split() or accessor.componentType not in _COMPONENT_TYPES:
             raise FormatError(
                 self.path, f"{name} has type {accessor.type} of {accessor.componentType}, expected {kind}"
@@ -161,7 +164,7 @@ class GltfFile:
             values = np.zeros((accessor.count, width), dtype)
         return self._with_sparse(values, accessor.sparse, name) if accessor.sparse is not None else values
 
-    def _with_sparse(self, values: npt.NDArray, sparse: pygltflib.Sparse, name: str) -> npt.NDArray:
+    def _with_sparse(self, values: _Stored, sparse: pygltflib.Sparse, name: str) -> _Stored:
         where, new = sparse.indices, sparse.values
         if not _is_count(sparse.count) or where is None or new is None or where.componentType not in (5121, 5123, 5125):
             raise FormatError(self.path, f"{name} has a malformed sparse part")
@@ -175,8 +178,8 @@ class GltfFile:
         )
         return values
 
-    def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype, name: str) -> npt.NDArray:
-        """``count`` rows of ``width`` numbers, interleaved as the view's stride says; no copy."""
+    def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype[Any], name: str) -> _Stored:
+        """``count`` rows of ``width`` numbers, interleaved by the view's stride, without a copy."""
         data, stored_stride = self.view_bytes(source.bufferView, name)
         row_bytes = width * dtype.itemsize
         offset, stride = source.byteOffset or 0, stored_stride or row_bytes
@@ -196,7 +199,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 
 
 def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
-    """The JSON chunk and the BIN chunk, if any (glTF 2.0 section 4.4)."""
+    """The JSON chunk, and the BIN chunk or None (glTF 2.0 section 4.4)."""
     if len(data) < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
         raise FormatError(path, f"a GLB file of {len(data)} bytes: truncated")
     version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))

@@ -1,4 +1,4 @@
-"""Lights of a glTF file (KHR_lights_punctual), placed by their nodes: at the origin, shining along -z."""
+"""Lights of a glTF file (KHR_lights_punctual): at the origin of their nodes, shining along -z."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ PunctualLight = LightPoint | LightSpot | LightDirectional
 
 
 def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[PunctualLight]:
-    """The lights of ``nodes``, in their order, in world space; named after the node, else after the light.
+    """The lights of ``nodes``, in order, in world space; named after the node, else after the light.
 
-    A node's scale moves them, and changes neither their intensity nor their range. Nodes that are scaled to nothing
-    have none.
+    Scales of nodes move lights, but change neither intensity nor range. Lights of nodes that are scaled to nothing are
+    left out.
 
     Raises:
-        FormatError: A bad index, an unknown type, or a value out of its range; names the light.
+        FormatError: An index is invalid, a type is unknown, or a value is out of range; names the light.
     """
     definitions = (file.model.extensions or {}).get(_EXTENSION, {}).get("lights", [])
-    lights = []
+    lights: list[PunctualLight] = []
     for index in nodes:
         node = file.model.nodes[index]
         reference = (node.extensions or {}).get(_EXTENSION)

@@ -1,4 +1,4 @@
-"""glTF materials: metallic-roughness with its textures, the extensions that our material knows, and unlit ones."""
+"""Materials of glTF files: metallic-roughness with textures, the extensions that `MaterialPbr` supports, and unlit."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.gltf.textures import GltfTexels, Placement, Textures, material_textures
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
@@ -19,14 +20,14 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 _LISTED_MAX = 4
-"""Materials that one log line names."""
+"""Largest number of materials that one log line names."""
 
 
 def warn_unread(file: GltfFile) -> None:
-    """Logs what of the file's materials is not read, a line for all materials that have it.
+    """Logs the features of the file's materials that are not read, one line per feature.
 
-    One each on textures that are placed otherwise than the base colour's, on alpha, on thin walls, and on what varies
-    or darkens transmission.
+    These are textures with other coordinates than the base colour, alpha, thin walls, and textures and attenuation of
+    transmission.
     """
     materials = file.model.materials or []
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
@@ -40,7 +41,7 @@ def warn_unread(file: GltfFile) -> None:
             more,
         )
     lines = {
-        "%d transparent materials are drawn opaque (first %s)": lambda m: m.alphaMode in ("MASK", "BLEND"),
+        "%d transparent materials are drawn opaque (first %s)": _is_transparent,
         "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": _is_thin,
         "transmissionTexture and attenuation of %d materials are not read (first %s)": _has_varied_transmission,
     }
@@ -48,6 +49,10 @@ def warn_unread(file: GltfFile) -> None:
         labels = [_label(index, material) for index, material in enumerate(materials) if concerns(material)]
         if labels:
             _log.warning("%s: " + line, file.path, len(labels), labels[0])
+
+
+def _is_transparent(material: pygltflib.Material) -> bool:
+    return material.alphaMode in ("MASK", "BLEND")
 
 
 def _is_thin(material: pygltflib.Material) -> bool:
@@ -70,7 +75,7 @@ def _textures(material: pygltflib.Material) -> Textures:
 
 
 def _extension(material: pygltflib.Material, name: str) -> dict[str, Any]:
-    """``KHR_materials_{name}`` of a material, empty where it has none."""
+    """``KHR_materials_{name}`` of a material, empty if it has none."""
     return (material.extensions or {}).get(f"KHR_materials_{name}", {})
 
 
@@ -79,7 +84,7 @@ def _label(index: int, material: pygltflib.Material) -> str:
 
 
 class GltfMaterials:
-    """Materials of a file by index, each decoded once."""
+    """The materials of a file, each decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
@@ -87,10 +92,10 @@ class GltfMaterials:
         self._materials: dict[int, Material] = {}
 
     def get(self, index: int | None, referrer: str) -> Material:
-        """The material at ``index``; glTF's default one for None.
+        """The material at ``index``; glTF's default material for None.
 
         Raises:
-            FormatError: A bad index, a value out of its range, or a missing or corrupt texture.
+            FormatError: The index is invalid, a value is out of range, or a texture is missing or corrupt.
         """
         if index is None:
             return MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
@@ -118,7 +123,7 @@ class GltfMaterials:
             metallic=_or(getattr(pbr, "metallicFactor", None), 1.0),
             roughness=_or(getattr(pbr, "roughnessFactor", None), 1.0),
             specular=_extension(material, "specular").get("specularFactor", 1.0),
-            # The extension allows 0 as a switch of older assets; less than 1 means nothing here.
+            # The extension allows 0 for compatibility with older materials; below 1 it has no physical meaning.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
             transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
             emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),  # type: ignore[arg-type]
@@ -129,21 +134,19 @@ class GltfMaterials:
         )
 
 
-def texture_uvs(file: GltfFile, primitive: pygltflib.Primitive, where: str) -> npt.NDArray[np.float32] | None:
-    """The texture coordinates of the base colour texture, else of the material's first one, placed, shape (V, 2).
+def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
+    """Transformed texture coordinates of the base colour texture, else of the material's first texture, shape (V, 2).
 
-    None where the primitive lacks them.
+    None if the primitive has no such coordinates.
 
     Raises:
         FormatError: The set or the transform is malformed.
     """
-    placement = Placement()
-    if primitive.material is not None:
-        placement = _textures(file.item("materials", primitive.material, where)).placement
-    accessor = getattr(primitive.attributes, f"TEXCOORD_{placement.uv_set}", None)
-    if accessor is None:
-        return None
-    return placement.applied(file.floats(accessor, "VEC2", f"{where} TEXCOORD_{placement.uv_set}"))
+    placement, index = Placement(), primitive.item.material
+    if index is not None:
+        placement = _textures(primitive.file.item("materials", index, primitive.where)).placement
+    uvs = primitive.floats(f"TEXCOORD_{placement.uv_set}", "VEC2")
+    return None if uvs is None else placement.transform(uvs)
 
 
 def _or(value: Any, default: Any) -> Any:

@@ -1,26 +1,22 @@
-"""glTF primitives: triangles, attributes, morph targets, skins; as stored, or as meshes in their rest pose."""
+"""Meshes of glTF files: their primitives as stored, or as meshes in their rest pose."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.errors import FormatError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.materials import GltfMaterials, texture_uvs
+from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.gltf.skins import Influences, read_influences
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, unit_normals, without_loose_textures
-from lumisplat.math.transforms import is_mirroring, transform_normals, transform_points
-from lumisplat.scene.animation.skinning import blended
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
+from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
+from lumisplat.scene.animation.skinning import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
-
-if TYPE_CHECKING:
-    import pygltflib
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
@@ -34,87 +30,71 @@ class RawPrimitive:
     positions: _Floats
     """Shape (V, 3)."""
     normals: _Floats | None
-    """Of any length, shape (V, 3)."""
+    """Normals of any length, shape (V, 3)."""
     uvs: _Floats | None
     colors: _Floats | None
     """Clipped to 0..1, shape (V, 3)."""
     triangles: npt.NDArray[np.int64]
-    """Shape (F, 3); corners may be no vertex."""
+    """Shape (F, 3); indices may be out of range."""
     material: Material
     influences: Influences | None
-    """Of a skinned node."""
+    """Joints and weights, if the node has a skin."""
     morph_positions: dict[int, _Floats]
-    """Offsets by the number of the morph target, shape (V, 3) each; targets may have none."""
+    """Offsets by the number of the morph target, shape (V, 3) each; a target need not have any."""
     morph_normals: dict[int, _Floats]
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Primitive:
-    """A primitive in its file, and how errors call it."""
-
-    file: GltfFile
-    item: pygltflib.Primitive
-    where: str
-
-    def floats(self, name: str, kind: str) -> _Floats | None:
-        """An attribute by name, None where the primitive has none."""
-        accessor = getattr(self.item.attributes, name, None)
-        return None if accessor is None else self.file.floats(accessor, kind, f"{self.where} {name}")
-
-    def error(self, problem: str) -> FormatError:
-        return FormatError(self.file.path, f"{self.where} {problem}")
-
-
-def read_primitives(
+def read_meshes(
     file: GltfFile,
     mesh_index: int,
     materials: GltfMaterials,
     sieve: TriangleSieve,
     world_from_bind: npt.NDArray[np.float64] | None = None,
 ) -> list[Mesh]:
-    """The triangle primitives of a mesh, morph targets at their default weights.
+    """The triangle primitives of a mesh, with morph targets at their default weights.
 
-    Points and lines are left out, and what has no usable triangle.
+    Points, lines and primitives without usable triangles are left out.
 
     Args:
         file: The file.
-        mesh_index: Which mesh.
-        materials: Of the same file.
-        sieve: Of the same file.
-        world_from_bind: Where the joints of its skin take it, shape (J, 4, 4); None leaves it in mesh space.
+        mesh_index: Index of the mesh.
+        materials: Materials of the file.
+        sieve: Counts the triangles that are left out.
+        world_from_bind: Transforms of the joints of its skin, shape (J, 4, 4); None: the mesh has no skin and stays in
+            its own space.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
     """
     joint_count = None if world_from_bind is None else len(world_from_bind)
-    weights = dict(enumerate(file.item("meshes", mesh_index, "a node").weights or ()))
+    weights: dict[int, float] = dict(enumerate(file.item("meshes", mesh_index, "a node").weights or ()))
     used = {target for target, weight in weights.items() if weight != 0.0}
-    meshes = []
+    meshes: list[Mesh] = []
     for raw in read_raw(file, mesh_index, materials, joint_count=joint_count, targets=used):
-        positions, normals, triangles = raw.positions, raw.normals, raw.triangles
-        for target, offsets in raw.morph_positions.items():
-            positions = (positions + weights[target] * offsets).astype(np.float32)
-        for target, offsets in raw.morph_normals.items():
-            normals = None if normals is None else (normals + weights[target] * offsets).astype(np.float32)
+        positions, normals = _morph(raw, weights)
+        triangles = raw.triangles
         if raw.influences is not None and world_from_bind is not None:
-            matrices = blended(world_from_bind, raw.influences.joints, raw.influences.weights)
-            positions = transform_points(matrices, positions).astype(np.float32)
-            normals = None if normals is None else transform_normals(matrices, normals)
+            matrices = blend_matrices(world_from_bind, raw.influences.joints, raw.influences.weights)
+            positions = transform_points_each(matrices, positions).astype(np.float32)
+            normals = None if normals is None else transform_normals_each(matrices, normals)
             triangles = triangles[:, ::-1] if is_mirroring(matrices) else triangles
         indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
         if indices.size:
-            textured = Mesh(
-                positions,
-                indices,
-                normals=None if normals is None else unit_normals(normals, positions, indices),
-                uvs=raw.uvs,
-                material=raw.material,
-                colors=raw.colors,
-                name=raw.name,
-            )
-            meshes.append(without_loose_textures(file.path, textured))
+            unit = None if normals is None else unit_normals(normals, positions, indices)
+            mesh = Mesh(positions, indices, unit, raw.uvs, raw.material, raw.colors, raw.name)
+            meshes.append(drop_unplaced_textures(file.path, mesh))
     return meshes
+
+
+def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[_Floats, npt.NDArray[np.floating] | None]:
+    """Positions and normals with weighted morph targets added."""
+    positions, normals = raw.positions, raw.normals
+    for target, offsets in raw.morph_positions.items():
+        positions = (positions + weights[target] * offsets).astype(np.float32)
+    for target, offsets in raw.morph_normals.items():
+        normals = None if normals is None else (normals + weights[target] * offsets).astype(np.float32)
+    return positions, normals
 
 
 def read_raw(
@@ -129,10 +109,10 @@ def read_raw(
 
     Args:
         file: The file.
-        mesh_index: Which mesh.
-        materials: Of the same file.
-        joint_count: Of the skin of its node; None for a node without one.
-        targets: Which morph targets to read; None: all.
+        mesh_index: Index of the mesh.
+        materials: Materials of the file.
+        joint_count: Number of joints of the node's skin; None: the node has no skin.
+        targets: Numbers of the morph targets to read; None: all.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
@@ -140,31 +120,23 @@ def read_raw(
     mesh = file.item("meshes", mesh_index, "a node")
     for k, item in enumerate(mesh.primitives):
         if item.mode in (None, _TRIANGLES, _STRIP, _FAN):
-            primitive = _Primitive(file, item, f"meshes[{mesh_index}].primitives[{k}]")
+            primitive = GltfPrimitive(file, item, f"meshes[{mesh_index}].primitives[{k}]")
             yield _raw(primitive, mesh.name or "", materials, joint_count, targets)
 
 
 def _raw(
-    primitive: _Primitive, name: str, materials: GltfMaterials, joint_count: int | None, targets: set[int] | None
+    primitive: GltfPrimitive, name: str, materials: GltfMaterials, joint_count: int | None, targets: set[int] | None
 ) -> RawPrimitive:
     positions = primitive.floats("POSITION", "VEC3")
     if positions is None:
         raise primitive.error("has no POSITION")
     normals = primitive.floats("NORMAL", "VEC3")
     colors = primitive.floats("COLOR_0", "VEC3 VEC4")
-    uvs = texture_uvs(primitive.file, primitive.item, primitive.where)
+    uvs = texture_uvs(primitive)
     for attribute, array in (("NORMAL", normals), ("COLOR_0", colors), ("TEXCOORD", uvs)):
         if array is not None and len(array) != len(positions):
             raise primitive.error(f"has {len(array):,} {attribute} for {len(positions):,} POSITION")
-    influences = None
-    if joint_count is not None:
-        influences = read_influences(
-            primitive.file,
-            primitive.item,
-            primitive.where,
-            vertex_count=len(positions),
-            joint_count=joint_count,
-        )
+    influences = None if joint_count is None else read_influences(primitive, len(positions), joint_count)
     return RawPrimitive(
         positions,
         normals,
@@ -179,8 +151,8 @@ def _raw(
     )
 
 
-def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64]:
-    """Indices of any triangle mode as a list of triangles, shape (F, 3)."""
+def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.int64]:
+    """The triangles of a list, a strip or a fan, shape (F, 3)."""
     accessor, mode = primitive.item.indices, primitive.item.mode
     if accessor is None:
         corners = np.arange(vertex_count)
@@ -193,17 +165,16 @@ def _triangles(primitive: _Primitive, vertex_count: int) -> npt.NDArray[np.int64
     step = np.arange(len(corners) - 2)
     if mode == _FAN:
         return corners[np.stack([np.zeros_like(step), step + 1, step + 2], axis=1)]
-    odd = step % 2  # every other triangle of a strip runs the other way round
+    odd = step % 2  # every second triangle of a strip is wound the other way
     strip = corners[np.stack([step, step + 1 + odd, step + 2 - odd], axis=1)]
-    # Corners that repeat restart a strip: no triangles, and no fault of the file.
+    # Repeated corners restart a strip; they are neither triangles nor errors.
     return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
-def _morphs(primitive: _Primitive, name: str, base: _Floats, wanted: set[int] | None) -> dict[int, _Floats]:
-    """Offsets of an attribute by the number of the morph target, of those that have some."""
-    found = {}
-    targets: Any = primitive.item.targets or []  # a list of accessors by attribute, not what pygltflib declares
-    for number, target in enumerate(targets):
+def _morphs(primitive: GltfPrimitive, name: str, base: _Floats, wanted: set[int] | None) -> dict[int, _Floats]:
+    """Offsets of an attribute by the number of the morph target, for the targets that have them."""
+    found: dict[int, _Floats] = {}
+    for number, target in enumerate(primitive.item.targets or []):
         if name in target and (wanted is None or number in wanted):
             offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")
             if offsets.shape != base.shape:

@@ -1,4 +1,4 @@
-"""The node hierarchy of a glTF file: which nodes its scene has, and where in the world they are."""
+"""The node hierarchy of a glTF file: the nodes of its scene, and their transforms to world space."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf.container import GltfFile
+from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.rotations import rotation_matrix
 
 Matrix = npt.NDArray[np.float64]
@@ -18,13 +19,13 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 
 def node_label(file: GltfFile, index: int) -> str:
-    """How messages call a node: ``nodes[3] 'lamp'``."""
+    """The name of a node in messages: ``nodes[3] 'lamp'``."""
     name = file.model.nodes[index].name
     return f"nodes[{index}]" + (f" {name!r}" if name else "")
 
 
 def scene_nodes(file: GltfFile) -> Iterator[int]:
-    """Nodes of the default scene, parents first; all roots where the file names no scene."""
+    """Nodes of the default scene, parents first; all nodes if the file has no scenes."""
     model = file.model
     if model.scenes:
         scene = file.item("scenes", model.scene or 0, "the file")
@@ -44,30 +45,30 @@ def scene_nodes(file: GltfFile) -> Iterator[int]:
 
 @dataclass(frozen=True, slots=True)
 class Hierarchy:
-    """Which node is whose child."""
+    """The parents of all nodes."""
 
-    parents: tuple[int, ...]
-    """Index of each node's parent, -1 of a root."""
+    parents: tuple[int | None, ...]
+    """Index of each node's parent; None for a root."""
     order: tuple[int, ...]
     """All nodes, parents first."""
 
 
 def hierarchy(file: GltfFile) -> Hierarchy:
-    """Parents of every node, in the scene or not (a joint may be outside).
+    """The parents of all nodes, in the scene or not (joints may be outside).
 
     Raises:
         FormatError: A node has two parents, or is its own ancestor.
     """
     nodes = file.model.nodes
-    parents = [-1] * len(nodes)
+    parents: list[int | None] = [None] * len(nodes)
     for index, node in enumerate(nodes):
         for child in node.children or []:
             file.item("nodes", child, f"nodes[{index}]")
-            if parents[child] >= 0:
+            if parents[child] is not None:
                 raise FormatError(file.path, f"nodes[{child}] has two parents, {parents[child]} and {index}")
             parents[child] = index
-    order = [index for index, parent in enumerate(parents) if parent < 0]
-    for index in order:  # grows as it goes
+    order = [index for index, parent in enumerate(parents) if parent is None]
+    for index in order:  # which grows meanwhile
         order.extend(nodes[index].children or [])
     unreached = set(range(len(nodes))).difference(order)
     if unreached:
@@ -76,24 +77,25 @@ def hierarchy(file: GltfFile) -> Hierarchy:
 
 
 def world_transforms(file: GltfFile) -> list[Matrix]:
-    """``world_from_node`` of every node, in the scene or not (a joint may be outside).
+    """``world_from_node`` of all nodes, in the scene or not (joints may be outside).
 
     Raises:
-        FormatError: A node has two parents, is its own ancestor, or has a transform that is none.
+        FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
     """
     tree = hierarchy(file)
     world_from_node = [_local_transform(file, index) for index in range(len(tree.parents))]
     for index in tree.order:
-        if tree.parents[index] >= 0:
-            world_from_node[index] = world_from_node[tree.parents[index]] @ world_from_node[index]
+        parent = tree.parents[index]
+        if parent is not None:
+            world_from_node[index] = world_from_node[parent] @ world_from_node[index]
     return world_from_node
 
 
 def node_matrix(file: GltfFile, index: int) -> Matrix | None:
-    """``parent_from_node`` of a node that gives it as a matrix, shape (4, 4).
+    """``parent_from_node`` of a node that has a matrix, shape (4, 4); None for other nodes.
 
     Raises:
-        FormatError: These are not 16 finite numbers.
+        FormatError: The matrix is not 16 finite numbers.
     """
     if file.model.nodes[index].matrix is None:
         return None
@@ -104,7 +106,7 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
     """Translation (3,), rotation as a unit quaternion wxyz (4,), and scale (3,) of a node without a matrix.
 
     Raises:
-        FormatError: One is not as many finite numbers, or the rotation has no length.
+        FormatError: A value is not as many finite numbers, or the rotation has zero length.
     """
     translation, rotation, scale = (_numbers(file, index, name, len(rest)) for name, rest in _REST.items())
     length = np.linalg.norm(rotation)
@@ -120,9 +122,9 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:
     """``parent_from_node``."""
-    given = node_matrix(file, index)
-    if given is not None:
-        return given
+    stored = node_matrix(file, index)
+    if stored is not None:
+        return stored
     translation, rotation, scale = node_columns(file, index)
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_matrix(rotation) * scale
@@ -131,12 +133,10 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 
 
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
+    """A value of a node, shape (count,); the value at rest if the node has none."""
     stored = getattr(file.model.nodes[index], name)
-    try:
-        numbers = np.array(_REST[name] if stored is None else stored, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+    numbers = finite_numbers(_REST[name] if stored is None else stored, (count,))
+    if numbers is None:
         shown = " ".join(repr(stored).split())[:60]
         raise FormatError(file.path, f"{node_label(file, index)} has {name} {shown}, expected {count} finite numbers")
     return numbers

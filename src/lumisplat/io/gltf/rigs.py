@@ -1,4 +1,4 @@
-"""Rigs of glTF files: meshes, the nodes that move them, and the animations that move the nodes."""
+"""Rigs of glTF files: meshes, the nodes that move them, and the animations of the nodes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
 from lumisplat.errors import FormatError
@@ -19,17 +20,19 @@ from lumisplat.io.gltf.meshes import RawPrimitive, read_raw
 from lumisplat.io.gltf.nodes import hierarchy, node_columns, node_matrix, scene_nodes
 from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.gltf.skins import Influences, Skin, read_skin
-from lumisplat.io.meshes.mesh_arrays import placed_material
-from lumisplat.math.arrays import handed_over
+from lumisplat.io.meshes.mesh_arrays import placeable_material
+from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
 from lumisplat.scene.animation.clips import Channel, Clip
-from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, joined
+from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, join_triangles
 from lumisplat.scene.animation.skeleton import Skeleton
 
 _log = logging.getLogger("lumisplat")
 
+_Doubles = npt.NDArray[np.float64]
+
 
 class _Piece(NamedTuple):
-    """A primitive where a node has it."""
+    """A primitive of a node, as stored and as a part of the rig."""
 
     raw: RawPrimitive
     part: RigPart
@@ -48,7 +51,7 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
         warn_unread(file)
         clips = read_clips(file)
         skeleton = read_skeleton(file)
-        groups: dict[tuple, list[_Piece]] = {}
+        groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
         for piece in _pieces(file, clips):
             raw = piece.raw
             key = id(raw.material), raw.uvs is None, raw.normals is None
@@ -56,25 +59,25 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
         if not groups:
             raise FormatError(path, "is no rig: its scene has no triangle mesh")
         surfaces = (_surface(file, group, skeleton, vertex_colors) for group in groups.values())
-        return Rig(skeleton, _shown(file, surfaces, skeleton), clips)
+        return Rig(skeleton, _visible_surfaces(file, surfaces, skeleton), clips)
 
 
-def _shown(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
-    """Those that have triangles at rest; what is scaled to nothing there is how animators hide things."""
+def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
+    """The surfaces that have triangles at rest; files hide meshes by scaling them to nothing."""
     rest = RigPose(skeleton.world_from_node(), {})
-    shown = []
+    visible: list[RigSurface] = []
     for surface in surfaces:
         if surface.mesh(rest) is not None:
-            shown.append(surface)
+            visible.append(surface)
         else:
             _log.warning("%s: mesh %r left out: at rest it has no triangles with an area", file.path, surface.name)
-    if not shown:
+    if not visible:
         raise FormatError(file.path, "has no triangles with an area at rest")
-    return tuple(shown)
+    return tuple(visible)
 
 
 def is_rigged(file: GltfFile) -> bool:
-    """Whether a file has what moves its meshes: a node with a skin, or an animation."""
+    """Whether a file has a node with a skin, or an animation."""
     return bool(file.model.animations) or any(node.skin is not None for node in file.model.nodes)
 
 
@@ -82,19 +85,19 @@ def read_skeleton(file: GltfFile) -> Skeleton:
     """The nodes of a file, in the scene or not.
 
     Raises:
-        FormatError: A node has two parents, is its own ancestor, or has a transform that is none.
+        FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
     """
     tree = hierarchy(file)
-    given = {index: node_matrix(file, index) for index in range(len(tree.parents))}
-    matrices = {index: matrix for index, matrix in given.items() if matrix is not None}
-    still = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
-    columns = [still if index in matrices else node_columns(file, index) for index in given]
+    nodes = range(len(tree.parents))
+    matrices = {index: matrix for index in nodes if (matrix := node_matrix(file, index)) is not None}
+    identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.ones(3)
+    columns = [identity if index in matrices else node_columns(file, index) for index in nodes]
     translations, rotations, scales = (np.array(column) for column in zip(*columns, strict=True))
     return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
 
 
 def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
-    """The triangle primitives of the scene, bound to nodes."""
+    """The triangle primitives of the scene's nodes."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
     for index in scene_nodes(file):
@@ -105,7 +108,7 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
         weights = np.array(getattr(node, "weights", None) or mesh.weights or (), dtype=np.float64)
         if not np.isfinite(weights).all():
             raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
-        # Without a skin, the node itself is the one joint.
+        # Without a skin, the node itself is the only joint.
         skin = read_skin(file, node.skin) if node.skin is not None else Skin((index,), np.eye(4)[None])
         raws = read_raw(
             file,
@@ -118,7 +121,8 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
             yield _Piece(raw, _part(raw, skin, index, weights))
 
 
-def _part(raw: RawPrimitive, skin: Skin, node: int, weights: np.ndarray) -> RigPart:
+def _part(raw: RawPrimitive, skin: Skin, node: int, weights: _Doubles) -> RigPart:
+    """A primitive as a part of the rig; without influences, all vertices follow the first joint."""
     count = len(raw.positions)
     influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
     return RigPart(
@@ -132,7 +136,8 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: np.ndarray) -> RigP
     )
 
 
-def _morphs(raw: RawPrimitive, node: int, weights: np.ndarray) -> MorphTargets | None:
+def _morphs(raw: RawPrimitive, node: int, weights: _Doubles) -> MorphTargets | None:
+    """The morph targets of a primitive, zero where a target has no offsets; None if there are no targets."""
     numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
     if not numbers:
         return None
@@ -148,9 +153,9 @@ def _morphs(raw: RawPrimitive, node: int, weights: np.ndarray) -> MorphTargets |
 
 
 def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
-    """One surface of all pieces, which have the same material and attributes."""
+    """One surface from pieces that have the same material and attributes."""
     first = pieces[0].raw
-    triangles = []
+    triangles: list[IntArray] = []
     for raw, part in pieces:
         usable = ((raw.triangles >= 0) & (raw.triangles < len(part.positions))).all(axis=1)
         if not usable.all():
@@ -159,17 +164,18 @@ def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_co
     parts = [piece.part for piece in pieces]
     colors = None
     if vertex_colors and any(raw.colors is not None for raw, _ in pieces):
-        filled = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
-        colors = handed_over(np.concatenate(filled))
+        per_piece = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
+        colors = read_only_view(np.concatenate(per_piece))
         _warn_black(file, colors, first.name)
-    placed = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
-    uvs = handed_over(np.concatenate(placed)) if placed else None
-    material = placed_material(file.path, first.material, uvs, first.name)
-    indices = joined(parts, triangles, skeleton)
+    uv_parts = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
+    uvs = read_only_view(np.concatenate(uv_parts)) if uv_parts else None
+    material = placeable_material(file.path, first.material, uvs, first.name)
+    indices = join_triangles(parts, triangles, skeleton)
     return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)
 
 
-def _warn_black(file: GltfFile, colors: np.ndarray, name: str) -> None:
+def _warn_black(file: GltfFile, colors: FloatArray, name: str) -> None:
+    """Logs a line if vertex colours make most of a mesh black."""
     black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
     if black > RIG_BLACK_SHARE:
         _log.warning(

@@ -1,4 +1,4 @@
-"""glTF 2.0 scenes (.glb and .gltf): the node hierarchy with its meshes and lights placed in the world."""
+"""Scenes of glTF files: meshes and lights, placed in the world by the node hierarchy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.lights import read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
-from lumisplat.io.gltf.meshes import read_primitives
+from lumisplat.io.gltf.meshes import read_meshes
 from lumisplat.io.gltf.nodes import Matrix, node_label, scene_nodes, world_transforms
 from lumisplat.io.gltf.skins import read_skin
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
@@ -20,18 +20,18 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _READABLE = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp")
-"""Extensions that a file may require, with those of materials: they change how a surface looks, not what there is."""
+"""Extensions that a file may require, besides those of materials, which only change the appearance of surfaces."""
 
 
 def read_gltf(path: PathLike) -> Scene:
-    """Reads the default scene: every triangle mesh with its node's transform, and every punctual light.
+    """Reads the default scene: all triangle meshes with the transforms of their nodes, and all punctual lights.
 
-    Skinned meshes come in their rest pose, morph targets at their default weights. Animations are left out; so are
-    textures whose coordinates are not the base colour's, and transparency, with log lines. Cameras are
-    `read_gltf_cameras`'s. Axes are taken as they are (glTF: y up, +z towards the viewer).
+    Skinned meshes are in their rest pose, morph targets have their default weights. Animations are left out. Textures
+    with other coordinates than the base colour, and transparency, are left out with log lines. `read_gltf_cameras`
+    reads cameras. Axes are not changed (glTF: y up, +z towards the viewer).
 
     Raises:
-        FormatError: The file, or something that it names, is missing, malformed, truncated or needs an extension that
+        FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an extension that
             is not supported.
     """
     path = Path(path)
@@ -51,10 +51,10 @@ def read_gltf(path: PathLike) -> Scene:
 
 
 def check_extensions(file: GltfFile) -> None:
-    """Refuses files that cannot be read without what is not supported.
+    """Refuses files that require extensions that are not supported.
 
     Raises:
-        FormatError: Names the extensions.
+        FormatError: There is such an extension; names them.
     """
     required = file.model.extensionsRequired or []
     unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
@@ -68,21 +68,22 @@ def check_extensions(file: GltfFile) -> None:
 def _placed_meshes(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve
 ) -> Iterator[MeshInstance]:
+    """The meshes of nodes as instances; a mesh without skin is read once."""
     materials = GltfMaterials(file)
     unskinned: dict[int, list[Mesh]] = {}
     for index in nodes:
         node = file.model.nodes[index]
         if node.mesh is None or not world_from_node[index][:3, :3].any():
-            continue  # scaled to nothing: how animators hide things
+            continue  # scaled to nothing, which hides the node
         world_from_object = world_from_node[index]
         if node.skin is not None:
-            # The joints pose it in the world, whatever its own node says (section 3.7.3.3).
+            # Its joints place it in the world; the transform of its own node is ignored (section 3.7.3.3).
             world_from_object = np.eye(4)
             skin = read_skin(file, node.skin)
-            meshes = read_primitives(file, node.mesh, materials, sieve, skin.world_from_bind(world_from_node))
+            meshes = read_meshes(file, node.mesh, materials, sieve, skin.world_from_bind(world_from_node))
         else:
             if node.mesh not in unskinned:
-                unskinned[node.mesh] = read_primitives(file, node.mesh, materials, sieve)
+                unskinned[node.mesh] = read_meshes(file, node.mesh, materials, sieve)
             meshes = unskinned[node.mesh]
         for mesh in meshes:
             try:

@@ -1,10 +1,9 @@
-"""Skins of glTF files: which nodes are the joints, and which of them each vertex follows."""
+"""Skins of glTF files: the nodes that are joints, and the joints and weights of each vertex."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +11,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.nodes import Matrix
-
-if TYPE_CHECKING:
-    import pygltflib
+from lumisplat.io.gltf.primitive import GltfPrimitive
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,30 +19,30 @@ class Skin:
     """The J joints of a skin."""
 
     joints: tuple[int, ...]
-    """Their nodes."""
+    """Nodes that are the joints."""
     joint_from_bind: Matrix
     """Inverse bind matrices, shape (J, 4, 4)."""
 
     def world_from_bind(self, world_from_node: Sequence[Matrix]) -> Matrix:
-        """Where the joints take a mesh, shape (J, 4, 4)."""
+        """The transforms of the joints from the bind pose to world space, shape (J, 4, 4)."""
         return np.stack([world_from_node[joint] for joint in self.joints]) @ self.joint_from_bind
 
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """The joints that the vertices of a primitive follow."""
+    """The joints that move the vertices of a primitive."""
 
     joints: npt.NDArray[np.int32]
-    """Shape (V, K)."""
+    """Indices of joints, shape (V, K)."""
     weights: npt.NDArray[np.float32]
-    """Finite, at least 0, of a positive sum, shape (V, K)."""
+    """Finite and at least 0, with a positive sum per vertex, shape (V, K)."""
 
 
 def read_skin(file: GltfFile, index: int) -> Skin:
     """A skin by index.
 
     Raises:
-        FormatError: It has no joints, names nodes that are not there, or its matrices are too few or not finite.
+        FormatError: The skin has no joints, names nodes that do not exist, or has too few or non-finite matrices.
     """
     skin = file.item("skins", index, "a node")
     where = f"skins[{index}]"
@@ -66,44 +63,50 @@ def read_skin(file: GltfFile, index: int) -> Skin:
     return Skin(joints, matrices)
 
 
-def read_influences(
-    file: GltfFile, item: pygltflib.Primitive, where: str, *, vertex_count: int, joint_count: int
-) -> Influences:
+def read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: int) -> Influences:
     """All sets of joints and weights of a primitive whose node has a skin.
 
     Args:
-        file: The file.
-        item: The primitive.
-        where: How errors call it.
-        vertex_count: V.
-        joint_count: Of the skin.
+        primitive: The primitive.
+        vertex_count: Its number of vertices, V.
+        joint_count: Number of joints of the skin.
 
     Raises:
-        FormatError: There is no set, one is incomplete, a joint is not of the skin, or weights of a vertex are not
-            finite, negative or all 0.
+        FormatError: There is no set, a set is incomplete, a joint is not in the skin, or the weights of a vertex are
+            negative, not finite or all 0.
     """
-    joints, weights = [], []
-    while (accessor := getattr(item.attributes, f"JOINTS_{len(joints)}", None)) is not None:
-        name = f"JOINTS_{len(joints)}"
-        followed = file.integers(accessor, "VEC4", f"{where} {name}")
-        accessor = getattr(item.attributes, f"WEIGHTS_{len(joints)}", None)
-        shares = None if accessor is None else file.floats(accessor, "VEC4", f"{where} WEIGHTS_{len(joints)}")
-        if shares is None or not len(followed) == len(shares) == vertex_count:
-            raise FormatError(file.path, f"{where} needs {name} and WEIGHTS_{len(joints)} for each vertex")
-        if followed.max() >= joint_count:
-            raise FormatError(file.path, f"{where} uses joint {followed.max()}, but its skin has {joint_count}")
-        joints.append(followed.astype(np.int32))
-        weights.append(shares)
-    if not joints:
-        raise FormatError(
-            file.path, f"{where} is skinned, but has no skin weights: expected JOINTS_0 and WEIGHTS_0 for each vertex"
-        )
-    followed, shares = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-    invalid = np.count_nonzero(~(np.isfinite(shares) & (shares >= 0.0)).all(axis=1))
+    sets: list[Influences] = []
+    while (one := _read_set(primitive, len(sets), vertex_count)) is not None:
+        if one.joints.max() >= joint_count:
+            raise primitive.error(f"uses joint {one.joints.max()}, but its skin has {joint_count}")
+        sets.append(one)
+    if not sets:
+        raise primitive.error("is skinned, but has no skin weights: expected JOINTS_0 and WEIGHTS_0 for each vertex")
+    joints = np.concatenate([one.joints for one in sets], axis=1)
+    weights = np.concatenate([one.weights for one in sets], axis=1)
+    _check_weights(primitive, weights)
+    used = weights.any(axis=0)
+    return Influences(np.ascontiguousarray(joints[:, used]), np.ascontiguousarray(weights[:, used]))
+
+
+def _read_set(primitive: GltfPrimitive, number: int, vertex_count: int) -> Influences | None:
+    """The joints and weights of one set, unchecked; None if there is no set of that number."""
+    joints = primitive.integers(f"JOINTS_{number}", "VEC4")
+    if joints is None:
+        return None
+    weights = primitive.floats(f"WEIGHTS_{number}", "VEC4")
+    if weights is None or not len(joints) == len(weights) == vertex_count:
+        raise primitive.error(f"needs JOINTS_{number} and WEIGHTS_{number} for each vertex")
+    return Influences(joints.astype(np.int32), weights)
+
+
+def _check_weights(primitive: GltfPrimitive, weights: npt.NDArray[np.float32]) -> None:
+    invalid = np.count_nonzero(~(np.isfinite(weights) & (weights >= 0.0)).all(axis=1))
     if invalid:
-        raise FormatError(file.path, f"{where}: {invalid:,} vertices have skin weights that are negative or not finite")
-    unweighted = np.count_nonzero(shares.sum(axis=1) == 0.0)
+        raise FormatError(
+            primitive.file.path,
+            f"{primitive.where}: {invalid:,} vertices have skin weights that are negative or not finite",
+        )
+    unweighted = np.count_nonzero(weights.sum(axis=1) == 0.0)
     if unweighted:
-        raise FormatError(file.path, f"{where} is skinned, but {unweighted:,} vertices have no weight")
-    used = shares.any(axis=0)
-    return Influences(np.ascontiguousarray(followed[:, used]), np.ascontiguousarray(shares[:, used]))
+        raise primitive.error(f"is skinned, but {unweighted:,} vertices have no weight")

@@ -1,4 +1,4 @@
-"""Textures of glTF materials: which of them one set of texture coordinates can place, and their texels."""
+"""Textures of glTF materials: those that one set of texture coordinates can place, and their texels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.io.gltf.container import GltfFile
-from lumisplat.io.images.image import decode_texture
+from lumisplat.io.images.texture import decode_texture
 
 if TYPE_CHECKING:
     import pygltflib
@@ -21,11 +21,11 @@ _NAMES = {
     "occlusion_texture": "occlusionTexture",
     "emissive_texture": "emissiveTexture",
 }
-"""Our names of the textures of a material, and glTF's, the one first that the coordinates of a mesh are taken of."""
+"""Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
 
 
 class Placement(NamedTuple):
-    """How texture coordinates place a texture: textures of equal placement can share theirs."""
+    """Placement of a texture by texture coordinates; textures with equal placements can share coordinates."""
 
     uv_set: int = 0
     """Number of the primitive's TEXCOORD attribute."""
@@ -33,11 +33,11 @@ class Placement(NamedTuple):
     rotation: float = 0.0
     scale: tuple[float, ...] = (1.0, 1.0)
 
-    def applied(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Scales, rotates, then offsets (KHR_texture_transform), shape (V, 2).
+    def transform(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Scales, rotates, then offsets coordinates (KHR_texture_transform), shape (V, 2).
 
-        Positive angles turn counter-clockwise as one looks at the image, v down: as Khronos' viewer does, not as the
-        GLSL of the extension's text does (github.com/KhronosGroup/glTF issue 1563).
+        Positive angles rotate the image counter-clockwise, with v down, as in Khronos' viewer and unlike the GLSL in
+        the text of the extension (github.com/KhronosGroup/glTF issue 1563).
         """
         if self == Placement(self.uv_set):
             return uvs
@@ -50,22 +50,22 @@ class Textures(NamedTuple):
     """The textures of one material."""
 
     placement: Placement
-    """Of all that are kept: the first one's."""
+    """Placement of the first texture, and of all textures in ``indices``."""
     indices: dict[str, int]
-    """Index in the file's textures by our name."""
+    """Indices of the file's textures by our names."""
     left_out: list[str]
-    """glTF's names of those that are placed otherwise."""
+    """glTF's names of the textures with other placements."""
 
 
 def material_textures(material: pygltflib.Material, *, only_color: bool = False) -> Textures:
-    """What textures a material has.
+    """Finds the textures of a material.
 
     Args:
-        material: Of the file.
-        only_color: The base colour's alone counts.
+        material: The material.
+        only_color: Whether only the base colour texture counts.
     """
     pbr = material.pbrMetallicRoughness
-    infos = {}
+    infos: dict[str, pygltflib.TextureInfo] = {}
     for ours, theirs in _NAMES.items():
         info = getattr(pbr if hasattr(pbr, theirs) else material, theirs, None)
         if info is not None and (ours == "base_color_texture" or not only_color):
@@ -76,8 +76,8 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
     return Textures(leading, indices, [_NAMES[name] for name in infos if name not in indices])
 
 
-def _placement(info: Any) -> Placement:
-    transform = (info.extensions or {}).get("KHR_texture_transform", {})
+def _placement(info: pygltflib.TextureInfo) -> Placement:
+    transform: dict[str, Any] = (info.extensions or {}).get("KHR_texture_transform", {})
     return Placement(
         uv_set=transform.get("texCoord", info.texCoord or 0),
         offset=tuple(map(float, transform.get("offset", (0.0, 0.0)))),
@@ -87,7 +87,7 @@ def _placement(info: Any) -> Placement:
 
 
 class GltfTexels:
-    """Texels of a file's textures by index; each image is decoded once."""
+    """The texels of a file's textures; each image is decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
@@ -97,12 +97,12 @@ class GltfTexels:
         """Texels as stored, without alpha, shape (H, W, 3).
 
         Raises:
-            FormatError: A bad index, or a missing or corrupt image.
+            FormatError: The index is invalid, or an image is missing or corrupt.
         """
         file = self._file
         texture = file.item("textures", index, referrer)
-        webp = (texture.extensions or {}).get("EXT_texture_webp", {})
-        source = webp.get("source", texture.source)
+        extensions: dict[str, Any] = texture.extensions or {}
+        source = extensions.get("EXT_texture_webp", {}).get("source", texture.source)
         image = file.item("images", source, f"textures[{index}]")
         if source not in self._images:
             label = f"images[{source}]" + (f" {image.name!r}" if image.name else "")

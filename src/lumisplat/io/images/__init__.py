@@ -1,1 +1,1 @@
-"""Images, radiance, animations and videos."""
+"""Image files: textures and pictures, PNG, EXR, NPZ and Radiance HDR, animations and videos."""

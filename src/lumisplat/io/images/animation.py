@@ -1,4 +1,4 @@
-"""Animations: GIF, WebP, animated PNG and MP4 out of pictures. The file appears whole or not at all."""
+"""Animations from pictures: GIF, WebP, animated PNG and MP4."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.images.image import to_bytes
+from lumisplat.io.images.png import to_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 _Bytes = npt.NDArray[np.uint8]
 
 _FPS_MAX = 50.0
-"""Frames a second: browsers show GIF frames of less than 20 ms ten times slower."""
+"""Largest number of frames per second: browsers show GIF frames shorter than 20 ms ten times slower."""
 _PALETTE_PIXELS = 100_000
-"""Pixels over all frames from which the palette of a GIF is chosen: more changes nothing that is seen."""
+"""Number of pixels, over all frames, from which the palette of a GIF is chosen: more make no visible difference."""
 
 
 def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> None:
@@ -45,8 +45,8 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
         shapes = sorted({picture.shape for picture in pictures})
         raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
     if suffix == ".gif":
-        images = _paletted(pictures)
-        # Given the palette, Pillow does not repeat it with each frame.
+        images = _quantise(pictures)
+        # With the palette given, Pillow does not repeat it for each frame.
         options: dict[str, Any] = {"format": "GIF", "optimize": False, "palette": _palette_bytes(images[0])}
     else:
         images = [Image.fromarray(picture) for picture in pictures]
@@ -57,32 +57,32 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
 
 
 def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
-    """Whole units for each frame, of which any number of frames takes as long as it should, to half a unit."""
+    """Durations in whole units, so that any number of frames takes the right time to half a unit."""
     ends = np.floor(np.arange(count + 1) * 1000.0 / (fps * unit) + 0.5).astype(int)
     return [int(length) * unit for length in np.diff(ends)]
 
 
-def _paletted(pictures: list[_Bytes]) -> list[Image.Image]:
-    """The pictures in one palette of 256 colours."""
+def _quantise(pictures: list[_Bytes]) -> list[Image.Image]:
+    """The pictures in one palette of 256 colours, with ordered dithering."""
     from PIL import Image
 
-    # An odd step, so that it does not pick a few columns only.
+    # An odd step, so that the pixels are not all in a few columns.
     step = max(1, len(pictures) * pictures[0].size // (3 * _PALETTE_PIXELS)) | 1
-    chosen = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
-    # Spread over all colours first: median cut has none left for small things of their own colour.
-    palette = Image.fromarray(chosen[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
+    samples = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
+    # Maximum coverage, because median cut has no colour left for small objects.
+    palette = Image.fromarray(samples[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
     colors = np.unique(np.array(palette.getpalette()).reshape(-1, 3), axis=0).astype(np.float64)
-    apart = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
+    distances = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
     height, width, _ = pictures[0].shape
     y, x = np.mgrid[:height, :width]
-    # Interleaved gradient noise (Jimenez 2014): each value about once in any 3 x 3 pixels, unlike white noise. It
-    # moves colours about as far as those of the palette are apart.
+    # Interleaved gradient noise (Jimenez 2014): unlike white noise, any 3 x 3 pixels have each value about once. Its
+    # amplitude is about the distance between colours of the palette.
     noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
-    moves = np.median(apart.min(axis=1)) * noise[..., None] + 0.5
-    images = []
+    offsets = np.median(distances.min(axis=1)) * noise[..., None] + 0.5
+    images: list[Image.Image] = []
     for picture in pictures:
-        moved = np.clip(picture + moves, 0.0, 255.0).astype(np.uint8)
-        images.append(Image.fromarray(moved).quantize(palette=palette, dither=Image.Dither.NONE))
+        noisy = np.clip(picture + offsets, 0.0, 255.0).astype(np.uint8)
+        images.append(Image.fromarray(noisy).quantize(palette=palette, dither=Image.Dither.NONE))
     return images
 
 

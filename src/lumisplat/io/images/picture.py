@@ -1,4 +1,4 @@
-"""Pictures as they are shown, from whatever holds one: what metrics compare."""
+"""Pictures in display colours, from any image file: the input of metrics."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.images.environment import read_radiance
-from lumisplat.io.images.image import read_texture
+from lumisplat.io.images.radiance import read_radiance
+from lumisplat.io.images.texture import read_texture
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import encode_srgb
 
 LINEAR = (".exr", ".hdr", ".pic")
-"""Extensions of files that hold linear light."""
+"""Extensions of files that store linear light."""
 
 
 def read_picture(path: PathLike) -> FloatArray:

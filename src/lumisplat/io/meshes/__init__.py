@@ -1,1 +1,1 @@
-"""Mesh files: OBJ, PLY, STL."""
+"""Mesh files: OBJ, PLY and STL."""

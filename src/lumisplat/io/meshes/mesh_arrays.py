@@ -1,4 +1,4 @@
-"""What the mesh formats share: polygons to triangles, texture axes, unit normals, textures that nothing can place."""
+"""Helpers of all mesh formats: usable triangles, polygons to triangles, texture axes, normals, unplaced textures."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.triangles import check_triangles, problems
+from lumisplat.scene.triangles import area_vectors, check_triangles, describe_problems, sum_at_vertices
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(slots=True)
 class TriangleSieve:
-    """Leaves out the triangles of a file that no mesh can use, and counts them over all of its meshes."""
+    """Finds the triangles of a file that a mesh can use, and counts the others over all meshes of the file."""
 
     path: PathLike
     out_of_range: int = 0
     without_area: int = 0
 
     def usable(self, positions: npt.NDArray[np.float32], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-        """Which triangles to keep, shape (F,).
+        """Mask of the triangles to keep, shape (F,).
 
         Args:
-            positions: Shape (V, 3).
+            positions: Vertices, shape (V, 3).
             indices: Triangles, shape (F, 3).
         """
         check = check_triangles(positions, indices)
@@ -41,14 +41,14 @@ class TriangleSieve:
 
     @property
     def problems(self) -> str:
-        """What was left out so far, counted, in one phrase; empty for nothing."""
-        return problems(self.out_of_range, self.without_area)
+        """The counts of triangles left out so far, as a phrase; empty if there are none."""
+        return describe_problems(self.out_of_range, self.without_area)
 
     def report(self, anything_left: bool) -> None:
-        """Logs what was left out, in one line, if anything was.
+        """Logs one line about the triangles left out, if there are any.
 
         Raises:
-            FormatError: Nothing is left.
+            FormatError: No triangle is left.
         """
         if not anything_left:
             raise FormatError(self.path, f"has no triangles{self.problems and ' but ' + self.problems}")
@@ -60,7 +60,7 @@ def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int6
     """Splits polygons into fans around their first corner.
 
     Args:
-        corner_counts: Corners of each polygon, shape (P,); fewer than 3 (points, lines) give no triangle.
+        corner_counts: Number of corners of each polygon, shape (P,); fewer than 3 (points, lines) give no triangle.
 
     Returns:
         Triangles as indices into the concatenated corners of all polygons, shape (F, 3).
@@ -69,61 +69,57 @@ def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int6
     starts = np.cumsum(counts) - counts
     fans = np.maximum(counts - 2, 0)
     first = np.repeat(starts, fans)
-    step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
+    step = np.arange(int(fans.sum())) - np.repeat(np.cumsum(fans) - fans, fans)
     return np.stack([first, first + step + 1, first + step + 2], axis=1)
 
 
-def flip_v(uvs: npt.NDArray) -> npt.NDArray[np.float32]:
-    """Texture coordinates between a bottom-left origin (OBJ, PLY) and our top-left one, shape (V, 2)."""
+def flip_v(uvs: npt.NDArray[np.floating]) -> FloatArray:
+    """Converts texture coordinates, shape (V, 2), between a bottom-left origin (OBJ, PLY) and our top-left origin."""
     return np.stack([uvs[:, 0], 1.0 - uvs[:, 1].astype(np.float64)], axis=1).astype(np.float32)
 
 
 def unit_normals(
     normals: npt.NDArray[np.floating], positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]
-) -> npt.NDArray[np.float32]:
-    """Normals at length 1; where a file stores a zero one, the area-weighted mean of the adjacent triangles.
+) -> FloatArray:
+    """Normals of unit length; a zero normal becomes the area-weighted mean of the adjacent triangles' normals.
 
     Args:
-        normals: As stored, shape (V, 3).
-        positions: Shape (V, 3).
+        normals: Normals as stored, shape (V, 3).
+        positions: Vertices, shape (V, 3).
         indices: Triangles whose vertices exist, shape (F, 3).
 
     Returns:
-        Shape (V, 3), float32; +z where no triangle is around.
+        Shape (V, 3); +z if a vertex has no adjacent triangle.
     """
     normals = np.array(normals, dtype=np.float64)
     missing = np.linalg.norm(normals, axis=1) == 0.0
     if missing.any():
-        a, b, c = (positions[indices[:, k]].astype(np.float64) for k in range(3))
-        doubled_area = np.cross(b - a, c - a)
-        smooth = np.zeros_like(normals)
-        for k in range(3):
-            np.add.at(smooth, indices[:, k], doubled_area)
+        smooth = sum_at_vertices(area_vectors(positions, indices), indices, len(normals))
         smooth[np.linalg.norm(smooth, axis=1) == 0.0] = (0.0, 0.0, 1.0)
         normals[missing] = smooth[missing]
     return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
 
 
-def without_loose_textures(path: PathLike, mesh: Mesh) -> Mesh:
-    """The mesh; without its textures, and a log line that says so, if it has no texture coordinates to place them."""
-    material = placed_material(path, mesh.material, mesh.uvs, mesh.name)
+def drop_unplaced_textures(path: PathLike, mesh: Mesh) -> Mesh:
+    """Removes the textures of a mesh without texture coordinates, and logs a line if there are any."""
+    material = placeable_material(path, mesh.material, mesh.uvs, mesh.name)
     return mesh if material is mesh.material else replace(mesh, material=material)
 
 
-def placed_material(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
-    """The material of a mesh, as `without_loose_textures`.
+def placeable_material(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
+    """The material of a mesh, without textures if the mesh has no texture coordinates; see `drop_unplaced_textures`.
 
     Args:
-        path: For the log line.
-        material: As the file has it.
-        uvs: The mesh's texture coordinates.
-        name: The mesh's.
+        path: The file, named in the log.
+        material: Material of the file.
+        uvs: Texture coordinates of the mesh.
+        name: Name of the mesh, for the log if the material has none.
     """
     names = [field.name for field in fields(material) if field.name.endswith("_texture")]
-    loose = [texture for texture in names if getattr(material, texture) is not None]
-    if not loose or uvs is not None:
+    unplaced = [texture for texture in names if getattr(material, texture) is not None]
+    if not unplaced or uvs is not None:
         return material
-    called = material.name or name
-    said = f"the texture of {called!r} is" if len(loose) == 1 else f"the {len(loose)} textures of {called!r} are"
-    _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), said)
-    return replace(material, **dict.fromkeys(loose))
+    label = repr(material.name or name)
+    what = f"the texture of {label} is" if len(unplaced) == 1 else f"the {len(unplaced)} textures of {label} are"
+    _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), what)
+    return replace(material, **dict.fromkeys(unplaced))

@@ -8,10 +8,11 @@ import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import parsing
-from lumisplat.io.images.image import read_texture
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_textures
-from lumisplat.io.ply.ply_lists import read_ply_lists
-from lumisplat.io.ply.ply_rows import PlyHeader, read_ply_element
+from lumisplat.io.images.texture import read_texture
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
+from lumisplat.io.ply.header import PlyHeader
+from lumisplat.io.ply.lists import read_ply_lists
+from lumisplat.io.ply.rows import PlyRows, read_ply_element
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
@@ -20,20 +21,19 @@ from lumisplat.scene.mesh import Mesh
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _POLYGON_NAMES = ("vertex_indices", "vertex_index")
 _TEXTURE_COMMENT = "TextureFile "
-"""MeshLab's way to name a texture."""
+"""Beginning of the comment with which MeshLab names a texture."""
 
 
 def read_ply_mesh(header: PlyHeader) -> Mesh:
     """Reads polygons (fanned into triangles), normals, uvs (of vertices or of corners), colours and the texture.
 
-    Vertex colours are sRGB and become linear. Texture coordinates are taken with v up, as MeshLab and Blender write
-    them.
+    Vertex colours are sRGB and become linear. Texture coordinates have v up, as MeshLab and Blender write them.
 
     Args:
-        header: Of a file with vertices and faces, vertices first.
+        header: Header of a file with vertices and faces, the vertices first.
 
     Raises:
-        FormatError: The file is malformed, truncated, or has no faces; or its texture is missing or corrupt.
+        FormatError: The file is malformed, truncated or has no faces, or its texture is missing or corrupt.
     """
     with parsing(header.path, "a PLY mesh"):
         return _read(header)
@@ -60,7 +60,7 @@ def _read(header: PlyHeader) -> Mesh:
     if normals is not None:
         normals = unit_normals(normals, positions, indices)
     if "texcoord" in faces and len(faces["texcoord"].items) == 2 * len(polygons.items):
-        # Each corner of a polygon has texture coordinates of its own: each becomes a vertex of its own.
+        # Each corner of a polygon has its own texture coordinates: each corner becomes a vertex.
         unwelded = indices.reshape(-1)
         positions = positions[unwelded]
         normals, colors = (None if a is None else a[unwelded] for a in (normals, colors))
@@ -75,11 +75,11 @@ def _read(header: PlyHeader) -> Mesh:
         colors=colors,
         name=Path(header.path).stem,
     )
-    return without_loose_textures(header.path, mesh)
+    return drop_unplaced_textures(header.path, mesh)
 
 
 def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
-    """White under a texture or vertex colours, else the default."""
+    """White under a texture or vertex colours, else the default material."""
     names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
     if names:
         texels = read_texture(Path(header.path).parent / names[0], wanted_by=header.path)
@@ -87,13 +87,15 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
     return MaterialPbr(base_color=(1.0, 1.0, 1.0)) if colored else MaterialPbr()
 
 
-def _columns(table: np.ndarray, *names: str) -> FloatArray | None:
+def _columns(table: PlyRows, *names: str) -> FloatArray | None:
+    """Properties as columns, shape (rows, names); None if one is missing."""
     if not set(names) <= set(table.dtype.names or ()):
         return None
     return np.stack([table[name].astype(np.float32) for name in names], axis=1)
 
 
-def _colors(vertices: np.ndarray) -> FloatArray | None:
+def _colors(vertices: PlyRows) -> FloatArray | None:
+    """Linear vertex colours, shape (V, 3)."""
     stored = _columns(vertices, "red", "green", "blue")
     if stored is None:
         return None

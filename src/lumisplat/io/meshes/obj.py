@@ -1,17 +1,18 @@
-"""Wavefront OBJ with its MTL materials."""
+"""Wavefront OBJ files with their MTL materials."""
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import parsing, read_bytes
-from lumisplat.io.images.image import read_texture
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, fan_triangles, flip_v, unit_normals, without_loose_textures
+from lumisplat.io.images.texture import read_texture
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -20,41 +21,50 @@ from lumisplat.scene.scene import MeshInstance, Scene
 _log = logging.getLogger("lumisplat")
 
 _MISSING = -1
+"""Index, in arrays of corners, of a uv or a normal that a corner does not have."""
+
+
+_Numbers = tuple[float, ...]
+_Corner = tuple[int, int, int]
+"""Indices of position, uv and normal."""
 
 
 @dataclass(slots=True)
 class _Faces:
-    """Faces of one material: corner counts, and per corner its (position, uv, normal) index."""
+    """Faces of one material."""
 
-    counts: list[int] = field(default_factory=list)
-    corners: list[tuple[int, int, int]] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list[int])
+    """Number of corners of each face."""
+    corners: list[_Corner] = field(default_factory=list[_Corner])
+    """The corners of all faces, one face after the other."""
 
 
 @dataclass(slots=True)
 class _ObjFile:
-    """What an OBJ file lists."""
+    """The contents of an OBJ file."""
 
-    positions: list[tuple[float, ...]] = field(default_factory=list)
-    uvs: list[tuple[float, ...]] = field(default_factory=list)
-    normals: list[tuple[float, ...]] = field(default_factory=list)
-    faces_from_material: dict[str, _Faces] = field(default_factory=dict)
-    libraries: list[str] = field(default_factory=list)
+    positions: list[_Numbers] = field(default_factory=list[_Numbers])
+    """Positions, some followed by a colour."""
+    uvs: list[_Numbers] = field(default_factory=list[_Numbers])
+    normals: list[_Numbers] = field(default_factory=list[_Numbers])
+    faces_from_material: dict[str, _Faces] = field(default_factory=dict[str, _Faces])
+    libraries: list[str] = field(default_factory=list[str])
     out_of_range: int = 0
-    """Triangles left out because they name a vertex that is not there."""
+    """Number of triangles left out because they name a vertex that does not exist."""
 
 
 def read_obj(path: Path) -> Mesh | Scene:
     """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
 
-    `Kd` is taken as linear, `map_Kd` and vertex colours as sRGB, as Blender writes and reads them; `Pr` and `Pm` are
-    roughness and metallic, `Ni` is the index of refraction; no transparency is read. A missing material library leaves
-    the default material, with a log line.
+    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender; `Pr` and `Pm` are roughness and metallic, `Ni`
+    is the index of refraction. Transparency is not read. If a material library is missing, the default material is
+    used and a line is logged.
 
     Returns:
-        A mesh; a scene of one mesh per material where there are several.
+        A mesh, or a scene with one mesh per material if there are several.
 
     Raises:
-        FormatError: Something in the file or in a file it names is missing or malformed; names the line.
+        FormatError: Something in the file, or in a file that it names, is missing or malformed; names the line.
     """
     with parsing(path, "an OBJ file"):
         meshes = _read(path)
@@ -76,9 +86,9 @@ def _read(path: Path) -> list[Mesh]:
     meshes = [
         _mesh(listing, faces, name, materials.get(name), sieve) for name, faces in listing.faces_from_material.items()
     ]
-    left = [without_loose_textures(path, mesh) for mesh in meshes if mesh is not None]
-    sieve.report(anything_left=bool(left))
-    return left
+    usable = [drop_unplaced_textures(path, mesh) for mesh in meshes if mesh is not None]
+    sieve.report(anything_left=bool(usable))
+    return usable
 
 
 def _parse_obj(path: Path, text: str) -> _ObjFile:
@@ -95,15 +105,7 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
             elif keyword == "vn":
                 listing.normals.append(_numbers(arguments, 3)[:3])
             elif keyword == "f":
-                faces = listing.faces_from_material.setdefault(material, _Faces())
-                texts = arguments.split()
-                try:
-                    corners = [_corner(text, listing) for text in texts]
-                except _NoVertexError:
-                    listing.out_of_range += max(len(texts) - 2, 0)
-                    continue
-                faces.corners += corners
-                faces.counts.append(len(corners))
+                _add_face(listing, material, arguments.split())
             elif keyword == "usemtl":
                 material = rest[0].strip() if rest else ""
             elif keyword == "mtllib" and rest:
@@ -113,7 +115,19 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
     return listing
 
 
-def _numbers(text: str, at_least: int) -> tuple[float, ...]:
+def _add_face(listing: _ObjFile, material: str, corner_texts: list[str]) -> None:
+    """Adds a face, or counts its triangles as left out if it names a vertex that does not exist."""
+    faces = listing.faces_from_material.setdefault(material, _Faces())
+    try:
+        corners = [_corner(text, listing) for text in corner_texts]
+    except _NoVertexError:
+        listing.out_of_range += max(len(corner_texts) - 2, 0)
+        return
+    faces.corners += corners
+    faces.counts.append(len(corners))
+
+
+def _numbers(text: str, at_least: int) -> _Numbers:
     try:
         values = tuple(map(float, text.split()))
     except ValueError:
@@ -123,8 +137,8 @@ def _numbers(text: str, at_least: int) -> tuple[float, ...]:
     return values
 
 
-def _corner(text: str, listing: _ObjFile) -> tuple[int, int, int]:
-    """`position/uv/normal`, each counted from 1, or backwards from the latest if negative; the last two optional."""
+def _corner(text: str, listing: _ObjFile) -> _Corner:
+    """`position/uv/normal`: indices from 1, or negative and backwards from the latest; the last two are optional."""
     position, uv, normal = (*text.split("/"), "", "")[:3]
     return (
         _index(position, "vertex", len(listing.positions)),
@@ -147,15 +161,15 @@ def _index(text: str, what: str, count: int) -> int:
 
 
 class _NoVertexError(ValueError):
-    """A face names a vertex that is not there."""
+    """A face names a vertex that does not exist."""
 
 
 def _mesh(
     listing: _ObjFile, faces: _Faces, name: str, material: MaterialPbr | None, sieve: TriangleSieve
 ) -> Mesh | None:
-    """Corners that share position, uv and normal become one vertex; vertices keep the order of the file.
+    """The mesh of one material, None if it has no usable triangle.
 
-    None where no triangle can be used.
+    Corners with the same position, uv and normal become one vertex; vertices keep the order of the file.
     """
     if not faces.corners:
         return None
@@ -164,12 +178,13 @@ def _mesh(
     _, first_corner, vertex_from_corner = np.unique(key, return_index=True, return_inverse=True)
     position_index, uv_index, normal_index = corners[first_corner].T
     triangles = vertex_from_corner.reshape(-1)[fan_triangles(np.array(faces.counts))]
-    listed = [listing.positions[i] for i in position_index]
-    positions = np.array([v[:3] for v in listed]).astype(np.float32)
+    vertices = [listing.positions[int(i)] for i in position_index]
+    positions = np.array([vertex[:3] for vertex in vertices]).astype(np.float32)
     indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
     if not indices.size:
         return None
-    colors = np.clip([v[3:6] for v in listed], 0.0, 1.0) if all(len(v) >= 6 for v in listed) else None
+    has_colors = all(len(vertex) >= 6 for vertex in vertices)
+    colors = np.clip(np.array([vertex[3:6] for vertex in vertices]), 0.0, 1.0) if has_colors else None
     if material is None:
         material = MaterialPbr(name=name) if colors is None else MaterialPbr(name=name, base_color=(1.0, 1.0, 1.0))
     uvs = np.array(listing.uvs).reshape(-1, 2)
@@ -186,8 +201,9 @@ def _mesh(
 
 
 def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
-    settings: dict[str, dict] = {}
-    current: dict = {}
+    """The materials of a library by name."""
+    settings: dict[str, dict[str, Any]] = {}
+    current: dict[str, Any] = {}
     for number, line in enumerate(read_bytes(path).decode("utf-8", errors="replace").splitlines(), 1):
         keyword, *rest = line.split(None, 1) or [""]
         argument = rest[0].strip() if rest else ""
@@ -212,7 +228,7 @@ def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
 
 
 def _without_options(argument: str) -> str:
-    """`-s 1 1 1 -clamp on name with spaces.png` -> the name. Options take numbers, on or off."""
+    """The file name of `-s 1 1 1 -clamp on name with spaces.png`; options are followed by numbers, on or off."""
     words = argument.split(" ")
     while len(words) > 1 and words[0].startswith("-"):
         words.pop(0)

@@ -1,4 +1,4 @@
-"""STL, binary and ASCII: loose triangles, no material."""
+"""STL, binary and ASCII: separate triangles without material."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import parsing, read_bytes
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
+from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.mesh import Mesh
 
 _HEADER_BYTES = 84
@@ -24,7 +25,7 @@ def read_stl(path: Path) -> Mesh:
     """Reads triangles as stored, three vertices each, flat-shaded.
 
     Raises:
-        FormatError: The file is truncated or no STL.
+        FormatError: The file is truncated, or not an STL.
     """
     with parsing(path, "an STL file"):
         corners = _corners(path, read_bytes(path))
@@ -35,10 +36,11 @@ def read_stl(path: Path) -> Mesh:
         return Mesh(corners, indices[usable], name=path.stem)
 
 
-def _corners(path: Path, data: bytes) -> np.ndarray:
+def _corners(path: Path, data: bytes) -> FloatArray:
+    """Corners of the triangles, three after one another, shape (3 F, 3)."""
     count = int.from_bytes(data[80:_HEADER_BYTES], "little") if len(data) >= _HEADER_BYTES else 0
     expected = _HEADER_BYTES + count * _TRIANGLE.itemsize
-    # The length decides, not the word "solid": binary files start with it, too.
+    # The length decides, not the word "solid": binary files may begin with it too.
     if len(data) >= _HEADER_BYTES and len(data) == expected:
         return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
     if data.lstrip()[:5].lower() == b"solid" and _LOOP.search(data):
@@ -46,7 +48,7 @@ def _corners(path: Path, data: bytes) -> np.ndarray:
     raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
 
-def _ascii_corners(path: Path, data: bytes) -> np.ndarray:
+def _ascii_corners(path: Path, data: bytes) -> FloatArray:
     facets, closed = len(_LOOP.findall(data)), len(_END.findall(data))
     corners = np.array(_VERTEX.findall(data)).astype(np.float32).reshape(-1, 3)
     if len(corners) != 3 * facets or closed != facets or b"endsolid" not in data.lower():

@@ -1,1 +1,1 @@
-"""The PLY container: headers, rows and lists."""
+"""The PLY container: headers, rows of numbers, rows of lists."""

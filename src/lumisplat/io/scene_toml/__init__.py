@@ -1,1 +1,1 @@
-"""Scene files: what stands in a scene.toml, table by table."""
+"""Scene files: the tables of a `scene.toml`, one module for each kind of table."""

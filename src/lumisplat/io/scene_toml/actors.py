@@ -1,12 +1,12 @@
-"""Actors of a scene file: what moves, by its own clip or frames and by keyframes.
+"""Actors of a scene file, which move by their own clip or frames and by keyframes.
 
 [[actors]]
-path = "walker.glb"                     # a rig; or a folder of frames, a capture, a mesh
+path = "walker.glb"                     # a rig, a folder of frames, a capture or a mesh
 position = [0.0, 0.0, 2.0]              # placed first ...
 speed = 1.2
 name = "walker"
 
-[[actors.keyframes]]                    # ... then carried
+[[actors.keyframes]]                    # ... then moved
 time = 0.0
 position = [-1.0, 0.0, 0.0]
 
@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,14 +27,14 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.rigs import is_rigged, read_rig
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
-from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable
+from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
 from lumisplat.io.splats.sequence import read_sequence
 from lumisplat.scene.animation.actors import Actor, Subject
-from lumisplat.scene.animation.bound_gaussians import bind_gaussians
 from lumisplat.scene.animation.keyframes import Keyframes
+from lumisplat.scene.animation.rigged_gaussians import bind_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.meshes_sampling import gaussians_from_instances
+from lumisplat.scene.sampling.multi_mesh_sampling import gaussians_from_instances
 from lumisplat.scene.scene import MeshInstance, Scene
 
 ACTOR_KEYS = {
@@ -61,30 +60,30 @@ _OF_KIND = {
     "vertex_colors": "a rig",
     "fps": "a folder of frames",
 }
-"""Keys that not every actor has, and which have them."""
+"""Keys that only some actors have, and which actors these are."""
 
 Load = Callable[[Path], Gaussians | Mesh | Scene]
 
 
 def read_actors(document: TomlTable, load: Load) -> list[Actor]:
-    """The actors of a scene file, in its order. A file named twice in the same form is loaded once.
+    """The actors of a scene file, in order. A file named twice in the same form is loaded once.
 
     Args:
-        document: The top of the scene file.
+        document: Top table of the scene file.
         load: Reads one capture or mesh.
 
     Raises:
-        FormatError: An unknown key, a bad value, or a file that cannot be read.
+        FormatError: A key is unknown, a value is invalid, or a file cannot be read.
     """
-    cast = _Cast(load)
-    return [_actor(table, cast) for table in document.tables("actors")]
+    subjects = _Subjects(load)
+    return [_actor(table, subjects) for table in document.tables("actors")]
 
 
-def _actor(table: TomlTable, cast: _Cast) -> Actor:
+def _actor(table: TomlTable, subjects: _Subjects) -> Actor:
     given = table.take(ACTOR_KEYS, required=("path",))
     world_from_file = placement(table)
     motion = _motion(table)
-    subject = cast.subject(table, given)
+    subject = subjects.get(table, given)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
     try:
         return Actor(subject, motion, world_from_file, **settings)
@@ -95,12 +94,12 @@ def _actor(table: TomlTable, cast: _Cast) -> Actor:
 
 
 def _motion(table: TomlTable) -> Keyframes | None:
-    """What the keyframes of an entry say; where one leaves a key out, it stays as in the one before."""
-    frames: list[dict[str, Any]] = []
-    last: dict[str, Any] = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
+    """The keyframes of an entry; a key that one leaves out keeps the value of the one before."""
+    frames: list[Values] = []
+    last: Values = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
     for entry in table.tables("keyframes"):
         given = entry.take(KEYFRAME_KEYS, required=("time",))
-        placement(entry)  # refuses bad values at their line
+        placement(entry)  # refuses invalid values at their line
         if not np.isfinite(given["time"]):
             raise entry.wrong("time", "a finite number of seconds")
         if frames and given["time"] <= frames[-1]["time"]:
@@ -114,14 +113,14 @@ def _motion(table: TomlTable) -> Keyframes | None:
 
 
 @dataclass(slots=True)
-class _Cast:
-    """What the entries name, in the form that they ask for, each made once."""
+class _Subjects:
+    """The subjects that entries name, in the form that they ask for, each made once."""
 
     load: Load
-    _made: dict[tuple, Subject] = field(default_factory=dict)
+    _made: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
 
-    def subject(self, table: TomlTable, given: dict[str, Any]) -> Subject:
-        """What an entry shows."""
+    def get(self, table: TomlTable, given: Values) -> Subject:
+        """The subject of an entry."""
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))
@@ -135,16 +134,16 @@ class _Cast:
                 raise table.failed(error) from None
         return self._made[key]
 
-    def _make(self, table: TomlTable, file: Path, given: dict[str, Any]) -> Subject:
+    def _make(self, table: TomlTable, file: Path, given: Values) -> Subject:
         if file.suffix.lower() == ".toml":
             raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
         as_mesh = given.get("form") == "mesh"
-        of_meshes = {"form"} if as_mesh else {"form", "count"}
+        mesh_keys = {"form"} if as_mesh else {"form", "count"}
         if file.is_dir() and not (file / "meta.json").is_file():
             _refuse_others(table, given, {"fps"}, "a folder of frames")
             return read_sequence(file, given.get("fps", 25.0), self.load)
         if file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file)):
-            _refuse_others(table, given, {*of_meshes, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
+            _refuse_others(table, given, {*mesh_keys, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
             rig = read_rig(file, given.get("vertex_colors", True))
             return rig if as_mesh else bind_gaussians(rig, given.get("count"))
         loaded = self.load(file)
@@ -153,15 +152,15 @@ class _Cast:
             return loaded
         if isinstance(loaded, Scene) and not loaded.meshes:
             raise table.error(f"path is {given['path']!r}, which has nothing to see", "path")
-        _refuse_others(table, given, of_meshes, "a mesh")
+        _refuse_others(table, given, mesh_keys, "a mesh")
         if as_mesh:
             return loaded
         placed = loaded.meshes if isinstance(loaded, Scene) else (MeshInstance(loaded),)
         return gaussians_from_instances(placed, given.get("count"))
 
 
-def _refuse_others(table: TomlTable, given: dict[str, Any], known: set[str], kind: str) -> None:
-    """Refuses keys that mean nothing for what the file is."""
+def _refuse_others(table: TomlTable, given: Values, known: set[str], kind: str) -> None:
+    """Refuses keys that have no meaning for the kind of the file."""
     for key, owner in _OF_KIND.items():
         if key in given and key not in known:
             raise table.error(f"{key} is of {owner}, but path is {given['path']!r}, {kind}", key)

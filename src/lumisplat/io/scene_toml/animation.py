@@ -1,4 +1,4 @@
-"""The animation of a scene file: its scene and actors, how many frames there are, and how actors are lit.
+"""The animation of a scene file: scene, actors, number of frames, and how actors are lit.
 
 [animation]
 fps = 25.0
@@ -45,22 +45,13 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
             raise table.wrong("fps", "a positive number of frames a second")
         _check_length(table)
         actors = read_actors(document, load)
-        if "frames" in given:
-            count = given["frames"]
-        else:
-            count = given.get("duration", max(map(_own_duration, actors))) * fps
-        if count > ANIMATION_FRAMES_MAX:
-            raise table.error(
-                f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
-                "lower duration or frames, or fps",
-                "frames" if "frames" in given else "duration",
-            )
-        count = max(1, round(count))
+        count = _frame_count(table, fps, actors)
         cameras = read_scene_cameras(document, load_cameras)
         return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
 
 
 def _check_length(table: TomlTable) -> None:
+    """Refuses an invalid ``duration`` or ``frames`` before any actor is loaded."""
     given = table.values
     if "duration" in given and "frames" in given:
         raise table.error("has both duration and frames: expected one of them", "frames")
@@ -70,6 +61,22 @@ def _check_length(table: TomlTable) -> None:
         raise table.wrong("frames", "at least 1")
 
 
+def _frame_count(table: TomlTable, fps: float, actors: list[Actor]) -> int:
+    """Number of frames, from ``frames``, from ``duration``, or from the longest actor."""
+    given = table.values
+    if "frames" in given:
+        count = given["frames"]
+    else:
+        count = given.get("duration", max(map(_own_duration, actors))) * fps
+    if count > ANIMATION_FRAMES_MAX:
+        raise table.error(
+            f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
+            "lower duration or frames, or fps",
+            "frames" if "frames" in given else "duration",
+        )
+    return max(1, round(count))
+
+
 def _own_duration(actor: Actor) -> float:
-    """Until the last keyframe, else once through the clip or the frames, seconds."""
+    """Time of the last keyframe, else the duration of the clip or the frames, seconds."""
     return actor.motion.duration if actor.motion is not None else actor.own_duration

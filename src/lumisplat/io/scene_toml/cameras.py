@@ -1,4 +1,4 @@
-"""Cameras of a scene file: those of a camera file, or one written as what it looks at.
+"""Cameras of a scene file: those of a camera file, or one by its eye and target.
 
 [[cameras]]
 path = "transforms.json"            # or cameras.json, or a glTF scene
@@ -12,15 +12,15 @@ fov_y_degrees = 45.0
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.camera_json import unique_names
+from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
 from lumisplat.io.scene_toml.toml_table import NUMBER, TEXT, VECTOR, WHOLE, TomlTable
@@ -42,28 +42,33 @@ _VIEW_KEYS = {
     "focus_distance": NUMBER,
 }
 
-LoadCameras = Callable[[Path, int | None, int | None], list[Camera]]
-"""Reads a camera file whose frames may need a width and a height."""
+
+class LoadCameras(Protocol):
+    """Reads a camera file, whose frames may need a width and a height; as `lumisplat.io.load_cameras`."""
+
+    def __call__(self, path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:
+        """The cameras of the file."""
+        ...
 
 
 def read_scene_cameras(
     document: TomlTable, load: LoadCameras, width: int | None = None, height: int | None = None
 ) -> list[Camera]:
-    """The cameras of a scene file, in its order, each with a name of its own.
+    """The cameras of a scene file, in order, with distinct names.
 
     Args:
-        document: The top of the scene file.
+        document: Top table of the scene file.
         load: Reads a camera file.
-        width: For frames of camera files that tell no size, where the entry does not either.
-        height: Likewise.
+        width: Width of frames of camera files for which neither the file nor the entry gives a size.
+        height: Height of such frames.
 
     Raises:
-        FormatError: An unknown key, a bad value, or a camera file that cannot be read.
+        FormatError: A key is unknown, a value is invalid, or a camera file cannot be read.
     """
     cameras: list[Camera] = []
     for table in document.tables("cameras"):
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # what is out of reach is refused by its name
+            with np.errstate(over="ignore", invalid="ignore"):  # values out of range are refused by name
                 if "path" in table.values:
                     cameras += _cameras_of_file(table, load, width, height)
                 else:
@@ -82,7 +87,7 @@ def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, hei
         raise table.error(f"path is {given['path']!r}, a scene file itself: list its cameras here instead", "path")
     own_width, own_height = given.get("width"), given.get("height")
     asked = (width, height) if own_width is None and own_height is None else (own_width, own_height)
-    loaded = [_moved(camera, placement(table)) for camera in load(file, *asked)]
+    loaded = [_move(camera, placement(table)) for camera in load(file, width=asked[0], height=asked[1])]
     exposure = {"exposure": given["exposure"]} if "exposure" in given else {}
     return [replace(camera.scaled(own_width, own_height), **exposure) for camera in loaded]
 
@@ -101,12 +106,12 @@ def _view(table: TomlTable) -> Camera:
     return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), exposure=exposure)
 
 
-def _moved(camera: Camera, world_from_file: np.ndarray) -> Camera:
-    """A camera carried along by rotation, uniform scale and translation: lengths of its own scale with its world."""
+def _move(camera: Camera, world_from_file: npt.NDArray[np.float64]) -> Camera:
+    """Moves a camera by a similarity transform, which also scales the lengths of the camera."""
     scale = float(np.cbrt(np.linalg.det(world_from_file[:3, :3])))
     file_from_world = np.linalg.inv(world_from_file)
     focal = 1.0 / scale if camera.model is CameraModel.ORTHOGRAPHIC else 1.0
-    poses = {}
+    poses: dict[str, npt.NDArray[np.float64]] = {}
     for name in ("camera_from_world", "camera_from_world_end"):
         pose = getattr(camera, name)
         if pose is not None:

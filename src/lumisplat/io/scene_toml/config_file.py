@@ -147,6 +147,6 @@ def _toml(value: object) -> str:
         case tuple():
             return f"[{', '.join(map(_toml, cast(tuple[object, ...], value)))}]"
         case np.generic():
-            return repr(value.item())
+            return repr(cast(object, value.item()))  # a number of NumPy as Python writes it
         case _:
             return repr(value)

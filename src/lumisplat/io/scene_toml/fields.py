@@ -1,4 +1,4 @@
-"""Objects of the scene from tables of a scene file: keys are the names of their fields, angles are in degrees."""
+"""Scene dataclasses from tables of a scene file: keys are the names of fields, angles are in degrees."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields
 from typing import Any
 
-from lumisplat.io.scene_toml.toml_table import COLOR, FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable
+from lumisplat.io.scene_toml.toml_table import COLOR, FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, Values
 
 _KINDS = {
     "Vector": VECTOR,
@@ -19,10 +19,10 @@ _KINDS = {
     "Texture | None": TEXT,
     "FloatArray | None": TEXT,
 }
-"""By the annotation of a field; images are the names of files."""
+"""Kinds of values by the annotation of a field; images are given by file names."""
 
 DEGREES = "_degrees"
-"""Ends the keys of angles, whose fields are in radians."""
+"""End of the keys of angles, whose fields are in radians."""
 
 
 def key_of(field: Field[Any]) -> str:
@@ -31,26 +31,32 @@ def key_of(field: Field[Any]) -> str:
 
 
 def schema(kind: type) -> dict[str, Kind]:
-    """The keys that a dataclass of the scene has in a scene file."""
+    """The keys of a scene dataclass in a scene file, with their kinds."""
     return {key_of(field): _KINDS[str(field.type)] for field in fields(kind)}
 
 
 def required_keys(kind: type) -> list[str]:
-    """Those of its keys that have no default."""
+    """The keys of a scene dataclass that have no default."""
     return [key_of(field) for field in fields(kind) if field.default is MISSING]
 
 
-def with_radians(table: TomlTable, values: Mapping[str, Any], largest: float = 90.0) -> dict[str, Any]:
-    """Values by the names of fields, angles in radians.
+def with_radians(table: TomlTable, values: Mapping[str, Any], largest: float = 90.0) -> Values:
+    """Values by the names of fields, with angles in radians.
+
+    Args:
+        table: The table, for errors.
+        values: Values by key.
+        largest: Largest angle, degrees.
 
     Raises:
         FormatError: An angle is not within 0..``largest`` degrees.
     """
-    named = {}
+    named: Values = {}
     for key, value in values.items():
-        if key.endswith(DEGREES):
-            if not 0.0 <= value <= largest:
-                raise table.error(f"{key} is {value}, expected 0 to {largest:g} degrees", key)
-            value = math.radians(value)  # noqa: PLW2901
-        named[key.removesuffix(DEGREES)] = value
+        if not key.endswith(DEGREES):
+            named[key] = value
+        elif 0.0 <= value <= largest:
+            named[key.removesuffix(DEGREES)] = math.radians(value)
+        else:
+            raise table.error(f"{key} is {value}, expected 0 to {largest:g} degrees", key)
     return named

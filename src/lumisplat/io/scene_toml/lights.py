@@ -15,15 +15,15 @@ intensity = 0.5
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.io.images.environment import read_radiance
+from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
-from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, suggestion
+from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, suggestion
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
@@ -34,7 +34,9 @@ from lumisplat.scene.lights import (
     LightSpot,
 )
 
-_KINDS = {
+_Light = TypeVar("_Light", bound=Light)
+
+_KINDS: dict[str, type[Light]] = {
     "point": LightPoint,
     "spot": LightSpot,
     "directional": LightDirectional,
@@ -47,7 +49,7 @@ def read_light(table: TomlTable) -> Light:
     """The light of one entry of ``[[lights]]``.
 
     Raises:
-        FormatError: An unknown type or key, or a bad value.
+        FormatError: The type or a key is unknown, or a value is invalid.
     """
     name = table.values.get("type")
     kind = _KINDS.get(name) if isinstance(name, str) else None
@@ -64,35 +66,36 @@ def read_light(table: TomlTable) -> Light:
         if not inner < outer:
             key = "inner_angle_degrees" if "inner_angle_degrees" in given else "outer_angle_degrees"
             raise table.error(f"inner_angle_degrees is {inner}, expected less than outer_angle_degrees, {outer}", key)
-    return _made(table, kind, values)
+    return _make(table, kind, values)
 
 
 def read_environment(table: TomlTable) -> LightEnvironment:
     """The light of ``[environment]``: an image, a colour, or both.
 
     Raises:
-        FormatError: An unknown key, a bad value, or an image that cannot be read.
+        FormatError: A key is unknown, a value is invalid, or the image cannot be read.
     """
     keys = schema(LightEnvironment)
     given = table.take({"path": keys.pop("image"), **keys})
     if "path" in given:
         given["image"] = read_radiance(table.file("path"))
         del given["path"]
-    return _made(table, LightEnvironment, given)
+    return _make(table, LightEnvironment, given)
 
 
-def _made(table: TomlTable, kind: type, values: dict[str, Any]) -> Any:
+def _make(table: TomlTable, kind: type[_Light], values: Values) -> _Light:
+    """An object from the values of a table."""
     try:
         return kind(**values)
     except SceneError as error:
         raise table.failed(error) from None
 
 
-def moved_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
-    """A light of a glTF file, moved with it: neither intensity nor range change with the scale, as in the file.
+def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
+    """Moves a light of a glTF file; the scale changes neither its intensity nor its range, as in the file.
 
     Args:
-        light: One with a position, a direction or both.
+        light: A light with a position, a direction or both.
         world_from_light: Similarity transform, shape (4, 4).
     """
     changes: dict[str, Any] = {}

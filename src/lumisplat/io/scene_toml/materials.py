@@ -1,7 +1,7 @@
-"""Materials of a scene file: named ones in ``[materials.NAME]``, or written where they are used.
+"""Materials of a scene file: by name in ``[materials.NAME]``, or written where they are used.
 
 [materials.varnish]
-type = "pbr"                        # or "simple"; pbr if it is left out
+type = "pbr"                        # or "simple"; "pbr" is the default
 roughness = 0.2
 base_color_texture = "oak.png"      # relative to the scene file
 
@@ -14,30 +14,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 from lumisplat.errors import SceneError
-from lumisplat.io.images.image import read_texture
+from lumisplat.io.images.texture import read_texture
 from lumisplat.io.scene_toml.fields import schema
-from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, suggestion
+from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_table, suggestion
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
 _KINDS = {"pbr": MaterialPbr, "simple": MaterialSimple}
 _SHARED = ("base_color", "base_color_texture", "name")
-"""What a file says about a surface that any kind of material can keep."""
+"""Properties that both kinds of material have, and that stay when the kind changes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialTable:
-    """What a scene file says about a surface."""
+    """A material of a scene file: its kind, and the values that it sets."""
 
     kind: type[MaterialPbr] | type[MaterialSimple]
-    values: dict[str, Any]
+    values: Values
 
-    def applied(self, own: Material | None) -> Material:
-        """The material of a surface: what is not said stays as in ``own``, where that is of the same kind.
+    def apply_to(self, own: Material | None) -> Material:
+        """The material of a surface whose file gives it the material ``own``.
 
-        Of a material of the other kind, colour, texture and name stay.
+        Values that are not set stay as in ``own`` if it is of the same kind; of a material of the other kind, only
+        colour, texture and name stay.
         """
         if isinstance(own, self.kind):
             return replace(own, **self.values)
@@ -49,17 +49,21 @@ def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
     """The named materials of a scene file.
 
     Raises:
-        FormatError: One is no table, or bad.
+        FormatError: A material is not a table, or is invalid.
     """
     named = document.table("materials")
     return {name: read_material(named.table(name), name) for name in named.values}
 
 
-def read_material(table: TomlTable, name: str = "") -> MaterialTable:
-    """A material written as a table.
+def read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
+    """A material that is written as a table.
+
+    Args:
+        table: The table.
+        name: Name of the material, if the table does not set one.
 
     Raises:
-        FormatError: An unknown type or key, a bad value, or a texture that cannot be read.
+        FormatError: The type or a key is unknown, a value is invalid, or a texture cannot be read.
     """
     type_name = table.values.get("type", "pbr")
     kind = _KINDS.get(type_name) if isinstance(type_name, str) else None
@@ -67,7 +71,7 @@ def read_material(table: TomlTable, name: str = "") -> MaterialTable:
         raise table.wrong("type", " or ".join(_KINDS))
     values = table.take({"type": TEXT, **schema(kind)})
     values.pop("type", None)
-    if name:
+    if name is not None:
         values.setdefault("name", name)
     for key in values:
         if key.endswith("_texture"):
@@ -79,16 +83,16 @@ def read_material(table: TomlTable, name: str = "") -> MaterialTable:
     return MaterialTable(kind, values)
 
 
-def material_of(entry: TomlTable, named: Mapping[str, MaterialTable]) -> MaterialTable | None:
-    """What the ``material`` of an entry says: a name, or a table of its own; None where it says nothing.
+def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> MaterialTable | None:
+    """The ``material`` of an entry, which is a name or a table; None if it has none.
 
     Raises:
-        FormatError: There is no such name, or the table is bad.
+        FormatError: There is no such name, or the table is invalid.
     """
     given = entry.values.get("material")
     if given is None:
         return None
-    if isinstance(given, dict):
+    if is_table(given):
         return read_material(entry.table("material"))
     if given not in named:
         meant = suggestion(given, named) if named else f"there is no [materials.{given}]"

@@ -1,4 +1,4 @@
-"""Where an entry of a scene file stands: a point of its file is scaled, then rotated, then moved."""
+"""Placement of an entry of a scene file: points of its file are scaled, then rotated, then translated."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from lumisplat.io.scene_toml.toml_table import NUMBER, QUATERNION, VECTOR, TomlT
 from lumisplat.math.rotations import rotation_matrix
 
 PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
-"""Keys of an entry that is placed."""
+"""Keys of the placement of an entry."""
 
 
 def placement(table: TomlTable) -> npt.NDArray[np.float64]:
     """``world_from_file`` of an entry, shape (4, 4).
 
     Args:
-        table: An entry whose values are of their kinds.
+        table: An entry whose values have the right kinds.
 
     Raises:
-        FormatError: A value is not finite, a scale not positive, or a rotation of zero length.
+        FormatError: A value is not finite, the scale is not positive, or the rotation has zero length.
     """
     scale = table.values.get("scale", 1.0)
     position = table.values.get("position", (0.0, 0.0, 0.0))

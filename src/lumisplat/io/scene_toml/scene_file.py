@@ -1,9 +1,9 @@
-"""``scene.toml``: files placed in one scene, with lights, cameras, materials and settings.
+"""Scene files, ``scene.toml``: files placed in one scene, with lights, cameras, materials and settings.
 
 [[splats]]
 path = "garden.ply"                     # relative to the scene file
-kernel_degree = 4                       # if the file does not say that it was not trained with degree 2
-shadow_only = true                      # it keeps its look, and takes the shadows of what was added
+kernel_degree = 4                       # if it was not trained with degree 2 and the file does not say so
+shadow_only = true                      # shows its captured colours, and receives shadows of other objects
 
 [[meshes]]
 path = "teapot.glb"
@@ -11,8 +11,8 @@ position = [0.0, -1.2, 3.0]
 rotation_wxyz = [0.0, 1.0, 0.0, 0.0]    # y up to y down: half a turn about x
 scale = 0.5
 name = "teapot"
-material = "chrome"                     # in place of the file's
-lights = false                          # leaves out the lights that the file has
+material = "chrome"                     # replaces that of the file
+lights = false                          # leaves out the lights of the file
 
 [materials.chrome]
 roughness = 0.0
@@ -29,12 +29,12 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
-from lumisplat.io.meshes.mesh_arrays import without_loose_textures
+from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
 from lumisplat.io.scene_toml.actors import Load, read_actors
-from lumisplat.io.scene_toml.lights import moved_light, read_environment, read_light
-from lumisplat.io.scene_toml.materials import MaterialTable, material_of, read_materials
+from lumisplat.io.scene_toml.lights import move_light, read_environment, read_light
+from lumisplat.io.scene_toml.materials import MaterialTable, entry_material, read_materials
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
-from lumisplat.io.scene_toml.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable
+from lumisplat.io.scene_toml.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable, Values
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
 from lumisplat.scene.mesh import Mesh
@@ -47,11 +47,11 @@ _KEYS = {
 }
 _TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render")
 _SHOWN = ("splats", "meshes", "actors", "lights", "environment")
-"""What of a scene file makes a scene."""
+"""Headings that put something into the scene."""
 
 
 def read_document(path: PathLike) -> TomlTable:
-    """The top of a scene file, its headings known.
+    """Reads the top table of a scene file and checks its headings.
 
     Raises:
         FormatError: The file is not TOML, or has an unknown heading.
@@ -62,17 +62,17 @@ def read_document(path: PathLike) -> TomlTable:
 
 
 def read_scene_file(path: PathLike, load: Load) -> Scene:
-    """Reads a scene file and the files it names, actors as they are at time 0. A file named twice is loaded once.
+    """Reads a scene file and the files that it names, with actors at time 0. A file named twice is loaded once.
 
-    ``kernel_degree`` of a capture and the ``material`` of a mesh replace what its file says; of a file with several
-    meshes, all of them change. Lights of the scene file come first, then those of its meshes, the environment last.
+    ``kernel_degree`` of a capture and ``material`` of a mesh replace those of the file; all meshes of a file change.
+    Lights of the scene file come first, then those of its mesh files, then the environment.
 
     Args:
         path: The ``.toml`` file.
         load: Reads one capture or mesh.
 
     Raises:
-        FormatError: The file is not TOML, has an unknown or bad entry, or names a file of the wrong kind.
+        FormatError: The file is not TOML, has an unknown or invalid entry, or names a file of the wrong kind.
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
@@ -86,10 +86,10 @@ def read_scene_file(path: PathLike, load: Load) -> Scene:
 
 
 def static_scene(document: TomlTable, load: Load) -> Scene:
-    """What of a scene file does not move; perhaps nothing.
+    """The scene of a scene file without its actors; it may be empty.
 
     Raises:
-        FormatError: An unknown or bad entry, or a file of the wrong kind.
+        FormatError: An entry is unknown or invalid, or a file is of the wrong kind.
     """
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
@@ -105,21 +105,23 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
 
 @dataclass(slots=True)
 class _Assets:
-    """What the entries name, each file loaded once, and entries that change a file alike sharing what it becomes."""
+    """The assets that entries name. Each file is loaded once; entries with equal changes share the changed asset."""
 
     load: Load
     materials: dict[str, MaterialTable]
-    _files: dict[Path, Scene] = field(default_factory=dict)
-    _changed: dict[tuple[Path, str], Scene] = field(default_factory=dict)
+    _files: dict[Path, Scene] = field(default_factory=dict[Path, Scene])
+    """By file, as loaded."""
+    _changed: dict[tuple[Path, str], Scene] = field(default_factory=dict[tuple[Path, str], Scene])
+    """By file and changes."""
 
     def splats(self, table: TomlTable) -> list[SplatInstance]:
-        """The captures of an entry, placed."""
-        given, world_from_file = _checked(table, "splats")
+        """The captures of an entry as instances."""
+        given, world_from_file = _read_entry(table, "splats")
         scene = self._scene(table, "splats", given)
-        material = material_of(table, self.materials)
+        material = entry_material(table, self.materials)
         settings = {key: given[key] for key in ("sh_degree", "shadow_only") if key in given}
         if material is not None:
-            settings["material"] = material.applied(None)
+            settings["material"] = material.apply_to(None)
         try:
             return [
                 SplatInstance(i.gaussians, world_from_file @ i.transform, name=given.get("name") or i.name, **settings)
@@ -129,8 +131,8 @@ class _Assets:
             raise table.failed(error) from None
 
     def meshes(self, table: TomlTable) -> Scene:
-        """The meshes and lights of an entry, placed."""
-        given, world_from_file = _checked(table, "meshes")
+        """The meshes and lights of an entry in the world."""
+        given, world_from_file = _read_entry(table, "meshes")
         scene = self._scene(table, "meshes", given)
         wanted = scene.lights if given.get("lights", True) else ()
         try:
@@ -139,13 +141,13 @@ class _Assets:
                     MeshInstance(i.mesh, world_from_file @ i.transform, name=given.get("name") or i.name)
                     for i in scene.meshes
                 ),
-                lights=tuple(moved_light(light, world_from_file) for light in wanted),
+                lights=tuple(move_light(light, world_from_file) for light in wanted),
             )
         except SceneError as error:
             raise table.failed(error) from None
 
-    def _scene(self, table: TomlTable, heading: str, given: dict) -> Scene:
-        """What the file of an entry holds, changed as the entry says."""
+    def _scene(self, table: TomlTable, heading: str, given: Values) -> Scene:
+        """The contents of an entry's file, with the changes of the entry."""
         file = table.file("path")
         if file.suffix.lower() == ".toml":
             raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
@@ -161,19 +163,19 @@ class _Assets:
             self._changed[asset] = self._with_changes(scene, table, changes)
         return self._changed[asset]
 
-    def _with_changes(self, scene: Scene, table: TomlTable, changes: dict) -> Scene:
+    def _with_changes(self, scene: Scene, table: TomlTable, changes: Values) -> Scene:
         try:
             if "kernel_degree" in changes:
                 degree = changes["kernel_degree"]
                 splats = (replace(i, gaussians=replace(i.gaussians, kernel_degree=degree)) for i in scene.splats)
                 scene = replace(scene, splats=tuple(splats))
-            material = material_of(table, self.materials) if scene.meshes else None
+            material = entry_material(table, self.materials) if scene.meshes else None
             if material is None:
                 return scene
             meshes = {id(i.mesh): i.mesh for i in scene.meshes}
             for key, mesh in meshes.items():
-                changed = replace(mesh, material=material.applied(mesh.material))
-                meshes[key] = without_loose_textures(table.path, changed)
+                changed = replace(mesh, material=material.apply_to(mesh.material))
+                meshes[key] = drop_unplaced_textures(table.path, changed)
         except FormatError:
             raise
         except SceneError as error:
@@ -181,8 +183,8 @@ class _Assets:
         return replace(scene, meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes))
 
 
-def _checked(table: TomlTable, heading: str) -> tuple[dict, npt.NDArray[np.float64]]:
-    """The values of an entry, and where it stands."""
+def _read_entry(table: TomlTable, heading: str) -> tuple[Values, npt.NDArray[np.float64]]:
+    """The values of an entry, and ``world_from_file``."""
     return table.take(_KEYS[heading], required=("path",)), placement(table)
 
 

@@ -1,4 +1,4 @@
-"""On which line of a TOML text each key is, which tomllib does not tell."""
+"""The line numbers of the keys of a TOML text, which tomllib does not give."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ class _Token(NamedTuple):
 
 
 def line_numbers(text: str) -> dict[KeyPath, int]:
-    """Line of every key, table and element of an array of tables, counted from 1.
+    """The line of every key, table and element of an array of tables, counted from 1.
 
     Args:
-        text: Valid TOML: what tomllib has read.
+        text: Valid TOML, which tomllib has read without an error.
     """
     return _Scanner(text).lines
 
 
 class _Scanner:
-    """Walks over the tokens of a text; whatever has a key gets its line."""
+    """Reads the tokens of a text and notes the line of every key."""
 
     def __init__(self, text: str) -> None:
         self.lines: dict[KeyPath, int] = {}
@@ -66,7 +66,7 @@ class _Scanner:
         return self._tokens[self._at]
 
     def _header(self) -> KeyPath:
-        """Reads a header behind its first bracket: ``[a.b]`` or ``[[a.b]]``."""
+        """Reads a header after its first bracket: ``[a.b]`` or ``[[a.b]]``."""
         in_array = self._upcoming.text == "["
         self._at += in_array
         keys, line = self._keys("]")
@@ -86,12 +86,13 @@ class _Scanner:
         return path
 
     def _latest(self, path: KeyPath) -> KeyPath:
-        """A path, or that of the latest element where it is an array of tables."""
+        """A path, or that of the latest element if it is an array of tables."""
         return (*path, self._array_sizes[path] - 1) if path in self._array_sizes else path
 
     def _keys(self, end: str) -> tuple[list[str], int]:
-        """Reads a dotted key up to and with the mark behind it; the line is that of its first part."""
-        keys, line = [], self._upcoming.line
+        """Reads a dotted key and the mark after it; the line is that of its first part."""
+        keys: list[str] = []
+        line = self._upcoming.line
         while (token := self._next()).text != end:
             if token.kind == "bare":
                 keys.append(token.text)
@@ -110,12 +111,12 @@ class _Scanner:
         token = self._next()
         if token.text in ("[", "{"):
             self._members(path, "]" if token.text == "[" else "}")
-        elif token.kind != "string":  # a number or a date: bare parts, with dots between
+        elif token.kind != "string":  # a number or a date: bare parts with dots in between
             while self._upcoming.kind == "bare" or self._upcoming.text == ".":
                 self._at += 1
 
     def _members(self, path: KeyPath, end: str) -> None:
-        """Reads what an array or an inline table holds, up to and with its end."""
+        """Reads the contents of an array or an inline table, and its end."""
         index = 0
         while (token := self._next()).text != end:
             if token.text in ("\n", ","):

@@ -1,4 +1,4 @@
-"""TOML tables whose values are taken by kind; what is wrong is said with its line, its key and what was meant."""
+"""TOML tables with values of known kinds; errors name the line, the key and what was probably meant."""
 
 from __future__ import annotations
 
@@ -8,42 +8,71 @@ import reprlib
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import UnionType
+from typing import Any, NamedTuple, TypeGuard
 
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
 
+Values = dict[str, Any]
+"""Checked values by key."""
+
 
 class Kind(NamedTuple):
-    """What a value may be."""
+    """A kind of values."""
 
     expected: str
-    """For messages: ``three numbers``."""
-    accepts: Callable[[Any], bool]
+    """Its name in messages: ``three numbers``."""
+    accepts: Callable[[object], bool]
+    """Whether a value is of this kind."""
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _numbers(count: int) -> Callable[[object], bool]:
-    return lambda value: isinstance(value, list) and len(value) == count and all(map(_is_number, value))
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
-TEXT = Kind("a string", lambda value: isinstance(value, str))
-FLAG = Kind("true or false", lambda value: isinstance(value, bool))
+def _is_instance(kind: type | UnionType) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, kind)
+
+
+def _is_vector(count: int) -> Callable[[object], bool]:
+    return lambda value: is_list(value) and len(value) == count and all(map(_is_number, value))
+
+
+def _is_color(value: object) -> bool:
+    return _is_number(value) or _is_vector(3)(value)
+
+
+def is_list(value: object) -> TypeGuard[list[object]]:
+    """Whether a value is an array."""
+    return isinstance(value, list)
+
+
+def is_table(value: object) -> TypeGuard[dict[str, object]]:
+    """Whether a value is a table."""
+    return isinstance(value, dict)
+
+
+def is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
+    """Whether a value is an array of tables, which may be empty."""
+    return is_list(value) and all(map(is_table, value))
+
+
+TEXT = Kind("a string", _is_instance(str))
+FLAG = Kind("true or false", _is_instance(bool))
 NUMBER = Kind("a number", _is_number)
-WHOLE = Kind("a whole number", lambda value: isinstance(value, int) and not isinstance(value, bool))
-VECTOR = Kind("three numbers", _numbers(3))
-QUATERNION = Kind("four numbers, w x y z", _numbers(4))
-COLOR = Kind("a number or three", lambda value: _is_number(value) or _numbers(3)(value))
-TABLE = Kind("a table", lambda value: isinstance(value, dict))
-TABLES = Kind(
-    "tables, written with double brackets",
-    lambda value: isinstance(value, list) and all(isinstance(entry, dict) for entry in value),
-)
-TEXT_OR_TABLE = Kind("a name or a table", lambda value: isinstance(value, str | dict))
+WHOLE = Kind("a whole number", _is_whole)
+VECTOR = Kind("three numbers", _is_vector(3))
+QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
+COLOR = Kind("a number or three", _is_color)
+TABLE = Kind("a table", is_table)
+TABLES = Kind("tables, written with double brackets", is_array_of_tables)
+TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
 class _Text(NamedTuple):
@@ -52,7 +81,7 @@ class _Text(NamedTuple):
 
 
 class TomlTable:
-    """A table of a TOML file, and where in the file it is."""
+    """A table of a TOML file, with its place in the file."""
 
     def __init__(self, values: dict[str, Any], source: _Text, where: KeyPath = ()) -> None:
         self.values = values
@@ -61,11 +90,11 @@ class TomlTable:
 
     @classmethod
     def read(cls, path: PathLike, kind: str) -> TomlTable:
-        """The top of a file.
+        """Reads the top table of a file.
 
         Args:
-            path: What to read.
-            kind: What it should be, for messages: ``"a scene file"``.
+            path: The file.
+            kind: The expected kind of file, for messages: ``"a scene file"``.
 
         Raises:
             FormatError: The file cannot be read, or is not TOML.
@@ -84,7 +113,7 @@ class TomlTable:
         return self._source.path
 
     def error(self, problem: str, key: str | None = None) -> FormatError:
-        """An error about a key of this table, or about all of it: names the file, the line and the table."""
+        """An error about a key of this table, or about the whole table; names the file, the line and the table."""
         lines = line_numbers(self._source.text)
         where = (*self._where, key) if key is not None else self._where
         while where and where not in lines:
@@ -94,16 +123,20 @@ class TomlTable:
         return FormatError(self.path, place + problem)
 
     def failed(self, error: LumisplatError) -> FormatError:
-        """What an object made of this table found wrong: at the line of the key that its message names first."""
+        """The error of an object made from this table, at the line of the first key that its message names."""
         named = (word for word in re.findall(r"\w+", str(error)) if word in self.values)
         return self.error(str(error), next(named, None))
 
     def wrong(self, key: str, expected: str) -> FormatError:
         """An error about the value of a key."""
-        return self.error(f"{key} is {_told(self.values[key])}, expected {expected}", key)
+        return self.error(f"{key} is {_quote(self.values[key])}, expected {expected}", key)
 
-    def take(self, known: Mapping[str, Kind], required: Iterable[str] = ()) -> dict[str, Any]:
-        """The values, all of them of the kinds that are known.
+    def take(self, known: Mapping[str, Kind], required: Iterable[str] = ()) -> Values:
+        """The values by key, checked.
+
+        Args:
+            known: The keys that are allowed, with their kinds.
+            required: The keys that must be present.
 
         Raises:
             FormatError: A key is unknown or missing, or its value is of another kind.
@@ -118,44 +151,44 @@ class TomlTable:
         return dict(self.values)
 
     def check_keys(self, known: Iterable[str]) -> None:
-        """Refuses keys that are not known, with the nearest one that is.
+        """Refuses unknown keys.
 
         Raises:
-            FormatError: A key is unknown.
+            FormatError: A key is unknown; names the most similar known key.
         """
         for key in self.values:
             if key not in known:
                 raise self.error(f"unknown {key!r}, {suggestion(key, known)}", key)
 
     def table(self, key: str) -> TomlTable:
-        """The table of a key; an empty one where there is none.
+        """The table of a key; an empty one if the key is missing.
 
         Raises:
-            FormatError: The value is no table.
+            FormatError: The value is not a table.
         """
         values = self.values.get(key, {})
-        if isinstance(values, list) and all(isinstance(value, dict) for value in values):
+        if is_array_of_tables(values):
             raise self.error(f"{key} is there once only: write it with single brackets, [{key}]", key)
-        if not isinstance(values, dict):
+        if not is_table(values):
             raise self.wrong(key, f"a table, [{key}]")
         return TomlTable(values, self._source, (*self._where, key))
 
     def tables(self, key: str) -> list[TomlTable]:
-        """The elements of an array of tables; none where there is none.
+        """The elements of an array of tables; an empty list if the key is missing.
 
         Raises:
-            FormatError: The value is no such array.
+            FormatError: The value is not an array of tables.
         """
         entries = self.values.get(key, [])
-        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        if not is_array_of_tables(entries):
             raise self.error(f"{key} must be written with double brackets: [[{key}]]", key)
         return [TomlTable(entry, self._source, (*self._where, key, index)) for index, entry in enumerate(entries)]
 
     def file(self, key: str) -> Path:
-        """The file that a key names, relative to this one.
+        """The path of the file that a key names, relative to this file.
 
         Raises:
-            FormatError: There is none.
+            FormatError: There is no such file.
         """
         path = self.path.parent / self.values[key]
         if not path.exists():
@@ -164,13 +197,13 @@ class TomlTable:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """What was meant by an unknown name, else all that is known."""
+    """A hint for an unknown name: the most similar known name, else all known names."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
 
 
-def _told(value: object) -> str:
-    """A value in a message of one line, as TOML writes it."""
+def _quote(value: object) -> str:
+    """A value for a message of one line, as TOML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
     return " ".join(reprlib.repr(value).split())

@@ -1,4 +1,4 @@
-"""Mirroring the axes of a capture: what happens to positions, rotations and spherical harmonics."""
+"""Mirrored axes of a capture: positions, rotations and spherical harmonics."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from lumisplat.io.splats.columns import SplatColumns
 
 SH_ODD_AXES = ("", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x")
-"""The axes in which each SH basis function up to degree 3 is odd: a mirrored odd axis flips its coefficient. Read off
-the polynomials, e.g. degree 3, m = -3: y (3x^2 - y^2) is odd in y alone."""
+"""Axes in which each SH basis function up to degree 3 is odd, from its polynomial: degree 3, m = -3 is y (3x^2 - y^2),
+which is odd in y alone. Mirroring an odd axis changes the sign of the coefficient."""
 
 
-def mirrored(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
+def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
     """The same Gaussians in a frame whose axes are multiplied by ``signs``.
 
-    With S = diag(signs) a rotation R becomes S R S, whose quaternion is (w, sy sz x, sx sz y, sx sy z): the axis
-    of a rotation is a pseudovector.
+    With S = diag(signs), a rotation R becomes S R S, whose quaternion is (w, sy sz x, sx sz y, sx sy z), because the
+    axis of a rotation is a pseudovector.
 
     Args:
         columns: Any Gaussians.

@@ -1,10 +1,10 @@
-"""Between what splat files hold (logarithms of scales, logits of opacities) and `Gaussians`."""
+"""Conversion between `Gaussians` and the values that splat files store: logarithms of scales, logits of opacities."""
 
 from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
-from lumisplat.math.arrays import FloatArray, handed_over
+from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -27,13 +27,13 @@ class SplatColumns:
     means: Floats
     """Shape (N, 3)."""
     rotations_wxyz: Floats
-    """Of any length, shape (N, 4)."""
+    """Quaternions of any length, shape (N, 4)."""
     log_scales: Floats
     """Natural logarithms of the standard deviations, shape (N, 3)."""
     opacities: Floats
-    """Logits, or 0..1 where ``opacities_are_logits`` is off, shape (N,)."""
+    """Logits if ``opacities_are_logits``, else 0..1, shape (N,)."""
     sh: Floats
-    """DC first, shape (N, K, 3)."""
+    """SH coefficients, DC first, shape (N, K, 3)."""
     normals: Floats | None = None
     albedo: Floats | None = None
     roughness: Floats | None = None
@@ -59,33 +59,37 @@ PROPERTY_NAMES = {
     "roughness": ("roughness",),
     "metallic": ("metallic",),
 }
-"""The PLY properties of each field, in order. The last three are ours, for relightable captures."""
+"""PLY properties of each field, in order. The last three are our own, for relightable captures."""
+
+REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
+"""Fields that every capture has."""
 
 MATERIALS = ("normals", "albedo", "roughness", "metallic")
-"""The optional fields."""
+"""Optional fields."""
 
 PROBLEMS_LISTED = 6
-"""Properties that an error about invalid values names, before it says "and more"."""
+"""Largest number of properties that an error about invalid values lists, before "and more"."""
 
 
 def sh_property_names(coefficients: int) -> list[str]:
-    """PLY properties of SH in the order of ``sh.reshape(N, -1)``: f_rest is channel-major in files, ours is not."""
+    """PLY properties of SH in the order of ``sh.reshape(N, -1)``; f_rest is channel-major in files, unlike ``sh``."""
     rest = coefficients - 1
     names = [f"f_dc_{channel}" for channel in range(3)]
     return names + [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
 
 
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
-    """Applies exp and sigmoid, and refuses or drops what cannot be rendered.
+    """Applies exp and sigmoid, and refuses or drops Gaussians that cannot be rendered.
 
     Args:
         path: Named in errors.
-        columns: As read.
+        columns: Columns as read from the file.
         drop_invalid: Leave out Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log
-            a warning that says how many.
+            a warning with their number.
 
     Raises:
-        FormatError: Invalid values, and ``drop_invalid`` is off; or nothing is left; or a value is out of its range.
+        FormatError: There are invalid values and ``drop_invalid`` is False, no Gaussian is left, or a value is out of
+            range.
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
@@ -93,21 +97,21 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
         scales = np.maximum(np.exp(columns.log_scales), np.float32(SCALE_MIN))
         opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
-        columns = replace(columns, normals=None)  # INRIA writes zeros where there are none
-    kept = _kept_rows(path, columns, scales, drop_invalid)
+        columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
+    rows = _rows_to_keep(path, columns, scales, drop_invalid)
 
-    def picked(values: Floats) -> FloatArray:
-        return handed_over(values[kept].astype(np.float32, copy=False))
+    def select(values: Floats) -> FloatArray:
+        return read_only_view(values[rows].astype(np.float32, copy=False))
 
     extras = {name: getattr(columns, name) for name in MATERIALS}
     try:
         return Gaussians(
-            picked(columns.means),
-            picked(columns.rotations_wxyz),
-            picked(scales),
-            picked(opacities),
-            picked(columns.sh),
-            **{name: picked(values) for name, values in extras.items() if values is not None},
+            select(columns.means),
+            select(columns.rotations_wxyz),
+            select(scales),
+            select(opacities),
+            select(columns.sh),
+            **{name: select(values) for name, values in extras.items() if values is not None},
             antialiased=columns.antialiased,
             kernel_degree=columns.kernel_degree,
             comments=columns.comments,
@@ -116,10 +120,10 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
         raise FormatError(path, str(error)) from None
 
 
-def _kept_rows(
+def _rows_to_keep(
     path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
-    """Selects the Gaussians to keep: all of them, or the valid ones if the others may be dropped."""
+    """Selects all Gaussians, or the valid ones if the others may be dropped."""
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:
         return slice(None)
@@ -135,32 +139,31 @@ def _kept_rows(
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
-    """Which Gaussians cannot be used, shape (N,), and what is wrong, one phrase per property."""
+    """Mask of the Gaussians that cannot be used, shape (N,), and one phrase per property that is invalid."""
     invalid = np.zeros(columns.count, dtype=bool)
-    problems = []
-    for field in fields(columns):
-        values = getattr(columns, field.name)
-        if not isinstance(values, np.ndarray):
+    problems: list[str] = []
+    for field in (*REQUIRED, *MATERIALS):
+        values: Floats | None = getattr(columns, field)
+        if values is None:
             continue
         finite = np.isfinite(values)
-        if field.name == "log_scales":
+        if field == "log_scales":
             finite &= np.isfinite(scales)  # the exponential may overflow
         if not finite.all():
-            names = PROPERTY_NAMES.get(field.name) or sh_property_names(columns.sh.shape[1])
+            names = PROPERTY_NAMES.get(field) or sh_property_names(columns.sh.shape[1])
             bad = ~finite.reshape(columns.count, -1)
             invalid |= bad.any(axis=1)
             counts = np.count_nonzero(bad, axis=0)
             problems += [f"{n:,} NaN or infinite values in {name}" for n, name in zip(counts, names, strict=True) if n]
     for name, values in (("rotations", columns.rotations_wxyz), ("normals", columns.normals)):
-        zero = ~values.any(axis=1) if values is not None else invalid[:0]
-        if zero.any():
-            invalid |= zero
-            problems.append(f"{np.count_nonzero(zero):,} {name} of zero length")
+        if values is not None and not (is_set := values.any(axis=1)).all():
+            invalid |= ~is_set
+            problems.append(f"{np.count_nonzero(~is_set):,} {name} of zero length")
     return invalid, problems
 
 
 def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
-    """The inverse of `gaussians_from_columns`: logarithms and logits, opacities of 0 and 1 made finite."""
+    """The inverse of `gaussians_from_columns`; the logits of opacities 0 and 1 are clamped to finite values."""
     opacities = gaussians.opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
         logits = np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
@@ -181,7 +184,7 @@ def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs a warning about normals and materials, for formats that cannot hold them."""
+    """Logs which normals and materials a format cannot store."""
     lost = [name for name in MATERIALS if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))

@@ -1,9 +1,9 @@
-"""PlayCanvas compressed PLY: 16 bytes a Gaussian, in chunks of 256 that share their value ranges.
+"""PlayCanvas compressed PLY: 16 bytes per Gaussian, in chunks of 256 that share their value ranges.
 
 Layout: https://github.com/playcanvas/engine/issues/6204 and PlayCanvas's splat-transform. A chunk stores minimum and
-maximum of position, log scale and (in newer files) colour. A Gaussian stores position and scale as 11+10+11 bits, its
-rotation as smallest three (2+10+10+10, wxyz), colour and opacity as 8 bits each, and SH of degree 1 up as 8 bits over
--4..4 in an element of its own. Axes are those of the PLY it was made from.
+maximum of position, log scale and (in newer files) colour. A Gaussian stores position and scale as 11+10+11 bits each,
+its rotation as its smallest three components (2+10+10+10, wxyz), colour and opacity as 8 bits each, and SH from degree
+1 as 8 bits over -4..4 in an element of its own. Axes are those of the PLY that it was made from.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from lumisplat.constants import SH_C0
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.ply.ply_rows import PlyHeader, ply_header_bytes, read_ply_element, read_ply_rows
+from lumisplat.io.ply.header import PlyHeader, ply_header_bytes
+from lumisplat.io.ply.rows import PlyRows, read_ply_element, read_ply_rows
 from lumisplat.io.splats.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
 from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
@@ -29,7 +30,7 @@ _log = logging.getLogger("lumisplat")
 
 CHUNK = 256
 LOG_SCALE_MAX = 20.0
-"""Log scales are clamped to this size when written, as PlayCanvas does: one outlier would cost its chunk precision."""
+"""Log scales are clamped to this magnitude when written, as PlayCanvas does: an outlier would coarsen its chunk."""
 
 POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -44,7 +45,7 @@ Packed = npt.NDArray[np.uint32]
 
 
 def is_compressed_header(header: PlyHeader) -> bool:
-    """Whether the elements are those of a compressed capture."""
+    """Whether a header has the elements of a compressed capture."""
     vertex = header.element("vertex")
     return vertex is not None and "packed_position" in vertex.names
 
@@ -53,7 +54,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
     """Reads a compressed PLY.
 
     Args:
-        header: Of the file.
+        header: Header of the file.
 
     Raises:
         FormatError: A property is missing, element counts do not fit, or the file is truncated.
@@ -67,17 +68,17 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
         raise FormatError(header.path, f"has {len(chunk):,} chunks for {count:,} Gaussians, expected {expected:,}")
     position, rotation, scale, color = (vertex[name].astype(np.uint32, copy=False) for name in PACKED)
     colors = unpack_bits(color, BITS_COLOR)
-    kept = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    smallest = (unpack_bits(rotation, BITS_ROTATION)[:, 1:] - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     rgb = colors[:, :3]
     if "min_r" in header.required("chunk").names:
         _require(header, "chunk", "f4", COLOR_RANGE)
-        rgb = _spread(rgb, chunk, COLOR_RANGE)
+        rgb = _scale_to_chunks(rgb, chunk, COLOR_RANGE)
     return SplatColumns(
-        means=_spread(unpack_bits(position, BITS_POSITION), chunk, POSITION_RANGE),
-        rotations_wxyz=unpack_smallest_three(rotation >> np.uint32(30), kept),
-        log_scales=_spread(unpack_bits(scale, BITS_POSITION), chunk, SCALE_RANGE),
+        means=_scale_to_chunks(unpack_bits(position, BITS_POSITION), chunk, POSITION_RANGE),
+        rotations_wxyz=unpack_smallest_three(rotation >> np.uint32(30), smallest),
+        log_scales=_scale_to_chunks(unpack_bits(scale, BITS_POSITION), chunk, SCALE_RANGE),
         opacities=colors[:, 3],
-        sh=_with_rest(header, (rgb - np.float32(0.5)) / np.float32(SH_C0)),
+        sh=_with_higher_degrees(header, (rgb - np.float32(0.5)) / np.float32(SH_C0)),
         opacities_are_logits=False,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
@@ -86,6 +87,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
 
 
 def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str]) -> None:
+    """Raises a `FormatError` unless an element has properties of a type."""
     types = {prop.name: prop.code for prop in header.required(name).properties}
     wrong = [prop for prop in properties if types.get(prop) != code]
     if wrong:
@@ -93,7 +95,7 @@ def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str])
 
 
 def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
-    """Fields of 32-bit words, the first in the highest bits, each scaled to 0..1, shape (N, fields)."""
+    """Fields of 32-bit words, the first field in the highest bits, each scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
     for i, width in enumerate(bits):
@@ -105,7 +107,7 @@ def unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
 
 
 def pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
-    """The inverse of `unpack_bits`: rounds fields of 0..1, clipping what lies outside."""
+    """The inverse of `unpack_bits`: clips fields to 0..1 and rounds them."""
     packed = np.zeros(len(values), dtype=np.uint32)
     for i, width in enumerate(bits):
         limit = (1 << width) - 1
@@ -114,16 +116,16 @@ def pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
     return packed
 
 
-def _spread(unit: Floats, chunk: np.ndarray, names: tuple[str, ...]) -> Floats:
-    """Values of 0..1 to the range of their chunk, shape (N, 3)."""
+def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Floats:
+    """Values of 0..1 scaled to the ranges of their chunks, shape (N, 3)."""
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
-    with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges: refused later, as non-finite values
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges are refused later, as non-finite values
         low, size = (np.repeat(values, CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
         return (low + unit * size).astype(np.float32, copy=False)
 
 
-def _with_rest(header: PlyHeader, dc: Floats) -> Floats:
-    """SH of shape (N, K, 3): the DC term, and the degrees that the ``sh`` element holds, if there is one."""
+def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
+    """SH, shape (N, K, 3): the DC term, and the degrees in the ``sh`` element if the file has one."""
     element = header.element("sh")
     if element is None:
         return dc[:, None, :]
@@ -148,8 +150,8 @@ def _with_rest(header: PlyHeader, dc: Floats) -> Floats:
 def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Writes a compressed PLY.
 
-    Gaussians are sorted along a Morton curve, as PlayCanvas does: neighbours share a chunk, its ranges are tight, and
-    the 11 bits of a position become finer. The order of the input is not kept.
+    Gaussians are sorted along a Morton curve, as PlayCanvas does, so that neighbours share a chunk, ranges are small
+    and the 11 bits of a position are finer. The order of the input is lost.
 
     Raises:
         FormatError: The file cannot be written.
@@ -159,16 +161,16 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
     log_scales = np.clip(np.log(ordered.scales), -LOG_SCALE_MAX, LOG_SCALE_MAX)
     rgb = ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     _warn_coarse_positions(path, ordered)
-    ranges, (position, scale, color) = zip(*map(_gather, (ordered.means, log_scales, rgb)), strict=True)
-    largest, kept = pack_smallest_three(ordered.rotations_wxyz)
+    ranges, (position, scale, color) = zip(*map(_chunk_ranges, (ordered.means, log_scales, rgb)), strict=True)
+    largest, smallest = pack_smallest_three(ordered.rotations_wxyz)
     words = [
         pack_bits(position, BITS_POSITION),
-        pack_bits(np.column_stack([largest / 3.0, kept * np.sqrt(0.5) + 0.5]), BITS_ROTATION),
+        pack_bits(np.column_stack([largest / 3.0, smallest * np.sqrt(0.5) + 0.5]), BITS_ROTATION),
         pack_bits(scale, BITS_POSITION),
         pack_bits(np.column_stack([color, ordered.opacities]), BITS_COLOR),
     ]
     rest = ordered.sh[:, 1:].transpose(0, 2, 1).reshape(ordered.count, -1)
-    elements = [
+    elements: list[tuple[str, int, str, list[str]]] = [
         ("chunk", len(ranges[0]), "float", [*POSITION_RANGE, *SCALE_RANGE, *COLOR_RANGE]),
         ("vertex", ordered.count, "uint", list(PACKED)),
     ]
@@ -182,16 +184,16 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
-    """Logs how many Gaussians move by more than their size: those in chunks that a stray far away has stretched.
+    """Logs how many Gaussians are in chunks that a distant stray has made coarse.
 
-    A chunk counts if the step of its positions is larger than most of its Gaussians are (median of the largest scale).
+    A chunk is coarse if the step of its positions is larger than the median of the largest scales of its Gaussians.
     """
     starts = np.arange(0, ordered.count, CHUNK)
     means = ordered.means
     extent = np.maximum.reduceat(means, starts) - np.minimum.reduceat(means, starts)
     step = (extent / (2 ** np.array(BITS_POSITION) - 1)).max(axis=1)
     sizes = np.split(ordered.scales.max(axis=1), starts[1:])
-    coarse = sum(len(size) for size, moved in zip(sizes, step, strict=True) if moved > np.median(size))
+    coarse = sum(len(size) for size, width in zip(sizes, step, strict=True) if width > np.median(size))
     if coarse:
         _log.warning(
             "%s: the positions of %s Gaussians are stored in steps larger than they are, because some of their chunk "
@@ -202,9 +204,9 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 
 def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
-    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells an axis.
+    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells per axis.
 
-    The curve spans all but a thousandth of the points at each end: one stray must not squeeze the others into one cell.
+    The curve leaves out a thousandth of the points at each end, so that one stray cannot put all others into one cell.
     """
     low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
     extent = np.maximum(high - low, np.finfo(np.float32).tiny)
@@ -212,7 +214,7 @@ def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
     for axis in range(3):
         share = np.clip((positions[:, axis] - low[axis]) / extent[axis], 0.0, 1.0)
         bits = (share * (2**21 - 1)).astype(np.uint64)
-        # Spreads 21 bits to every third place, halving the groups that move together at each step.
+        # Moves 21 bits to every third place; each step halves the groups of bits that move together.
         for shift, mask in (
             (32, 0x1F00000000FFFF),
             (16, 0x1F0000FF0000FF),
@@ -225,8 +227,8 @@ def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
     return np.argsort(code, kind="stable")
 
 
-def _gather(values: Floats) -> tuple[Floats, Floats]:
-    """Ranges of the chunks, shape (C, 6), and values of 0..1 within them, shape (N, 3)."""
+def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:
+    """Ranges of the chunks, shape (C, 6), and the values relative to them, 0..1, shape (N, 3)."""
     starts = np.arange(0, len(values), CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     size = np.where(high > low, high - low, 1.0)

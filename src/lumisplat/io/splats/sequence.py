@@ -1,4 +1,4 @@
-"""Folders of Gaussian frames."""
+"""Sequences: folders of Gaussian frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 _EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog")
-"""Of frames; the first that fits is the one that a name has."""
+"""Extensions of frames; the first one that a name ends with is its extension."""
 
 
 def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians | Mesh | Scene]) -> GaussianSequence:
@@ -28,15 +28,15 @@ def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians
         return frame
 
     sequence = GaussianSequence(frame_paths(folder), fps, load_frame)
-    sequence.at(0.0)  # what is wrong with all frames is known now
+    sequence.at(0.0)  # errors that all frames have are raised now
     return sequence
 
 
 def frame_paths(folder: Path) -> list[Path]:
-    """The frames in a folder, in the natural order of their names: numbers in them count as such.
+    """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers.
 
     Raises:
-        FormatError: There is no such folder, no frame in it, or frames have different extensions.
+        FormatError: The folder does not exist, holds no frame, or holds frames with different extensions.
     """
     if not folder.is_dir():
         raise FormatError(folder, "is a file, expected a folder of frames" if folder.exists() else "no such folder")

@@ -1,7 +1,8 @@
 """PlayCanvas SOG (spatially ordered Gaussians): lossless WebP images and a meta.json, as a folder or zipped.
 
-Pixel i, row by row, of each image belongs to Gaussian i. Version 2 looks scales and SH up in codebooks of 256 values;
-version 1, which has no version number, spreads bytes linearly over a range. Axes are those of the PLY it was made from.
+Pixel i of each image, counted row by row, belongs to Gaussian i. Version 2 stores scales and SH as indices into
+codebooks of 256 values; version 1, which has no version number, maps bytes linearly to a range. Axes are those of the
+PLY that it was made from.
 Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
 """
 
@@ -13,7 +14,7 @@ import lzma
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,10 +34,10 @@ Bytes = npt.NDArray[np.uint8]
 Meta = dict[str, Any]
 
 PALETTE_COLUMNS = 64
-"""SH palette entries in a row of the centroids image; each is as many pixels wide as it has coefficients."""
+"""SH palette entries in a row of the centroids image; an entry has one pixel per coefficient."""
 
 QUATERNION_TAG = 252
-"""Alpha of a rotation pixel, less this, is the index of its largest component."""
+"""The alpha of a rotation pixel minus this is the index of its largest component."""
 
 DECODER_THREADS = 4
 
@@ -65,8 +66,8 @@ def read_sog(path: PathLike) -> SplatColumns:
 
 
 @contextmanager
-def _open_source(path: PathLike) -> Iterator[Callable[[str], bytes]]:
-    """What reads a file of the capture by its name."""
+def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
+    """Yields a function that reads a file of the capture by its name."""
     if Path(path).is_dir() or Path(path).name == "meta.json":
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
         yield lambda name: read_bytes(folder / name, wanted_by=path)
@@ -89,6 +90,7 @@ def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _plain_name(path: PathLike, name: str) -> str:
+    """The name of a file, refused if it has a folder."""
     if Path(name).name != name:
         raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
     return name
@@ -119,14 +121,14 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
         return pixels[:count]
 
     low, high = (rows(name)[:, :3] for name in meta["means"]["files"])
-    log_means = _spread((low | high.astype(np.uint16) << 8) / np.float32(65535.0), meta["means"])
+    log_means = _scale_to_range((low | high.astype(np.uint16) << 8) / np.float32(65535.0), meta["means"])
     sh0 = rows(meta["sh0"]["files"][0])
     dc = _values(sh0 if logits else sh0[:, :3], meta["sh0"])
     sh = dc[:, None, :3]
     if meta.get("shN"):
         sh = np.concatenate([sh, _palette_sh(path, meta["shN"], images, rows)], axis=1)
     generator = meta.get("asset", {}).get("generator")
-    with np.errstate(over="ignore"):  # damaged ranges: refused later, as infinite values
+    with np.errstate(over="ignore"):  # damaged ranges are refused later, as infinite values
         means = np.sign(log_means) * np.expm1(np.abs(log_means))
     return SplatColumns(
         means=means,
@@ -141,30 +143,34 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Bytes to numbers, by the codebook of a field or, in version 1, by its range."""
+    """Converts bytes to numbers, by the codebook of a field or, in version 1, by its range."""
     if "codebook" not in field:
-        return _spread(stored / np.float32(255.0), field)
+        return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)
-    if field["codebook"][0] is None:  # some writers lost the first entry: extrapolated, as PlayCanvas's engine does
+    if field["codebook"][0] is None:  # some writers lost the first entry; PlayCanvas's engine extrapolates it too
         codebook[0] = codebook[1] + (codebook[1] - codebook[-1]) / 255.0
     return codebook[stored]
 
 
-def _spread(unit: Floats, field: Meta) -> Floats:
+def _scale_to_range(unit: Floats, field: Meta) -> Floats:
+    """Values of 0..1 scaled to the range of a field."""
     low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
     return low + unit * (high - low)
 
 
 def _rotations(pixels: Bytes) -> Floats:
-    """Smallest three of wxyz, a byte each; zero, and so refused later, where the tag is none. Shape (N, 4)."""
-    kept = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
+    """Quaternions wxyz, shape (N, 4), from their smallest three components, one byte each.
+
+    Where the tag is invalid the quaternion is zero, which is refused later.
+    """
+    smallest = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     largest = pixels[:, 3].astype(np.int64) - QUATERNION_TAG
-    return unpack_smallest_three(largest, kept) * (largest >= 0)[:, None]
+    return unpack_smallest_three(largest, smallest) * (largest >= 0)[:, None]
 
 
 def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
-    """Coefficients of degree 1 up, from a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
-    # Writers list the centroids first, the specification the labels: the names tell them apart.
+    """SH coefficients from degree 1, looked up in a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
+    # Writers list the centroids first, the specification lists the labels first: only the names are reliable.
     centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)
     centroids = images[centroids_name][..., :3]
     coefficients, remainder = divmod(centroids.shape[1], PALETTE_COLUMNS)

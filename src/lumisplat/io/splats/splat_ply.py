@@ -1,8 +1,8 @@
-"""Gaussian PLY as INRIA's trainer writes it, with or without further columns.
+"""Gaussian PLY as INRIA's trainer writes it, with or without further properties.
 
-Properties in any order and number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major), opacity
-(logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures add albedo_0..2 (linear
-Rec.709), roughness and metallic, 0..1, and use nx, ny, nz, which INRIA fills with zeros. Axes are taken as they are.
+Properties may have any order and any number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major),
+opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures also have albedo_0..2
+(linear Rec.709), roughness and metallic, 0..1, and use nx, ny, nz, which INRIA fills with zeros. Axes are not changed.
 """
 
 from __future__ import annotations
@@ -16,60 +16,65 @@ from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
-from lumisplat.io.ply.ply_rows import PlyElement, PlyHeader, ply_header_bytes, read_ply_rows
+from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
+from lumisplat.io.ply.rows import read_ply_rows
 from lumisplat.io.splats.columns import (
     MATERIALS,
     PROPERTY_NAMES,
+    Floats,
     SplatColumns,
     columns_from_gaussians,
     sh_property_names,
 )
+from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
-"""Brush's spelling, which PlayCanvas's tools also write."""
+"""The comment of Brush, which PlayCanvas's tools also write."""
 
 KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
-"""Ours: no trainer states the degree in its files."""
+"""Our own comment: no trainer writes the degree to its files."""
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
-    """Whether header comments say that the capture was trained with Mip-Splatting; the last one counts.
+    """Whether header comments state that the capture was trained with Mip-Splatting; the last one counts.
 
-    Understands Brush (``SplatRenderMode: mip``) and Postshot (``antialiased 1``).
+    Knows the comments of Brush (``SplatRenderMode: mip``) and Postshot (``antialiased 1``).
     """
     flags = [match for match in map(_ANTIALIASED.fullmatch, comments) if match]
     return bool(flags) and (flags[-1]["postshot"] == "1" or (flags[-1]["brush"] or "").lower() == "mip")
 
 
 def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
-    """The kernel degree that header comments state, in range or not; the last one counts, 2 without one."""
+    """The kernel degree that header comments state, in range or not; the last one counts, 2 if there is none."""
     degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
     return degrees[-1] if degrees else KERNEL_DEGREE
 
 
 def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
-    """The comments of a capture, with ones that state how to render it where that is not usual, and none that differs.
+    """The comments of a capture, changed where needed to state its antialiased flag and its kernel degree.
 
-    What is stated: the antialiased flag and the kernel degree.
+    Comments that state another value are removed; usual values need no comment.
     """
-    kept = gaussians.comments
-    if antialiased_from_comments(kept) != gaussians.antialiased:
-        kept = tuple(comment for comment in kept if not _ANTIALIASED.fullmatch(comment))
-        kept += (ANTIALIASED_COMMENT,) * gaussians.antialiased
-    if kernel_degree_from_comments(kept) != gaussians.kernel_degree:
-        kept = tuple(comment for comment in kept if not _KERNEL_DEGREE.fullmatch(comment))
-        kept += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),) * (gaussians.kernel_degree != KERNEL_DEGREE)
-    return kept
+    comments = gaussians.comments
+    if antialiased_from_comments(comments) != gaussians.antialiased:
+        comments = tuple(comment for comment in comments if not _ANTIALIASED.fullmatch(comment))
+        if gaussians.antialiased:
+            comments += (ANTIALIASED_COMMENT,)
+    if kernel_degree_from_comments(comments) != gaussians.kernel_degree:
+        comments = tuple(comment for comment in comments if not _KERNEL_DEGREE.fullmatch(comment))
+        if gaussians.kernel_degree != KERNEL_DEGREE:
+            comments += (KERNEL_DEGREE_COMMENT.format(gaussians.kernel_degree),)
+    return comments
 
 
 def is_gaussian_element(vertex: PlyElement) -> bool:
-    """Whether a vertex element looks like a Gaussian capture, complete or not."""
+    """Whether a vertex element has properties of a Gaussian capture, complete or not."""
     return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
 
 
@@ -77,11 +82,11 @@ def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None =
     """Reads an uncompressed Gaussian PLY.
 
     Args:
-        header: Of the file.
+        header: Header of the file.
         progress: Called with the fraction read, 0..1.
 
     Raises:
-        FormatError: Not a Gaussian capture, a property is missing, or the file is truncated.
+        FormatError: The file is not a Gaussian capture, lacks a property, or is truncated.
     """
     vertex = header.element("vertex")
     if vertex is None or not is_gaussian_element(vertex):
@@ -90,9 +95,9 @@ def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None =
     columns: SplatColumns | None = None
     start = 0
     for rows in read_ply_rows(header, vertex):
-        # Allocated only once the first block proves that the file is as long as its header says.
+        # Allocated only after the first block, when the file is known to be as long as its header states.
         columns = columns or _allocate(header, vertex, coefficients)
-        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32: refused later, as infinite
+        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
             for name, target in _targets(columns):
                 target[start : start + len(rows)] = rows[name]
         start += len(rows)
@@ -104,7 +109,7 @@ def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None =
 
 
 def _check_properties(path: PathLike, vertex: PlyElement) -> int:
-    """Number of SH coefficients per channel, once every required property is there."""
+    """Number of SH coefficients per channel, after checking that all required properties are present."""
     rest = sum(name.startswith("f_rest_") for name in vertex.names)
     degree = {3 * ((n + 1) ** 2 - 1): n for n in range(8)}.get(rest)
     if degree is None:
@@ -122,10 +127,12 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
 
 
 def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> SplatColumns:
-    def empty(*shape: int) -> np.ndarray:
+    """Columns of the right shapes, not yet filled."""
+
+    def empty(*shape: int) -> FloatArray:
         return np.empty((vertex.count, *shape), dtype=np.float32)
 
-    def optional(field: str, *shape: int) -> np.ndarray | None:
+    def optional(field: str, *shape: int) -> FloatArray | None:
         return empty(*shape) if set(PROPERTY_NAMES[field]) <= set(vertex.names) else None
 
     return SplatColumns(
@@ -144,8 +151,8 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
     )
 
 
-def _targets(columns: SplatColumns) -> list[tuple[str, np.ndarray]]:
-    """(property name, its column as a view of shape (N,)) of every property that ``columns`` holds."""
+def _targets(columns: SplatColumns) -> list[tuple[str, Floats]]:
+    """Name and column, a view of shape (N,), of every property that ``columns`` has."""
     targets = list(zip(sh_property_names(columns.sh.shape[1]), columns.sh.reshape(columns.count, -1).T, strict=True))
     for field, names in PROPERTY_NAMES.items():
         values = getattr(columns, field)

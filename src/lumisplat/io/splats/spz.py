@@ -1,9 +1,9 @@
 """Niantic SPZ, versions 1 to 4.
 
-Versions 1 to 3 are one gzip stream, decoded here (see `spz_legacy`). Version 4 is a plain header, a table of contents
-and one zstd stream an attribute, decoded and written by the C++ module of gsply. SPZ holds RUB axes (x right, y up,
-z back) unless an extension says otherwise; ours are those of the usual PLY (x right, y down, z forward), so y and z
-are mirrored on load and on save. Layout: https://github.com/nianticlabs/spz.
+Versions 1 to 3 are one gzip stream, decoded by `spz_legacy`. Version 4 is a plain header, a table of contents and one
+zstd stream per attribute, decoded and written by the C++ module of gsply. SPZ has RUB axes (x right, y up, z back)
+unless an extension names others; ours are those of the usual PLY (x right, y down, z forward), so that y and z are
+mirrored on load and on save. Layout: https://github.com/nianticlabs/spz.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, read_bytes
-from lumisplat.io.splats.axes import mirrored
+from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
 from lumisplat.io.splats.spz_header import (
     FLAG_ANTIALIASED,
@@ -37,24 +37,24 @@ from lumisplat.scene.gaussians import Gaussians
 _log = logging.getLogger("lumisplat")
 
 HEADER_V4 = struct.Struct("<15xBI12x")
-"""What version 4 adds to the shared fields: the number of streams, and where the table of contents begins."""
+"""Fields that version 4 adds to the header: number of streams, and offset of the table of contents."""
 
 LOG_SCALE_MIN = -10.0
-"""Smallest logarithm of a scale that SPZ holds."""
+"""Smallest logarithm of a scale that SPZ can store."""
 
 EXTENSION_COORDINATES = 0xADBE0003
-"""SPZ_ADOBE_coordinate_system: one u32 names the axes."""
+"""Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
 
 COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
-"""Axes by that number, 0 being unspecified: right or left, up or down, back or front. 9 to 16 exchange y and z, and are
-not supported."""
+"""Axes by that number: right or left, up or down, back or front; 0 is unspecified. Numbers 9 to 16 exchange y and z and
+are not supported."""
 
 
 def read_spz(path: PathLike) -> SplatColumns:
     """Reads an SPZ file of any version.
 
     Raises:
-        FormatError: Not an SPZ file, damaged, truncated, of an unknown version or above SH degree 3.
+        FormatError: The file is not SPZ, damaged, truncated, of an unknown version, or has an SH degree above 3.
     """
     data = read_bytes(path)
     if data[:2] == b"\x1f\x8b":
@@ -64,10 +64,11 @@ def read_spz(path: PathLike) -> SplatColumns:
     else:
         raise FormatError(path, "is not an SPZ file: neither gzip nor NGSP at its start")
     axes = _stored_axes(path, extensions) if header.flags & FLAG_EXTENSIONS else "RUB"
-    return replace(mirrored(columns, rdf_signs(axes)), antialiased=bool(header.flags & FLAG_ANTIALIASED))
+    return replace(mirror_axes(columns, rdf_signs(axes)), antialiased=bool(header.flags & FLAG_ANTIALIASED))
 
 
 def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
+    """Header, Gaussians in the axes of the file, and the bytes of extension records."""
     header = parse_spz_header(path, data, range(4, 5), len(data))
     if len(data) < HEADER_V4.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
@@ -95,7 +96,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
 
 
 def _gsply(path: PathLike) -> ModuleType:
-    # Imported by itself: `import gsply` would start numba, half a second that this module does not need.
+    # `import gsply` would also import numba, which takes half a second and is not needed here.
     try:
         import gsply_cpp
     except ImportError:
@@ -106,13 +107,13 @@ def _gsply(path: PathLike) -> ModuleType:
 
 
 def rdf_signs(axes: str) -> tuple[int, int, int]:
-    """Signs that bring right/left, up/down, back/front axes, e.g. ``"RUB"``, to ours."""
+    """Signs of x, y and z that convert right/left, up/down, back/front axes, such as ``"RUB"``, to ours."""
     x, y, z = axes
     return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
 
 
 def _stored_axes(path: PathLike, extensions: bytes) -> str:
-    """The axes that the extension records state, RUB if none does."""
+    """The axes that an extension record names, RUB if none does."""
     start = 0
     while start + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, start)
@@ -128,11 +129,12 @@ def _stored_axes(path: PathLike, extensions: bytes) -> str:
 def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     """Writes SPZ version 4 in RUB axes.
 
-    Quantised: positions as `position_bits` says, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to 8 bits
-    within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits a component. What lies outside is clamped.
+    Values are quantised: positions by `position_bits`, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to
+    8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values outside are
+    clamped.
 
     Raises:
-        FormatError: Positions beyond what 24-bit fixed point can hold, or the file cannot be written.
+        FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
     """
     warn_lost_materials(path, "SPZ", gaussians)
     if gaussians.kernel_degree != KERNEL_DEGREE:
@@ -141,7 +143,7 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
             os.fspath(path),
             gaussians.kernel_degree,
         )
-    columns = mirrored(columns_from_gaussians(gaussians), rdf_signs("RUB"))
+    columns = mirror_axes(columns_from_gaussians(gaussians), rdf_signs("RUB"))
     thin = np.count_nonzero((columns.log_scales < LOG_SCALE_MIN).any(axis=1))
     if thin:
         least = f"{math.exp(LOG_SCALE_MIN):.2g}"
@@ -155,20 +157,20 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
             gsply.write_spz(str(temporary), *map(np.ascontiguousarray, arrays), rest, fractional_bits=bits, version=4)
         except RuntimeError as error:
             raise FormatError(path, f"cannot be written: {str(error).split(':')[0]}") from None
-        if gaussians.antialiased:  # gsply leaves the flags at zero
+        if gaussians.antialiased:  # gsply writes no flags
             with temporary.open("r+b") as file:
                 file.seek(FLAGS_OFFSET)
                 file.write(bytes([FLAG_ANTIALIASED]))
 
 
 def position_bits(path: PathLike, largest: float) -> int:
-    """Fractional bits of the 24-bit positions: 12 as everywhere, more for small scenes, fewer for large ones.
+    """Fractional bits of the 24-bit positions: usually 12, more for small scenes, fewer for large ones.
 
-    A step is 2^-bits scene units. 12 bits reach 2048 units; a scene below 32 units gets steps of at most 2^-17 of its
-    largest coordinate, as 12 bits would be too coarse for a small object.
+    A step is 2^-bits scene units. 12 bits reach 2048 units, but are too coarse for small objects: a scene below 32
+    units gets steps of at most 2^-17 of its largest coordinate.
 
     Raises:
-        FormatError: The largest coordinate fits no number of bits.
+        FormatError: The largest coordinate does not fit with any number of bits.
     """
     fitting = 22 - math.floor(math.log2(largest)) if largest > 0.0 else FRACTIONAL_BITS_MAX
     if fitting < 1:

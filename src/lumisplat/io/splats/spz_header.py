@@ -1,4 +1,4 @@
-"""What every version of SPZ states up front. Layout: https://github.com/nianticlabs/spz."""
+"""The header fields of all SPZ versions. Layout: https://github.com/nianticlabs/spz."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ HEADER = struct.Struct("<IIIBBBB")
 
 @dataclass(frozen=True, slots=True)
 class SpzHeader:
-    """The fields that all versions share."""
+    """The fields that all versions have."""
 
     version: int
     count: int
     sh_degree: int
     fractional_bits: int
-    """Of the fixed-point positions; version 1 has floating-point ones."""
+    """Fractional bits of the fixed-point positions; version 1 has floating-point positions."""
     flags: int
 
     @property
     def sh_coefficients(self) -> int:
-        """Per channel, DC included."""
+        """Number of SH coefficients per channel, including DC."""
         return (self.sh_degree + 1) ** 2
 
     @property
@@ -43,16 +43,16 @@ class SpzHeader:
 
 
 def parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes: int) -> SpzHeader:
-    """The header at the start of ``data``, its count checked against what the file can hold.
+    """The header at the start of ``data``, with its count checked against the size of the file.
 
     Args:
         path: Named in errors.
-        data: Begins with the header.
-        versions: Those that this container may hold.
+        data: Bytes that begin with the header.
+        versions: Versions that this container may have.
         stored_bytes: Size of the file.
 
     Raises:
-        FormatError: Incomplete, or a field is out of its range.
+        FormatError: The header is incomplete, or a field is out of range.
     """
     if len(data) < HEADER.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")

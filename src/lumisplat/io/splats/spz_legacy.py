@@ -15,7 +15,7 @@ from lumisplat.io.splats.smallest_three import unpack_smallest_three
 from lumisplat.io.splats.spz_header import HEADER, SpzHeader, parse_spz_header
 
 COLOR_SCALE = 0.15
-"""Colour byte = 255 (0.5 + 0.15 DC): wider than 0..1, so that no coefficient is clipped."""
+"""A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that no coefficient is clipped."""
 
 EXTENSION_BYTES_MAX = 2**16
 GZIP_WINDOW = 16 + zlib.MAX_WBITS
@@ -34,11 +34,11 @@ def read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, b
         Header, Gaussians in the axes of the file, and the bytes of extension records.
 
     Raises:
-        FormatError: Damaged or truncated.
+        FormatError: The file is damaged or truncated.
     """
     header = parse_spz_header(path, _inflate(path, data, HEADER.size), range(1, 4), len(data))
     size = sum(header.section_sizes)
-    # No more is inflated than the header justifies, however long the stream goes on.
+    # Inflates at most what the header announces, however long the stream is.
     content = _inflate(path, data, HEADER.size + size + EXTENSION_BYTES_MAX)
     if len(content) < HEADER.size + size:
         raise FormatError(
@@ -50,7 +50,7 @@ def read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, b
 
 
 def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
-    """The first ``size`` bytes of a gzip stream, or all of them where it is shorter."""
+    """The first ``size`` bytes of a gzip stream, or all of them if it is shorter."""
     try:
         return zlib.decompressobj(GZIP_WINDOW).decompress(data, size)
     except zlib.error as error:
@@ -81,21 +81,21 @@ def _half_positions(section: Bytes) -> Floats:
 def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
     """24-bit two's complement, shape (N, 3)."""
     parts = section.reshape(-1, 3, 3).astype(np.int32)
-    # Into the high bytes of an int32, so that the sign is where it belongs; then back down, sign and all.
+    # Shifted to the high bytes of an int32 first, so that shifting back down extends the sign.
     fixed = (parts[..., 0] << 8 | parts[..., 1] << 16 | parts[..., 2] << 24) >> 8
     return fixed * np.float32(2.0**-fractional_bits)
 
 
 def _byte_rotations(section: Bytes) -> Floats:
-    """x, y, z as bytes; w positive, from unit length. Shape (N, 4), wxyz."""
+    """x, y and z as bytes; w is positive and follows from the unit length. Shape (N, 4), wxyz."""
     xyz = section.reshape(-1, 3) / np.float32(127.5) - np.float32(1.0)
     return unpack_smallest_three(np.zeros(len(xyz), dtype=np.int64), xyz)
 
 
 def _packed_rotations(section: Bytes) -> Floats:
-    """Smallest three of xyzw: 2 bits of index, then sign and 9 bits of magnitude each. Shape (N, 4), wxyz."""
+    """Smallest three of xyzw: a 2-bit index, then three times a sign and 9 bits of magnitude. Shape (N, 4), wxyz."""
     packed = section.view("<u4")
     fields = np.stack([packed >> np.uint32(shift) & np.uint32(0x3FF) for shift in (20, 10, 0)], axis=1)
     magnitude = (fields & np.uint32(0x1FF)) * np.float32(np.sqrt(0.5) / 511.0)
-    kept = np.where(fields >> np.uint32(9), -magnitude, magnitude).astype(np.float32)
-    return np.roll(unpack_smallest_three(packed >> np.uint32(30), kept), 1, axis=1)
+    smallest = np.where(fields >> np.uint32(9), -magnitude, magnitude).astype(np.float32)
+    return np.roll(unpack_smallest_three(packed >> np.uint32(30), smallest), 1, axis=1)

@@ -1,1 +1,1 @@
-"""What moves: actors, keyframes, rigs, clips, sequences and Gaussians bound to them."""
+"""Animation: actors and keyframes, rigs with their clips, sequences of frames, Gaussians bound to rigs."""

@@ -1,28 +1,31 @@
-"""Actors that move through a scene: what is there at each time of an animation."""
+"""Actors that move through a scene, and animations: what is in the scene at each time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
-from lumisplat.config.checks import is_number
+from lumisplat.config.checks import is_number, is_whole
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
-from lumisplat.scene.animation.bound_gaussians import RiggedGaussians
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
 from lumisplat.scene.animation.rig import Rig
+from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
 from lumisplat.scene.animation.sequence import GaussianSequence
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import check_flag, check_kind, check_positive, items_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, refuse_dissimilar
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene
-"""What an actor may be; of a `Scene`, its captures and meshes."""
+"""What an actor may be; a `Scene` stands for its captures and meshes."""
 Instance = SplatInstance | MeshInstance
 
 
@@ -30,42 +33,38 @@ Instance = SplatInstance | MeshInstance
 class Actor:
     """Something that moves through a scene, by its own clip or frames and by keyframes.
 
-    A point of it is placed by ``world_from_object``, then carried by ``motion``: the pose at a time is
+    Its points are placed by ``world_from_object``, then moved by ``motion``: the pose at a time is
     ``motion.at(time) @ world_from_object``.
 
     Raises:
-        SceneError: The subject is none, a transform is no similarity (a mesh takes any affine one), a number is out of
-            its range, or there is no such clip.
+        SceneError: A field has the wrong type, a transform is not a similarity (meshes take any affine one), a number
+            is out of range, or the clip does not exist.
     """
 
     subject: Subject
     motion: Keyframes | None = None
-    """Carries the actor through the world, at the animation's times; None: it stays where it is placed."""
+    """Motion through the world, in the animation's time; None: the actor stays where it is placed."""
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Where it is placed, shape (4, 4); None: the identity."""
+    """Placement before the motion, shape (4, 4); None: the identity."""
     name: str = field(default="", kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    """It darkens what it stands before."""
+    """Whether it casts shadows on the scene."""
     relight: bool = field(default=True, kw_only=True)
-    """It takes the light of its place, instead of the colours that it has."""
+    """Whether it is lit by the light at its place; otherwise it keeps its own colours."""
     clip: str | None = field(default=None, kw_only=True)
-    """Of a rig: which; None: the first."""
+    """Name of the rig's clip; None: the first."""
     loop: bool = field(default=True, kw_only=True)
-    """Clip or frames begin again at their end; without, the last pose holds. Keyframes never repeat."""
+    """Whether the clip or the frames repeat; otherwise the last pose stays. Keyframes never repeat."""
     speed: float = field(default=1.0, kw_only=True)
-    """Seconds of the clip or frames in a second of the animation, at least 0."""
+    """Seconds of the clip or the frames per second of the animation, at least 0."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.subject, Subject):
-            raise SceneError(
-                f"an actor is a {type(self.subject).__name__}, expected Gaussians, a GaussianSequence, "
-                "RiggedGaussians, a Mesh, a Rig or a Scene"
-            )
-        if self.motion is not None and not isinstance(self.motion, Keyframes):
-            raise SceneError(f"motion is a {type(self.motion).__name__}, expected Keyframes")
+        subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
+        check_kind("an actor", self.subject, get_args(Subject), subjects)
+        if self.motion is not None:
+            check_kind("motion", self.motion, Keyframes, "Keyframes")
         for name in ("casts_shadow", "relight", "loop"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise SceneError(f"{name} is {getattr(self, name)}, expected True or False")
+            check_flag(name, getattr(self, name))
         if not is_number(self.speed) or not 0.0 <= self.speed < np.inf:
             raise SceneError(f"speed is {self.speed}, expected a number, at least 0")
         rig = self.rig
@@ -75,18 +74,18 @@ class Actor:
             rig.duration(self.clip)
         matrix = matrix_4x4("world_from_object", self.world_from_object)
         if not isinstance(self.subject, Mesh | Rig):
-            refuse_dissimilar(matrix[:3, :3])  # now, not at some frame
+            check_similarity(matrix[:3, :3])  # now rather than at some frame
         object.__setattr__(self, "world_from_object", matrix)
 
     @property
     def rig(self) -> Rig | None:
-        """The rig that poses it, if there is one."""
+        """The rig that poses it; None if it has none."""
         if isinstance(self.subject, RiggedGaussians):
             return self.subject.rig
         return self.subject if isinstance(self.subject, Rig) else None
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """What the actor is at a time of the animation: one instance, of a rig of several meshes one each.
+        """The actor at a time of the animation: one instance, or one for each mesh of its rig or asset of its scene.
 
         Args:
             time: Seconds.
@@ -119,56 +118,65 @@ class Actor:
 
     @property
     def own_duration(self) -> float:
-        """How long its clip or its frames take once, at its speed, seconds; 0 without any."""
+        """Time that its clip or its frames take once, at its speed, seconds; 0 if it has none."""
         return self._length() / self.speed if self.speed > 0.0 else 0.0
 
     def _length(self) -> float:
-        """Of the clip or the frames, in their own seconds."""
+        """Duration of the clip or the frames, in their own seconds."""
         if isinstance(self.subject, GaussianSequence):
             return self.subject.duration
         rig = self.rig
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """Time of the clip or of the frames."""
+        """The animation's time as a time of the clip or the frames."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Animation:
-    """A scene, the actors that move through it, and when they are looked at.
+    """A scene, the actors that move through it, and the times of the frames.
 
     Raises:
-        SceneError: A part is none, or a number is out of its range.
+        SceneError: A field has the wrong type, or a number is out of range.
     """
 
     scene: Scene
-    """What does not move: captures, meshes and lights."""
+    """The static captures, meshes and lights."""
     actors: tuple[Actor, ...] = ()
     cameras: tuple[Camera, ...] = ()
     fps: float = 25.0
-    """Frames a second, above 0."""
+    """Frames per second, above 0."""
     frame_count: int = 1
     """Number of frames, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
-    """How actors take light and cast shadows."""
+    """How actors are lit and cast shadows."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(  # noqa: PLR0917
+            self,
+            scene: Scene,
+            actors: Iterable[Actor] = (),
+            cameras: Iterable[Camera] = (),
+            fps: float = 25.0,
+            frame_count: int = 1,
+            lighting: AvatarLightingConfig = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
-        if not isinstance(self.scene, Scene):
-            raise SceneError(f"scene is a {type(self.scene).__name__}, expected a Scene")
+        check_kind("scene", self.scene, Scene, "a Scene")
         for name, kind in (("actors", Actor), ("cameras", Camera)):
-            items = tuple(getattr(self, name))
+            items = tuple(items_of(name, getattr(self, name)))
             for item in items:
                 if not isinstance(item, kind):
                     raise SceneError(f"{name} holds a {type(item).__name__}, expected {kind.__name__}")
             object.__setattr__(self, name, items)
-        if not isinstance(self.lighting, AvatarLightingConfig):
-            raise SceneError(f"lighting is a {type(self.lighting).__name__}, expected an AvatarLightingConfig")
-        if not is_number(self.fps) or not 0.0 < self.fps < np.inf:
-            raise SceneError(f"fps is {self.fps}, expected a positive number")
+        check_kind("lighting", self.lighting, AvatarLightingConfig, "an AvatarLightingConfig")
+        check_positive("fps", self.fps)
         count = self.frame_count
-        if not isinstance(count, int | np.integer) or isinstance(count, bool) or count < 1:
+        if not is_whole(count) or count < 1:
             raise SceneError(f"frame_count is {count}, expected a whole number, at least 1")
         if count > ANIMATION_FRAMES_MAX:
             raise SceneError(
@@ -183,11 +191,11 @@ class Animation:
 
     @property
     def duration(self) -> float:
-        """Until the last frame ends, seconds."""
+        """Time at which the last frame ends, seconds."""
         return self.frame_count / self.fps
 
     def actors_at(self, time: float) -> list[Instance]:
-        """All actors at a time, in their order; `Actor.at` gives those of one, whose settings then are known.
+        """The instances of all actors at a time, in order; `Actor.at` gives those of one actor.
 
         Raises:
             SceneError: The time is not finite.

@@ -1,4 +1,4 @@
-"""Gaussians that lie on the triangles of a surface, and deform with them."""
+"""Gaussians that are bound to the triangles of a surface and deform with them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import RIG_HIDDEN_AREA, RIG_SHEAR_MIN
-from lumisplat.math.arrays import FloatArray, IntArray, handed_over
+from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples
@@ -21,33 +21,34 @@ _SHORT_NORMAL = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Binding:
-    """How the N Gaussians of one surface lie on T of its triangles.
+    """The places of the N Gaussians of one surface on T of its triangles.
 
-    A triangle's frame has the columns (first edge, second edge, normal), the normal of length 1 at rest.
+    The frame of a triangle has the columns (first edge, second edge, normal); at rest the normal has length 1.
     """
 
     corners: IntArray
     """Vertices of the triangles, shape (T, 3)."""
     areas: FloatArray
-    """Theirs at rest, doubled, shape (T,)."""
+    """Twice the areas of the triangles at rest, shape (T,)."""
     triangles: IntArray
-    """0..T-1, of each Gaussian, shape (N,)."""
+    """Triangle of each Gaussian, 0..T-1, shape (N,)."""
     weights: FloatArray
     """Barycentric coordinates of the centres, shape (N, 3)."""
     in_frame: FloatArray
-    """Columns in the triangle's frame at rest: the two wide axes times their scales, and the centre from the first
-    corner; shape (N, 3, 3)."""
+    """Each Gaussian in the rest frame of its triangle: columns are the two wide axes times their scales, and the centre
+    relative to the first corner; shape (N, 3, 3)."""
 
     def frames(self, positions: _Floats) -> tuple[FloatArray, FloatArray]:
-        """The triangles' frames for vertices at ``positions``, and their areas in areas at rest.
+        """The frames of the triangles, and the factors of their areas against those at rest.
 
-        The normal's length is the square root of the area's factor: what is scaled as a whole grows as a whole.
+        The normal has the square root of the area's factor as its length, so that a uniform scale of the surface scales
+        the frame uniformly.
 
         Args:
-            positions: Of all vertices of the surface, shape (V, 3).
+            positions: Positions of all vertices of the surface, shape (V, 3).
 
         Returns:
-            Shape (T, 3, 3), and shape (T,).
+            Frames, shape (T, 3, 3), and factors, shape (T,).
         """
         a, b, c = positions[self.corners].swapaxes(0, 1)
         first, second = b - a, c - a
@@ -60,7 +61,7 @@ class Binding:
 
 
 def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
-    """Where Gaussians sampled from a mesh lie on it."""
+    """Binds Gaussians to the triangles of the mesh that they were sampled from."""
     used, triangles = np.unique(samples.faces, return_inverse=True)
     corners = mesh.indices[used]
     a, b, c = mesh.positions.astype(np.float64)[corners].swapaxes(0, 1)
@@ -74,27 +75,28 @@ def bind_surface(mesh: Mesh, samples: SurfaceSamples) -> Binding:
     in_frame[:, :, 2] = 0.0
     in_frame[:, :2, 2] = samples.weights[:, 1:]
     return Binding(
-        corners=handed_over(corners),
-        areas=handed_over(areas.astype(np.float32)),
-        triangles=handed_over(triangles.astype(np.int32)),
-        weights=handed_over(samples.weights.astype(np.float32)),
-        in_frame=handed_over(in_frame.astype(np.float32)),
+        corners=read_only_view(corners),
+        areas=read_only_view(areas.astype(np.float32)),
+        triangles=read_only_view(triangles.astype(np.int32)),
+        weights=read_only_view(samples.weights.astype(np.float32)),
+        in_frame=read_only_view(in_frame.astype(np.float32)),
     )
 
 
-def deformed(
+def deform_gaussians(
     binding: Binding, scales: _Floats, positions: _Floats, vertex_normals: _Floats | None
 ) -> tuple[dict[str, _Floats], npt.NDArray[np.bool_]]:
-    """What changes of Gaussians whose triangles move, and which of them vanish with theirs.
+    """Moves Gaussians with their triangles.
 
     Args:
-        binding: To the triangles.
-        scales: At rest, shape (N, 3).
-        positions: Of all vertices of the surface, shape (V, 3).
-        vertex_normals: Of any length, shape (V, 3); None: the triangles' own.
+        binding: Binds the Gaussians to the triangles.
+        scales: Scales at rest, shape (N, 3).
+        positions: Positions of all vertices of the surface, shape (V, 3).
+        vertex_normals: Normals of these vertices, of any length, shape (V, 3); None: the triangles are flat.
 
     Returns:
-        ``means``, ``rotations_wxyz``, ``scales`` and ``normals``, and a mask of shape (N,).
+        The new ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that
+        vanish with their triangles, shape (N,).
     """
     frames, growth = binding.frames(positions)
     triangles = binding.triangles
@@ -117,10 +119,10 @@ def deformed(
 
 
 def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Two vectors square to each other that span the same ellipse, shape (N, 3) each.
+    """Two perpendicular vectors that span the same ellipse as the given pair, shape (N, 3) each.
 
-    One rotation of the pair (one-sided Jacobi, Hestenes 1958), the smaller of the two that do: axes stay what they are
-    as long as they can.
+    The pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
+    change as little as possible.
     """
     first_square, second_square, mixed = _dots(first, first), _dots(second, second), _dots(first, second)
     skewed = np.abs(mixed) > RIG_SHEAR_MIN * np.sqrt(first_square * second_square)
@@ -132,7 +134,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Shading normals of the Gaussians, shape (N, 3); ``flat`` where the vertices have none."""
+    """Shading normals of the Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)

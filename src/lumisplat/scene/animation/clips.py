@@ -1,4 +1,4 @@
-"""Clips of a rig: values by key, for each joint's translation, rotation and scale, and for morph weights."""
+"""Clips of a rig: keyed values for the translation, rotation and scale of joints, and for morph weights."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ _Floats = npt.NDArray[np.float64]
 
 
 class Channel(Enum):
-    """What of a node a track changes."""
+    """Property of a node that a track animates."""
 
     TRANSLATION = "translation"
-    """(3,)"""
+    """Vector, shape (3,)."""
     ROTATION = "rotation"
-    """Unit quaternion wxyz, (4,)."""
+    """Unit quaternion wxyz, shape (4,)."""
     SCALE = "scale"
-    """Factors by axis, (3,)."""
+    """Factors along the axes, shape (3,)."""
     WEIGHTS = "weights"
-    """Of the morph targets of the node's mesh, (T,)."""
+    """Weights of the morph targets of the node's mesh, shape (T,)."""
 
 
 class Interpolation(Enum):
-    """How values change between keys (glTF 2.0 appendix C)."""
+    """Interpolation of values between keys (glTF 2.0 appendix C)."""
 
     STEP = "STEP"
     LINEAR = "LINEAR"
-    """Rotations by slerp."""
+    """Linear; slerp for rotations."""
     CUBICSPLINE = "CUBICSPLINE"
-    """Hermite splines."""
+    """Cubic Hermite spline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,13 +48,13 @@ class Track:
     values: _Floats
     """Shape (K, C)."""
     tangents: _Floats | None = None
-    """Of a spline: those by which each key is reached and left, in units a second, shape (K, 2, C)."""
+    """Tangents of a spline, incoming and outgoing at each key, units per second, shape (K, 2, C)."""
 
     def at(self, time: float) -> _Floats:
-        """The value at a time, shape (C,): before the first key that one's, after the last key that one's."""
+        """The value at a time, shape (C,). It is constant before the first key and after the last one."""
         before = int(np.searchsorted(self.times, time, side="right")) - 1
         if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
-            return self._settled(self.values[max(before, 0)])
+            return self._normalise(self.values[max(before, 0)])
         first, second = self.values[before], self.values[before + 1]
         span = float(self.times[before + 1] - self.times[before])
         share = (time - float(self.times[before])) / span
@@ -62,13 +62,13 @@ class Track:
             square, cube = share * share, share * share * share
             value = (2.0 * cube - 3.0 * square + 1.0) * first + (3.0 * square - 2.0 * cube) * second
             value = value + span * (cube - 2.0 * square + share) * self.tangents[before, 1]
-            return self._settled(value + span * (cube - square) * self.tangents[before + 1, 0])
+            return self._normalise(value + span * (cube - square) * self.tangents[before + 1, 0])
         if self.channel is Channel.ROTATION:
             return slerp(first, second, share)
         return (1.0 - share) * first + share * second
 
-    def _settled(self, value: _Floats) -> _Floats:
-        """Rotations at length 1, which splines leave."""
+    def _normalise(self, value: _Floats) -> _Floats:
+        """Rotations scaled back to length 1, which splines do not keep; other values as they are."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 
 

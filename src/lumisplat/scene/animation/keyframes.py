@@ -1,4 +1,4 @@
-"""Rigid motion by keyframes: where something stands, turns and how large it is, at given times."""
+"""Motion by keyframes: position, rotation and uniform scale of an object at given times."""
 
 from __future__ import annotations
 
@@ -9,34 +9,33 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError, check_shapes
+from lumisplat.math.arrays import finite_array
 from lumisplat.math.rotations import matrices_from_quaternions, slerp
-
-_Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
-    """Poses of an object at K times; between them positions and scales change linearly, rotations by slerp.
+    """Poses of an object at K times; in between, positions and scales are linear and rotations slerped.
 
-    Before the first time the first pose holds, after the last one the last. Rotations take the shorter way round:
-    for a whole turn, give a key each third of it.
+    Before the first key and after the last one the pose is constant. Rotations take the shorter way: for a full turn,
+    give a key every third of it.
 
     Raises:
-        SceneError: There is no key, shapes do not fit, a value is not finite, times do not rise, a scale is not
-            positive, or a rotation has no length.
+        SceneError: There is no key, shapes do not fit, a value is not finite, times do not increase, a scale is not
+            positive, or a rotation has zero length.
     """
 
     times: npt.ArrayLike
-    """Seconds, rising, shape (K,)."""
+    """Seconds, strictly increasing, shape (K,)."""
     positions: npt.ArrayLike | None = None
-    """Where the object's origin is, scene units, shape (K, 3); None: at the origin."""
+    """Positions of the object's origin, scene units, shape (K, 3); None: the world's origin."""
     rotations_wxyz: npt.ArrayLike | None = None
-    """Quaternions, scalar first, of any length but zero, shape (K, 4); None: not turned."""
+    """Quaternions of any length above 0, scalar first, shape (K, 4); None: no rotation."""
     scales: npt.ArrayLike | None = None
     """Uniform scale factors, above 0, shape (K,); None: 1."""
 
     def __post_init__(self) -> None:
-        times = _numbers("times", self.times)
+        times = finite_array("times", self.times, np.float64)
         count = times.size
         rest = {
             "positions": np.zeros((count, 3)),
@@ -44,7 +43,10 @@ class Keyframes:
             "scales": np.ones(count),
         }
         given = {name: getattr(self, name) for name in rest}
-        values = {name: rest[name] if value is None else _numbers(name, value) for name, value in given.items()}
+        values = {
+            name: rest[name] if value is None else finite_array(name, value, np.float64)
+            for name, value in given.items()
+        }
         check_shapes(
             times=(times, "K"),
             positions=(values["positions"], "K 3"),
@@ -98,22 +100,6 @@ class Keyframes:
 
 
 def check_time(time: float) -> None:
-    """Refuses what is no moment.
-
-    Raises:
-        SceneError: ``time`` is not a finite number.
-    """
+    """Raises a `SceneError` unless ``time`` is a finite number of seconds."""
     if not is_number(time) or not np.isfinite(time):
         raise SceneError(f"time is {time}, expected seconds, a finite number")
-
-
-def _numbers(name: str, values: npt.ArrayLike) -> _Floats:
-    """A float64 copy of finite numbers."""
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{name} is not an array of numbers: {error}") from None
-    invalid = array.size - np.count_nonzero(np.isfinite(array))
-    if invalid:
-        raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}")
-    return array

@@ -1,4 +1,4 @@
-"""A rig: meshes that joints move, and the clips that move the joints."""
+"""Rigs: meshes that are moved by joints, and the clips that move the joints."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, IntArray, handed_over
-from lumisplat.math.transforms import is_mirroring, transform_normals, transform_points
+from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
+from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
 from lumisplat.scene.animation.clips import Channel, Clip
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.animation.skeleton import Skeleton
-from lumisplat.scene.animation.skinning import blended
+from lumisplat.scene.animation.skinning import blend_matrices
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import check_triangles
@@ -23,12 +23,12 @@ _Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MorphTargets:
-    """Offsets of vertices that are added by weight."""
+    """Offsets of vertices, T targets that are added by weight."""
 
     node: int
-    """Whose weights a clip changes."""
+    """The node whose weights a clip changes."""
     weights: _Floats
-    """At rest, shape (T,)."""
+    """Weights at rest, shape (T,)."""
     positions: FloatArray
     """Shape (T, V, 3)."""
     normals: FloatArray | None
@@ -37,125 +37,120 @@ class MorphTargets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPart:
-    """V vertices as they were bound, and the joints that they follow."""
+    """V vertices in the bind pose, and the joints that move them."""
 
     positions: FloatArray
     """Shape (V, 3)."""
     normals: FloatArray | None
     """Shape (V, 3)."""
     nodes: IntArray
-    """Nodes of the J joints, shape (J,)."""
+    """Nodes that are the J joints, shape (J,)."""
     joint_from_bind: _Floats
     """Inverse bind matrices, shape (J, 4, 4)."""
     joints: IntArray
-    """Joints of each vertex, 0..J-1, shape (V, K)."""
+    """Indices of the joints of each vertex, 0..J-1, shape (V, K)."""
     weights: FloatArray
-    """Theirs, at least 0 and of a positive sum, shape (V, K)."""
+    """Weights of these joints, at least 0 and of a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: _Floats) -> _Floats:
         """``world_from_bind`` of each vertex, shape (V, 3, 4)."""
-        return blended(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
+        return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
-    def posed(self, world_from_node: _Floats, weights: _Floats | None) -> tuple[_Floats, _Floats | None]:
-        """Positions and normals (of any length) in the world.
-
-        Args:
-            world_from_node: Of the skeleton, shape (N, 4, 4).
-            weights: Of the morph targets, shape (T,); None: those at rest.
-        """
-        positions, normals = self.positions, self.normals
+    def pose_vertices(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
+        """Positions and normals (of any length) in world space, shape (V, 3) each."""
+        positions: npt.NDArray[np.floating] = self.positions
+        normals: npt.NDArray[np.floating] | None = self.normals
         if self.morphs is not None:
-            weights = self.morphs.weights if weights is None else weights
+            weights = pose.morph_weights.get(self.morphs.node, self.morphs.weights)
             used = np.flatnonzero(weights)
             positions = positions + np.tensordot(weights[used], self.morphs.positions[used], 1)
             if normals is not None and self.morphs.normals is not None:
                 normals = normals + np.tensordot(weights[used], self.morphs.normals[used], 1)
-        matrices = self.matrices(world_from_node)
-        return transform_points(matrices, positions), None if normals is None else transform_normals(matrices, normals)
+        matrices = self.matrices(pose.world_from_node)
+        if normals is not None:
+            normals = transform_normals_each(matrices, normals)
+        return transform_points_each(matrices, positions), normals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSurface:
-    """Triangles of one material over the vertices of its parts, one part's after the other's."""
+    """Triangles of one material over the vertices of its parts, which follow one another."""
 
     parts: tuple[RigPart, ...]
     indices: IntArray
-    """Shape (F, 3), counter-clockwise seen from outside in the pose at rest."""
+    """Shape (F, 3), counter-clockwise seen from outside in the rest pose."""
     material: Material
     uvs: FloatArray | None
     colors: FloatArray | None
     name: str
-    _left: dict[bytes, IntArray] = field(default_factory=dict, init=False, repr=False)
-    """Triangles of the last pose that lost some, by which were left."""
+    _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
+    """Triangles left in the last pose that lost some, by the mask of those left."""
 
-    def posed(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
-        """Positions and normals (of any length) of all vertices in the world, shape (V, 3) each."""
-        moved = [
-            part.posed(pose.world_from_node, None if part.morphs is None else pose.morph_weights.get(part.morphs.node))
-            for part in self.parts
-        ]
+    def pose_vertices(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
+        """Positions and normals (of any length) of all vertices in world space, shape (V, 3) each."""
+        moved = [part.pose_vertices(pose) for part in self.parts]
         normals = [normals for _, normals in moved if normals is not None]
         positions = np.concatenate([positions for positions, _ in moved])
         return positions, np.concatenate(normals) if len(normals) == len(moved) else None
 
     def mesh(self, pose: RigPose) -> Mesh | None:
-        """The surface as a mesh, without the triangles that have no area in this pose; None where none is left."""
-        moved, normals = self.posed(pose)
-        positions = handed_over(moved.astype(np.float32))
+        """The surface as a mesh, without the triangles that have no area in this pose; None if none is left."""
+        moved, normals = self.pose_vertices(pose)
+        positions = read_only_view(moved.astype(np.float32))
         usable = check_triangles(positions, self.indices).usable
         if not usable.any():
             return None
         return Mesh(
             positions,
-            self.indices if usable.all() else self._some(usable),
-            normals=None if normals is None else handed_over(_unit(normals)),
+            self.indices if usable.all() else self._select(usable),
+            normals=None if normals is None else read_only_view(_normalise(normals)),
             uvs=self.uvs,
             material=self.material,
             colors=self.colors,
             name=self.name,
         )
 
-    def _some(self, usable: npt.NDArray[np.bool_]) -> IntArray:
-        """Triangles by a mask: the same array for poses that lose the same ones, by which a surface is known again."""
+    def _select(self, usable: npt.NDArray[np.bool_]) -> IntArray:
+        """Triangles by a mask; poses that lose the same triangles get the same array, so that caches recognise it."""
         key = usable.tobytes()
-        if key not in self._left:
-            self._left.clear()
-            self._left[key] = handed_over(self.indices[usable])
-        return self._left[key]
+        if key not in self._usable_indices:
+            self._usable_indices.clear()
+            self._usable_indices[key] = read_only_view(self.indices[usable])
+        return self._usable_indices[key]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPose:
-    """What moves the vertices of a rig at a time."""
+    """The state of a rig at a time: what moves its vertices."""
 
     world_from_node: _Floats
     """Shape (N, 4, 4)."""
     morph_weights: dict[int, _Floats]
-    """By the node of the mesh, of the nodes whose weights a clip changes."""
+    """Weights of morph targets by node, for the nodes whose weights the clip changes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
     """Meshes bound to a hierarchy of joints, with animations by name; made by `load_rig`.
 
-    A pose is linear blend skinning (glTF 2.0 section 3.7.3) of the vertices after their morph targets. All poses are
-    in the file's world space, with its axes (glTF: y up, +z towards the viewer).
+    Vertices are moved by their morph targets, then by linear blend skinning (glTF 2.0 section 3.7.3). All poses are in
+    the file's world space, with its axes (glTF: y up, +z towards the viewer).
 
     Raises:
-        SceneError: A mesh has no triangles at rest, or values that are not finite.
+        SceneError: A mesh has no triangles at rest, or has values that are not finite.
     """
 
     skeleton: Skeleton
     surfaces: tuple[RigSurface, ...]
     animations: tuple[Clip, ...]
     meshes: tuple[Mesh, ...] = field(init=False)
-    """The meshes at rest, one a material: joints where the nodes of the file put them, as `load` shows them."""
+    """The meshes at rest, one per material, with the joints where the file's nodes are, as `load` shows them."""
 
     def __post_init__(self) -> None:
         rest = RigPose(self.skeleton.world_from_node(), {})
-        meshes = [surface.mesh(rest) for surface in self.surfaces]
-        if not meshes or None in meshes:
+        meshes = [mesh for surface in self.surfaces if (mesh := surface.mesh(rest)) is not None]
+        if not meshes or len(meshes) < len(self.surfaces):
             raise SceneError("the rig has no triangles at rest")
         object.__setattr__(self, "meshes", tuple(meshes))
 
@@ -165,15 +160,15 @@ class Rig:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """Names of the clips, in the file's order; those without a name are called by their number."""
+        """Names of the clips, in the file's order; a clip without a name has its number instead."""
         return tuple(clip.name for clip in self.animations)
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh at rest, of a rig that has one only.
+        """The mesh at rest of a rig with one mesh.
 
         Raises:
-            SceneError: It has several: see `meshes`.
+            SceneError: The rig has several; see `meshes`.
         """
         self._refuse_several("meshes")
         return self.meshes[0]
@@ -185,7 +180,7 @@ class Rig:
             clip: Its name; None: the first.
 
         Raises:
-            SceneError: There is no such clip; lists those there are.
+            SceneError: There is no such clip; the message lists the clips.
         """
         found = self._clip(clip)
         if found is None:
@@ -193,11 +188,11 @@ class Rig:
         return found.duration
 
     def pose(self, time: float, clip: str | None = None) -> Mesh:
-        """The mesh at a time of a clip, of a rig that has one only; see `poses`.
+        """The mesh at a time of a clip, for a rig with one mesh; see `poses`.
 
         Raises:
-            SceneError: The rig has several meshes, there is no such clip, the time is not finite, or nothing is left
-                of the mesh at that time.
+            SceneError: The rig has several meshes, there is no such clip, the time is not finite, or the mesh has no
+                triangles with an area at that time.
         """
         self._refuse_several("poses(time)")
         found = self.poses(time, clip)
@@ -209,12 +204,12 @@ class Rig:
         """The meshes at a time of a clip, with normals.
 
         Args:
-            time: Seconds; before the first key and after the last the pose holds.
-            clip: Its name; None: the first, and the pose at rest if there is none.
+            time: Seconds; the pose is constant before the first key and after the last one.
+            clip: Name of the clip; None: the first one, or the rest pose if the rig has no clips.
 
         Returns:
-            One mesh a material, without those that the clip scales to nothing at that time. Triangles without area
-            in a pose are left out of it.
+            One mesh per material. Triangles without area in the pose are left out, and so are meshes that the clip
+            scales to nothing.
 
         Raises:
             SceneError: There is no such clip, or the time is not finite.
@@ -224,7 +219,7 @@ class Rig:
         return tuple(mesh for mesh in meshes if mesh is not None)
 
     def pose_at(self, time: float, clip: str | None = None) -> RigPose:
-        """What moves the vertices at a time; see `poses`.
+        """The state of the rig at a time; see `poses`.
 
         Raises:
             SceneError: There is no such clip, or the time is not finite.
@@ -250,24 +245,25 @@ class Rig:
             raise SceneError(f"the rig has {len(self.surfaces)} meshes of different materials: use rig.{other}")
 
 
-def joined(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) -> IntArray:
-    """Triangles over the vertices of all parts, those of mirrored parts turned round, shape (F, 3).
+def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) -> IntArray:
+    """Joins the triangles of parts into one array over the vertices of all, shape (F, 3).
 
     Args:
-        parts: Of one surface.
-        indices: Triangles of each, shape (F, 3).
-        skeleton: At rest it says what is mirrored.
+        parts: The parts of one surface.
+        indices: Triangles of each part, shape (F, 3). Those of parts that are mirrored at rest are wound the other way.
+        skeleton: Gives the rest pose.
     """
     world_from_node = skeleton.world_from_node()
-    shifted, first = [], 0
+    shifted: list[npt.NDArray[np.integer]] = []
+    first = 0
     for part, triangles in zip(parts, indices, strict=True):
-        turned = triangles[:, ::-1] if is_mirroring(part.matrices(world_from_node)) else triangles
-        shifted.append(turned + first)
+        outwards = triangles[:, ::-1] if is_mirroring(part.matrices(world_from_node)) else triangles
+        shifted.append(outwards + first)
         first += len(part.positions)
-    return handed_over(np.concatenate(shifted).astype(np.int32))
+    return read_only_view(np.concatenate(shifted).astype(np.int32))
 
 
-def _unit(normals: _Floats) -> FloatArray:
-    """At length 1; those without length stay 0, for `Mesh` to fill."""
+def _normalise(normals: _Floats) -> FloatArray:
+    """Normals of unit length; zero ones stay zero, for `Mesh` to fill."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0).astype(np.float32)

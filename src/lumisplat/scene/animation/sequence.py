@@ -1,4 +1,4 @@
-"""Gaussian frames in files, shown one after the other."""
+"""Sequences of Gaussian frames that are stored in files."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.config.checks import is_number
 from lumisplat.constants import SEQUENCE_FRAMES_KEPT, SEQUENCE_TIME_SLACK
 from lumisplat.errors import SceneError
 from lumisplat.scene.animation.keyframes import check_time
+from lumisplat.scene.checks import check_positive
 from lumisplat.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianSequence:
-    """Frames of Gaussians at a steady rate, loaded when they are shown; made by `load_sequence`.
+    """Frames of Gaussians at a constant rate, loaded when they are shown; made by `load_sequence`.
 
-    A frame is shown as it is from its time until the next one's. Nothing is interpolated: formats reorder Gaussians,
-    and counts may differ from frame to frame, so that no Gaussian is known again in the next frame. The last few
-    frames are kept in memory.
+    A frame is shown unchanged from its time until that of the next one. Frames are not interpolated: formats reorder
+    Gaussians and counts may differ, so that a Gaussian cannot be found again in the next frame. The last few frames
+    stay in memory.
 
     Raises:
         SceneError: There are no frames, or ``fps`` is not a positive number.
     """
 
     paths: Sequence[Path]
-    """Files of the frames, in order."""
+    """Files of the frames, in order of time."""
     fps: float
-    """Frames a second, above 0."""
+    """Frames per second, above 0."""
     load: Callable[[Path], Gaussians]
-    """Reads a frame."""
-    _kept: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict, init=False)
+    """Reads the file of a frame."""
+    _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
+    """The most recently shown frames by index, the latest last."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
         if not self.paths:
             raise SceneError("a sequence of no frames: there is nothing to show")
-        if not is_number(self.fps) or not 0.0 < self.fps < np.inf:
-            raise SceneError(f"fps is {self.fps}, expected a positive number")
+        check_positive("fps", self.fps)
 
     def __repr__(self) -> str:
         return f"GaussianSequence(frames={self.frame_count}, fps={self.fps:g}, first={self.paths[0].name!r})"
@@ -53,11 +53,11 @@ class GaussianSequence:
 
     @property
     def duration(self) -> float:
-        """Until the last frame ends, seconds."""
+        """Time at which the last frame ends, seconds."""
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """The frame at a time; before the first and after the last one, those.
+        """The frame at a time. Earlier times give the first frame, later ones the last.
 
         Args:
             time: Seconds.
@@ -67,11 +67,11 @@ class GaussianSequence:
             FormatError: The frame cannot be read; names its file.
         """
         check_time(time)
-        # Times are multiples of 1 / fps that rounding may have put before the frame that begins there.
+        # Rounding may have put a multiple of 1 / fps just before the frame that begins there.
         index = int(np.clip(np.floor(time * self.fps + SEQUENCE_TIME_SLACK), 0, self.frame_count - 1))
-        if index not in self._kept:
-            self._kept[index] = self.load(self.paths[index])
-            while len(self._kept) > SEQUENCE_FRAMES_KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(index)
-        return self._kept[index]
+        if index not in self._cache:
+            self._cache[index] = self.load(self.paths[index])
+            while len(self._cache) > SEQUENCE_FRAMES_KEPT:
+                self._cache.popitem(last=False)
+        self._cache.move_to_end(index)
+        return self._cache[index]

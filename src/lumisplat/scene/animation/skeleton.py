@@ -1,4 +1,4 @@
-"""The nodes of a rig: where each is in the world, at rest and at a time of a clip."""
+"""The nodes of a rig and their transforms to world space, at rest and at a time of a clip."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
-    """N nodes with their transforms at rest; a point is scaled, then rotated, then moved."""
+    """N nodes with their transforms at rest. A node scales a point first, then rotates, then translates it."""
 
-    parents: tuple[int, ...]
-    """Index of each node's parent, -1 of a root."""
+    parents: tuple[int | None, ...]
+    """Index of each node's parent; None for a root."""
     order: tuple[int, ...]
     """All nodes, parents first."""
     translations: _Floats
@@ -29,14 +29,14 @@ class Skeleton:
     scales: _Floats
     """Shape (N, 3)."""
     matrices: Mapping[int, _Floats]
-    """``parent_from_node`` of nodes that have it in place of the three; no clip moves them."""
+    """``parent_from_node`` of the nodes that have a matrix instead of the three parts; clips do not move them."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> _Floats:
-        """Where the nodes are, shape (N, 4, 4).
+        """The transforms of all nodes to world space, shape (N, 4, 4).
 
         Args:
-            clip: What moves them; None: they are at rest.
-            time: Of the clip, seconds.
+            clip: The animation; None: the nodes are at rest.
+            time: Time of the clip, seconds.
         """
         columns = {
             Channel.TRANSLATION: self.translations.copy(),
@@ -54,6 +54,7 @@ class Skeleton:
             local[node] = matrix
         world = local.copy()
         for node in self.order:
-            if self.parents[node] >= 0:
-                world[node] = world[self.parents[node]] @ local[node]
+            parent = self.parents[node]
+            if parent is not None:
+                world[node] = world[parent] @ local[node]
         return world

@@ -1,1 +1,1 @@
-"""What is computed from scenes on the host: colours, normals, irradiance, rays of pixels."""
+"""Computations on scenes that run on the host: colours, normals, irradiance, pixel rays."""

@@ -1,4 +1,4 @@
-"""Outward normals of Gaussians that have none (docs/method/relighting.md#normals)."""
+"""Outward normals of Gaussians that come without normals (docs/method/relighting.md#normals)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from lumisplat.config import NormalEstimate, check_enum
 from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN, NORMAL_NEIGHBOURS_PER_CELL
-from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, handed_over
+from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions
+from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.outward_side import outward_signs
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
@@ -18,27 +18,28 @@ _Doubles = npt.NDArray[np.float64]
 
 
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate = NormalEstimate.AUTO) -> FloatArray:
-    """Unit outward normals of a set, for what is an object seen from outside.
+    """Estimates unit outward normals of a set that is an object seen from outside.
 
-    An axis is found first, then which of its two ways is outside, see `outward_signs`: free space that is connected
-    to the set's surroundings. Of a room that is captured from within, the outside of its walls is outside.
+    First an axis is found for each Gaussian, then which of its two directions points outside, to the free space that is
+    connected to the set's surroundings (see `outward_signs`). For a room captured from within, outside is behind its
+    walls.
 
     Args:
-        gaussians: The set; its ``opacities`` weigh what counts.
-        method: ``AUTO``: its own ``normals`` as they are, if it has them, else ``SMALLEST_AXIS``. ``SMALLEST_AXIS``:
-            the axis of the smallest scale; any of them where a Gaussian is round. ``PCA``: of the plane through the
-            means around, weighted by opacity and by a Gaussian of distance; the smallest axis where there are too few.
+        gaussians: The set; more opaque Gaussians have more weight.
+        method: ``AUTO``: the set's own ``normals`` if it has them, else ``SMALLEST_AXIS``. ``SMALLEST_AXIS``: the axis
+            of the smallest scale; for a round Gaussian any of its axes. ``PCA``: the normal of the plane through the
+            means around, weighted by opacity and by a Gaussian of distance; the smallest axis where neighbours are too
+            few.
 
     Returns:
-        The set's own space, shape (N, 3), read-only.
+        Normals in the set's own space, shape (N, 3), read-only.
 
     Raises:
-        ConfigError: ``method`` is no NormalEstimate.
-        SceneError: There are no Gaussians to estimate normals of.
+        ConfigError: ``method`` is not a NormalEstimate.
+        SceneError: The argument is not a set of Gaussians.
     """
     check_enum("method", method, NormalEstimate)
-    if not isinstance(gaussians, Gaussians):
-        raise SceneError(f"estimate_normals takes Gaussians, got a {type(gaussians).__name__}")
+    check_argument("estimate_normals", gaussians, Gaussians, "Gaussians")
     if method is NormalEstimate.AUTO and gaussians.normals is not None:
         return gaussians.normals
     thin, *wide = _scaled_axes(gaussians)
@@ -46,27 +47,27 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate = NormalEstima
     if method is NormalEstimate.PCA:
         axes = _plane_normals(gaussians, axes)
     signs = outward_signs(gaussians, axes, (wide[0], wide[1]))
-    return handed_over((axes * signs[:, None]).astype(np.float32))
+    return read_only_view((axes * signs[:, None]).astype(np.float32))
 
 
 def _scaled_axes(gaussians: Gaussians) -> list[_Doubles]:
-    """A Gaussian's axes times their scales, from the smallest to the largest, shape (N, 3) each."""
+    """The axes of each Gaussian times their scales, from the smallest to the largest, shape (N, 3) each."""
     order = np.argsort(gaussians.scales, axis=1, kind="stable")
-    # Columns of the matrices are the axes.
+    # The axes are the columns of the matrices.
     axes = matrices_from_quaternions(gaussians.rotations_wxyz).transpose(0, 2, 1) * gaussians.scales[:, :, None]
     rows = np.arange(gaussians.count)
     return [axes[rows, order[:, rank]] for rank in range(3)]
 
 
 def _plane_normals(gaussians: Gaussians, fallback: _Doubles) -> _Doubles:
-    """Normals of planes through the means around each Gaussian, either way round, shape (N, 3)."""
+    """Normals, of either sign, of the planes through the means around each Gaussian, shape (N, 3)."""
     pairs, radius = _neighbours(gaussians.means)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
     count = gaussians.count
     first, second = pairs.first, pairs.second
     weights = np.exp(-0.5 * (2.0 * pairs.distance.astype(np.float64) / radius) ** 2) * opacities[second]
     step = means[second] - means[first]
-    # About the neighbours' own centre, the Gaussian itself (offset 0) included.
+    # Moments about the centre of the neighbours, the Gaussian itself (offset 0) included.
     total = np.bincount(first, weights, count) + opacities
     total = np.maximum(total, np.finfo(np.float64).tiny)
     center = np.stack([np.bincount(first, weights * step[:, i], count) for i in range(3)], axis=1) / total[:, None]
@@ -81,9 +82,9 @@ def _plane_normals(gaussians: Gaussians, fallback: _Doubles) -> _Doubles:
 
 
 def _neighbours(means: FloatArray) -> tuple[Pairs, float]:
-    """Each Gaussian with others within a radius at which there are `NORMAL_NEIGHBOURS` of them in the median."""
+    """Pairs of Gaussians within a radius, chosen so that the median Gaussian has about `NORMAL_NEIGHBOURS` others."""
     low, high = np.quantile(means, [0.25, 0.75], axis=0)
-    # On a surface the number grows with the square of the radius: a first guess, then corrected by what it finds.
+    # On a surface the number grows with the square of the radius: guess the radius, then correct it by the count.
     radius = max(float(np.linalg.norm(high - low)) * np.sqrt(NORMAL_NEIGHBOURS / len(means)), 1e-6)
     pairs = _pairs_within(means, radius)
     for _ in range(3):
@@ -97,11 +98,11 @@ def _neighbours(means: FloatArray) -> tuple[Pairs, float]:
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
-    """Each Gaussian (``first``) with others near it, of which cubes hold no more than `NORMAL_NEIGHBOURS_PER_CELL`."""
+    """Each Gaussian (``first``) with others near it, at most `NORMAL_NEIGHBOURS_PER_CELL` of them per cube."""
     _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
     order = np.argsort(cells.ravel(), kind="stable")
     starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])
-    kept = np.sort(order[np.arange(len(means)) - starts < NORMAL_NEIGHBOURS_PER_CELL]).astype(np.int32)
-    pairs = cross_pairs(means, means[kept], radius)
-    pairs = pairs._replace(second=kept[pairs.second])
+    candidates = np.sort(order[np.arange(len(means)) - starts < NORMAL_NEIGHBOURS_PER_CELL]).astype(np.int32)
+    pairs = cross_pairs(means, means[candidates], radius)
+    pairs = pairs._replace(second=candidates[pairs.second])
     return pairs.where(pairs.first != pairs.second)

@@ -22,10 +22,10 @@ _Doubles = npt.NDArray[np.float64]
 
 
 def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> _Doubles:
-    """Irradiance of surfaces that face a light, taken from its centre as for hard shadows.
+    """Irradiance of surfaces that face a light, all of which shines from its centre as for hard shadows.
 
     Args:
-        light: Any but an environment, which is all around.
+        light: Any light but an environment.
         points: World space, shape (N, 3).
 
     Returns:
@@ -41,7 +41,7 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> _Double
 
 
 def _candela_share(light: Light, offset: _Doubles, distance2: _Doubles) -> _Doubles:
-    """Candela towards each point, for an intensity of 1, shape (N,)."""
+    """Candela towards each point at an intensity of 1, shape (N,)."""
     if isinstance(light, LightSphere):
         return np.full_like(distance2, math.pi * light.radius**2)
     if isinstance(light, LightRect):

@@ -1,4 +1,4 @@
-"""The central ray of each pixel in world space, the lens taken for its centre."""
+"""Rays through the pixel centres in world space, from the centre of the lens."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _Points = npt.NDArray[np.float64]
 
 
 def world_rays(camera: Camera) -> tuple[_Points, _Points]:
-    """Origins and unit directions through the pixels' centres, world space, both of shape (H, W, 3).
+    """Origins and unit directions of the rays through the pixel centres, world space, both of shape (H, W, 3).
 
-    Directions are zero where a fisheye sees nothing. With a rolling shutter each row has its own pose.
+    Pixels of a fisheye that have no ray have direction 0. With a rolling shutter each row has its own pose.
     """
     rotation, directions = camera.world_from_camera[:3, :3], camera.ray_directions()
     starts = np.zeros_like(directions)
@@ -23,11 +23,11 @@ def world_rays(camera: Camera) -> tuple[_Points, _Points]:
     time = ((np.arange(camera.height) + 0.5) / camera.height)[:, None, None]
     turn = time * camera.shutter_turn
     moved = camera.eye + time * camera.shutter_motion
-    return moved + _turned(starts @ rotation.T, turn), _turned(directions @ rotation.T, turn)
+    return moved + _rotate(starts @ rotation.T, turn), _rotate(directions @ rotation.T, turn)
 
 
-def _turned(vectors: _Points, turn: _Points) -> _Points:
-    """Vectors turned about ``turn`` by its length in radians (Rodrigues), shapes (H, W, 3) and (H, 1, 3)."""
+def _rotate(vectors: _Points, turn: _Points) -> _Points:
+    """Rotates vectors about ``turn`` by its length in radians (Rodrigues), shapes (H, W, 3) and (H, 1, 3)."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
     across = np.cross(axis, vectors)

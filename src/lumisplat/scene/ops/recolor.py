@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import RECOLOR_DARK, SH_C0
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, float_array, handed_over, refuse_rows
+from lumisplat.math.arrays import FloatArray, float_array, read_only_view, refuse_rows
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.gaussians import Gaussians
 
@@ -17,20 +17,20 @@ from lumisplat.scene.gaussians import Gaussians
 def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     """The same Gaussians, each under ``factors`` times as much light.
 
-    Light is linear, colours are display-referred: a channel's display gain is ``g = encode(f decode(c)) / c`` at the
-    mean colour ``c`` over all directions, and the whole function of direction is scaled by it: ``max(SH + 0.5, 0)``
-    becomes g times as large. So the mean colour gets exactly its share of light, and a highlight keeps its contrast.
+    Light is linear, colours are display-referred. The display gain of a channel is ``g = encode(f decode(c)) / c`` at
+    the mean colour ``c`` over all directions, and the colour from every direction, ``max(SH + 0.5, 0)``, is multiplied
+    by it. So the mean colour changes by exactly the factor of light, and highlights keep their contrast.
 
     Args:
         gaussians: Any Gaussians.
-        factors: Linear-light factor of each, at least 0, shape (N,), or a channel, shape (N, 3).
+        factors: Linear-light factors, at least 0, one per Gaussian, shape (N,), or one per channel, shape (N, 3).
 
     Returns:
-        Gaussians that differ in ``sh`` only; all other arrays are the same objects. Colours whose factor is exactly 1
-        keep their bits; where all are, this is ``gaussians`` itself.
+        Gaussians that differ in ``sh`` only; all other arrays are the same objects. Colours with a factor of exactly 1
+        keep their bits; if all factors are 1, this is ``gaussians`` itself.
 
     Raises:
-        SceneError: The shape is another, or a factor is negative or not finite (the message counts them).
+        SceneError: ``factors`` has another shape, or negative or non-finite values (the message counts them).
     """
     checked = float_array("factors", factors)
     count = gaussians.count
@@ -42,14 +42,14 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     if rows.size == 0:
         return gaussians
     sh = gaussians.sh.copy()
-    sh[rows] = _scaled(gaussians.sh[rows], per_channel[rows])
-    return replace(gaussians, sh=handed_over(sh))
+    sh[rows] = _scale_sh(gaussians.sh[rows], per_channel[rows])
+    return replace(gaussians, sh=read_only_view(sh))
 
 
-def _scaled(sh: FloatArray, factors: FloatArray) -> FloatArray:
-    """SH of shape (M, K, 3) under ``factors``, shape (M, 3)."""
+def _scale_sh(sh: FloatArray, factors: FloatArray) -> FloatArray:
+    """SH, shape (M, K, 3), under light scaled by ``factors``, shape (M, 3)."""
     wide = sh.astype(np.float64)
-    # Towards black the gain tends to the factor itself, for the sRGB curve is straight there.
+    # Towards black the gain tends to the factor itself, because the sRGB curve is straight there.
     mean = np.maximum(SH_C0 * wide[:, 0] + 0.5, RECOLOR_DARK)
     gains = encode_srgb(factors * decode_srgb(mean)) / mean
     scaled = gains[:, None, :] * wide

@@ -1,1 +1,1 @@
-"""From meshes to Gaussians: points well spread over surfaces."""
+"""From meshes to Gaussians: blue-noise points on surfaces, and the discs around them."""

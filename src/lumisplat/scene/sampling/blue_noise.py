@@ -1,4 +1,4 @@
-"""Choosing well-spread points out of many: a grid-hash neighbour search and Poisson-disk elimination over it."""
+"""Blue noise: Poisson-disk elimination of points, with a neighbour search over a hash grid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CELL_MASK = (1 << _CELL_BITS) - 1
 
 
 class Pairs(NamedTuple):
-    """Neighbours closer than some radius: row k pairs point ``first[k]`` with point ``second[k]``."""
+    """Neighbours closer than some radius: entry k pairs point ``first[k]`` with point ``second[k]``."""
 
     first: _Indices
     second: _Indices
@@ -37,27 +37,28 @@ class _Grid(NamedTuple):
     cells: npt.NDArray[np.int64]
     """Occupied cells, shape (C, 3)."""
     keys: npt.NDArray[np.int64]
-    """One ascending number a cell, shape (C,)."""
+    """One number per cell, ascending, shape (C,)."""
     starts: _Indices
     counts: _Indices
 
 
 def cell_order(points: npt.NDArray[np.floating], size: float) -> _Indices:
-    """The order that sorts points into cubic cells of side ``size``: neighbours in space come close in memory."""
+    """The order that sorts points into cubic cells of side ``size``: neighbours in space get close in memory."""
     return np.argsort(_cell_keys(_cells(points, size)), kind="stable")
 
 
 def neighbour_pairs(points: npt.NDArray[np.floating], radius: float) -> Pairs:
     """All pairs of points closer than ``radius``, each once.
 
-    Points are sorted into cubic cells of side ``radius``; each cell meets itself and half of its 26 neighbours.
+    Points are sorted into cubic cells of side ``radius``; each cell is compared with itself and half of its 26
+    neighbours.
 
     Args:
         points: Shape (M, 3).
         radius: Search distance, > 0, in the points' unit.
     """
     grid = _grid(points, radius)
-    return _joined([_pairs_at(grid, grid, offset, radius) for offset in _STENCIL[13:]], grid, grid)
+    return _join_pairs([_pairs_at(grid, grid, offset, radius) for offset in _STENCIL[13:]], grid, grid)
 
 
 def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floating], radius: float) -> Pairs:
@@ -69,22 +70,22 @@ def cross_pairs(points: npt.NDArray[np.floating], others: npt.NDArray[np.floatin
         radius: Search distance, > 0, in the points' unit.
     """
     grid, other = _grid(points, radius), _grid(others, radius)
-    return _joined([_pairs_at(grid, other, offset, radius) for offset in _STENCIL], grid, other)
+    return _join_pairs([_pairs_at(grid, other, offset, radius) for offset in _STENCIL], grid, other)
 
 
 def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) -> _Indices:
-    """Indices of ``count`` of M points, as far from each other as elimination gets them.
+    """Indices of ``count`` of M points that are as far from each other as elimination gets them.
 
-    Points are visited by priority, in parallel: one is kept if none before it in reach still stands. When no more
-    fit, the radius shrinks a little and the rest gets another chance (dart throwing in the order of McCool and Fiume
-    1992, in parallel by Luby's independent-set rule). Every point left out is closer to a kept one than the final
-    radius, up to one shrinking step.
+    Points are visited by priority, in parallel: a point is kept if no undecided or kept point with a higher priority is
+    within the radius. When no more points fit, the radius shrinks a little and the others are tried again (dart
+    throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). Every point left out is
+    closer to a kept one than the final radius, up to one shrinking step.
 
     Args:
         pairs: All neighbours closer than ``radius``.
-        priority: A permutation of 0..M-1; the smallest goes first. Shape (M,).
+        priority: A permutation of 0..M-1, shape (M,); the smallest number comes first.
         count: Number of points to keep, 1..M.
-        radius: Distance to start from; above the distance of the densest packing it is only a waste.
+        radius: First radius; a radius above the distance of the densest packing only takes longer.
 
     Returns:
         Sorted indices, shape (count,).
@@ -99,34 +100,33 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
         pairs = pairs.where(pairs.distance < radius)
         _keep_maximal(pairs, kept)
         if np.count_nonzero(kept) >= count:
-            return _topped_up(before, kept & ~before, priority, count)
+            return _fill_up(before, kept & ~before, priority, count)
         radius *= SAMPLING_RADIUS_STEP
-    # Coincident points never separate: they fill up what is missing.
-    return _topped_up(kept, ~kept, priority, count)
+    # Coincident points are never far enough apart: they fill up the number.
+    return _fill_up(kept, ~kept, priority, count)
 
 
-def _topped_up(
-    kept: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int
-) -> npt.NDArray[np.integer]:
+def _fill_up(kept: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
+    """The kept points and the first of ``more`` by priority, ``count`` in total, sorted."""
     rows = np.flatnonzero(more)
     rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(kept)]
     return np.sort(np.concatenate([np.flatnonzero(kept), rows]))
 
 
 def _keep_maximal(pairs: Pairs, kept: npt.NDArray[np.bool_]) -> None:
-    """Adds to ``kept`` until every point is kept or paired with a kept one."""
+    """Adds points to ``kept`` until every point is kept or paired with a kept one."""
     first, second, _ = pairs
-    standing = ~kept
-    standing[second[kept[first]]] = False
-    standing[first[kept[second]]] = False
-    while standing.any():
-        rows = standing[first] & standing[second]
+    undecided = ~kept
+    undecided[second[kept[first]]] = False
+    undecided[first[kept[second]]] = False
+    while undecided.any():
+        rows = undecided[first] & undecided[second]
         first, second = first[rows], second[rows]
-        winners = standing.copy()
+        winners = undecided.copy()
         winners[second] = False
         kept |= winners
-        standing &= ~winners
-        standing[second[winners[first]]] = False
+        undecided &= ~winners
+        undecided[second[winners[first]]] = False
 
 
 def _cells(points: npt.NDArray[np.floating], size: float) -> npt.NDArray[np.int64]:
@@ -134,7 +134,7 @@ def _cells(points: npt.NDArray[np.floating], size: float) -> npt.NDArray[np.int6
 
 
 def _cell_keys(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    # Cells very far apart may share a key: the distance test drops what they add.
+    # Cells very far apart may share a key: the distance test removes their pairs.
     x, y, z = (cells & _CELL_MASK).T
     return (x << 2 * _CELL_BITS) | (y << _CELL_BITS) | z
 
@@ -151,9 +151,9 @@ def _pairs_at(grid: _Grid, other: _Grid, offset: _Indices, radius: float) -> Pai
     """Close pairs, in cell order, of each cell of ``other`` with the cell of ``grid`` that lies at ``offset``."""
     wanted = _cell_keys(other.cells + offset)
     slots = np.minimum(np.searchsorted(grid.keys, wanted), grid.keys.size - 1)
-    met = np.flatnonzero(grid.keys[slots] == wanted)
-    slots = slots[met]
-    first, second = _products(grid.starts[slots], grid.counts[slots], other.starts[met], other.counts[met])
+    occupied = np.flatnonzero(grid.keys[slots] == wanted)
+    slots = slots[occupied]
+    first, second = _products(grid.starts[slots], grid.counts[slots], other.starts[occupied], other.counts[occupied])
     if grid is other and not offset.any():
         once = first < second
         first, second = first[once], second[once]
@@ -163,13 +163,14 @@ def _pairs_at(grid: _Grid, other: _Grid, offset: _Indices, radius: float) -> Pai
     return Pairs(first[near], second[near], np.sqrt(distance2[near]))
 
 
-def _joined(found: list[Pairs], grid: _Grid, other: _Grid) -> Pairs:
+def _join_pairs(found: list[Pairs], grid: _Grid, other: _Grid) -> Pairs:
+    """All pairs, as indices of the points in their original order."""
     first, second, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Pairs(grid.order[first], other.order[second], distance)
 
 
 def _products(a_start: _Indices, a_count: _Indices, b_start: _Indices, b_count: _Indices) -> tuple[_Indices, _Indices]:
-    """Every combination of a row from range a and one from range b, for all k ranges at once."""
+    """All combinations of a row from range a and a row from range b, for all k pairs of ranges at once."""
     sizes = a_count * b_count
     local = np.arange(int(sizes.sum()), dtype=np.int32)
     local -= np.repeat((np.cumsum(sizes) - sizes).astype(np.int32), sizes)

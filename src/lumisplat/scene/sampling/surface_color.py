@@ -1,4 +1,4 @@
-"""Base colour at points of a mesh, averaged over what one sample stands for."""
+"""Base colour at points of a mesh, averaged over the area that one sample represents."""
 
 from __future__ import annotations
 
@@ -7,49 +7,44 @@ import numpy.typing as npt
 
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.surface_points import interpolate_vertices
+from lumisplat.scene.triangles import area_vectors
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]
-
-
-def interpolated(values: _Floats, corners: _Ints, weights: _Floats) -> npt.NDArray[np.float64]:
-    """Vertex values (V, D) at barycentric ``weights`` (M, 3) between the vertices ``corners`` (M, 3), shape (M, D)."""
-    return sum(weights[:, k, None] * values[corners[:, k]] for k in range(3))  # type: ignore[return-value]
 
 
 def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
     """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
 
     Args:
-        mesh: Triangles.
+        mesh: The mesh.
         faces: Triangle of each point, shape (M,).
-        weights: Barycentric coordinates there, shape (M, 3).
-        width: Over which the texture is averaged, scene units.
+        weights: Barycentric coordinates of each point, shape (M, 3).
+        width: Width over which the texture is averaged, scene units.
     """
     corners = mesh.indices[faces]
     colors = np.tile(np.asarray(mesh.material.base_color), (faces.size, 1))
     if mesh.colors is not None:
-        colors *= interpolated(mesh.colors, corners, weights)
+        colors *= interpolate_vertices(mesh.colors, corners, weights)
     texture = mesh.material.base_color_texture
     if texture is not None and mesh.uvs is not None:
-        level = _texture_levels(mesh, texture.shape[0] * texture.shape[1], width)[faces]
-        colors *= _filtered(texture, interpolated(mesh.uvs, corners, weights), level)
+        level = _texture_levels(mesh, mesh.uvs, texture.shape[0] * texture.shape[1], width)[faces]
+        colors *= _filter_texture(texture, interpolate_vertices(mesh.uvs, corners, weights), level)
     return np.clip(colors, 0.0, 1.0)
 
 
-def _texture_levels(mesh: Mesh, texel_count: int, width: float) -> _Floats:
-    """Pyramid level of each face whose texels are ``width`` wide, as a mean over both directions, shape (F,)."""
-    assert mesh.uvs is not None
-    a, b, c = mesh.positions.astype(np.float64)[mesh.indices].swapaxes(0, 1)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    p, q, r = mesh.uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
+def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) -> _Floats:
+    """For each face, the pyramid level whose texels are ``width`` wide on average over both directions, shape (F,)."""
+    area = np.linalg.norm(area_vectors(mesh.positions, mesh.indices), axis=1)
+    p, q, r = uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
     texels2 = width**2 * texel_count * uv_area / np.where(area > 0.0, area, np.inf)
     return 0.5 * np.log2(np.maximum(texels2, 1.0))
 
 
-def _filtered(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats) -> _Floats:
-    """Trilinearly filtered, repeating texture in linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
+def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats) -> _Floats:
+    """Trilinear lookup of a repeating texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
     while True:
@@ -59,10 +54,11 @@ def _filtered(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats) -> _
         colors[used] += share[used, None] * _bilinear(image, uvs[used])
         if last or step >= level.max():
             return colors
-        image, step = _halved(_halved(image, 0), 1), step + 1
+        image, step = _halve(_halve(image, 0), 1), step + 1
 
 
 def _bilinear(image: _Floats, uvs: _Floats) -> _Floats:
+    """Bilinear lookup of a repeating image, shape (M, 3)."""
     height, width = image.shape[:2]
     x, y = uvs[:, 0] % 1.0 * width - 0.5, uvs[:, 1] % 1.0 * height - 0.5
     left, top = np.floor(x), np.floor(y)
@@ -73,13 +69,14 @@ def _bilinear(image: _Floats, uvs: _Floats) -> _Floats:
     return upper * (1.0 - bottom_share) + lower * bottom_share
 
 
-def _halved(image: _Floats, axis: int) -> _Floats:
-    """Half as many rows or columns, at least one, each the mean over its share of them, whatever their number."""
-    size = image.shape[axis]
+def _halve(image: _Floats, axis: int) -> _Floats:
+    """Halves the number of rows or columns, to at least one; each is the mean over its share, also of odd numbers."""
+    size = int(image.shape[axis])
     half = max(size // 2, 1)
     image = np.moveaxis(image, axis, 0)
     edges = np.linspace(0.0, size, half + 1)
     before = np.minimum(edges.astype(np.int64), size - 1)
     sums = np.concatenate([np.zeros_like(image[:1], dtype=np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
     at_edges = sums[before] + (edges - before)[:, None, None] * (sums[before + 1] - sums[before])
-    return np.moveaxis(np.diff(at_edges, axis=0) * (half / size), 0, axis).astype(np.float32)
+    means = np.diff(at_edges, axis=0) * (half / size)
+    return np.moveaxis(means, 0, axis).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Images of radiance, for environment lights: Radiance HDR and OpenEXR, told apart by their content."""
+"""Images of radiance for environment lights: Radiance HDR or OpenEXR, recognised by their content."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import logging
 import os
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
-from lumisplat.io.images.image import read_exr
-from lumisplat.io.images.radiance_hdr import MAGIC as HDR_MAGIC
-from lumisplat.io.images.radiance_hdr import decode_hdr
+from lumisplat.io.images.exr import read_exr
+from lumisplat.io.images.hdr import MAGIC as HDR_MAGIC
+from lumisplat.io.images.hdr import decode_hdr
+from lumisplat.math.arrays import FloatArray
 
 _log = logging.getLogger("lumisplat")
 
@@ -20,8 +20,8 @@ _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _DISPLAY_IMAGES = {b"\x89PNG": "a PNG", b"\xff\xd8\xff": "a JPEG", b"RIFF": "a WebP", b"BM": "a BMP", b"GIF8": "a GIF"}
 
 
-def read_radiance(path: PathLike) -> npt.NDArray[np.float32]:
-    """See `lumisplat.io.load_radiance`."""
+def read_radiance(path: PathLike) -> FloatArray:
+    """As `lumisplat.io.load_radiance`."""
     data = read_bytes(path)
     with parsing(path, "an image of radiance (.hdr or .exr)"):
         if data.startswith(HDR_MAGIC):
@@ -32,10 +32,11 @@ def read_radiance(path: PathLike) -> npt.NDArray[np.float32]:
             kinds = [kind for magic, kind in _DISPLAY_IMAGES.items() if data.startswith(magic)]
             found = f"{kinds[0]} image and is 8 bit" if kinds else "neither Radiance HDR nor OpenEXR"
             raise FormatError(path, f"is {found}, expected .hdr or .exr with linear radiance")
-    return _usable(path, image)
+    return _without_invalid(path, image)
 
 
-def _exr_colors(path: PathLike) -> npt.NDArray[np.float32]:
+def _exr_colors(path: PathLike) -> FloatArray:
+    """The channels R, G and B of an EXR, shape (H, W, 3)."""
     channels = read_exr(path)
     missing = [name for name in "RGB" if name not in channels]
     if missing:
@@ -48,8 +49,8 @@ def _exr_colors(path: PathLike) -> npt.NDArray[np.float32]:
     return np.stack(planes, axis=2, dtype=np.float32)
 
 
-def _usable(path: PathLike, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """The image, read-only, 0 where it was negative or not finite; one log line counts those values."""
+def _without_invalid(path: PathLike, image: FloatArray) -> FloatArray:
+    """The image, read-only, with negative and non-finite values set to 0; one log line counts them."""
     not_finite = ~np.isfinite(image)
     with np.errstate(invalid="ignore"):
         negative = (image < 0.0) & ~not_finite

@@ -1,4 +1,4 @@
-"""What metrics are given: images of one shape and range, checked at the door."""
+"""Pairs of images that metrics compare: checked to have one shape and values in 0..1."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from lumisplat.errors import SceneError
 Image = npt.NDArray[np.float64]
 
 
-def same_images(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Image, Image]:
+def picture_pair(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Image, Image]:
     """Both pictures as float64, shape (H, W, 3), in 0..1.
 
     Args:
         image: Display-referred values, 0..1, shape (H, W, 3); bytes are divided by 255.
-        reference: The like.
+        reference: The reference picture, in the same form.
 
     Raises:
-        SceneError: A shape is not that of a picture, shapes differ, or values are not finite or leave 0..1.
+        SceneError: A shape is not that of a picture, shapes differ, or values are not finite or outside 0..1.
     """
-    pair = _unit("image", image), _unit("reference", reference)
+    pair = _unit_range("image", image), _unit_range("reference", reference)
     for name, pixels in zip(("image", "reference"), pair, strict=True):
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
             raise SceneError(f"{name} has shape {pixels.shape}, expected (H, W, 3)")
@@ -28,18 +28,18 @@ def same_images(image: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Image, 
     return pair
 
 
-def same_masks(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
-    """Both images of shadow strength as float64, shape (H, W); NaN outside of ``region``.
+def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
+    """Both images of shadow strength as float64, shape (H, W), NaN outside of ``region``.
 
     Args:
         shadow: 0 (lit) to 1 (black), shape (H, W); bytes are divided by 255.
-        reference: The like.
-        region: Where to look, booleans of shape (H, W); None: everywhere.
+        reference: The reference, in the same form.
+        region: The pixels to compare, booleans of shape (H, W); None: all.
 
     Raises:
-        SceneError: A shape is not that of a mask, shapes differ, or values are not finite or leave 0..1.
+        SceneError: A shape is not that of a mask, shapes differ, or values are not finite or outside 0..1.
     """
-    pair = _unit("shadow", shadow), _unit("reference", reference)
+    pair = _unit_range("shadow", shadow), _unit_range("reference", reference)
     for name, pixels in zip(("shadow", "reference"), pair, strict=True):
         if pixels.ndim != 2 or pixels.size == 0:
             raise SceneError(f"{name} has shape {pixels.shape}, expected (H, W)")
@@ -52,10 +52,11 @@ def same_masks(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.Arra
     return np.where(inside, pair[0], np.nan), np.where(inside, pair[1], np.nan)
 
 
-def _unit(name: str, values: npt.ArrayLike) -> Image:
+def _unit_range(name: str, values: npt.ArrayLike) -> Image:
+    """Values as float64, refused outside 0..1."""
     try:
         array = np.asarray(values)
-    except ValueError:  # rows of several lengths
+    except ValueError:  # rows of different lengths
         raise SceneError(f"{name} is not an array of numbers") from None
     if array.dtype.kind not in "fiub":
         raise SceneError(f"{name} is not an array of numbers")

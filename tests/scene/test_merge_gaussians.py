@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.gaussians import merged
+from lumisplat.scene.gaussians import merge_gaussians
 
 
 def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
@@ -25,29 +25,29 @@ def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
 
 def test_merged_keeps_order_and_pads_sh() -> None:
     """Rows follow each other; lower degrees get zeros, which add nothing."""
-    both = merged([make(2, 1), make(3, 4)])
+    both = merge_gaussians([make(2, 1), make(3, 4)])
     np.testing.assert_array_equal(both.means[:, 0], [2, 2, 3, 3, 3])
     np.testing.assert_array_equal(both.sh[:, 1:].any(axis=(1, 2)), [False, False, True, True, True])
     assert both.albedo is not None
 
 
 def test_merged_drops_what_not_all_sets_have() -> None:
-    """An optional array survives only where every set has it."""
-    assert merged([make(2, 1), make(3, 1, albedo=False)]).albedo is None
+    """An optional array is kept only if all sets have it."""
+    assert merge_gaussians([make(2, 1), make(3, 1, albedo=False)]).albedo is None
 
 
 def test_settings_are_kept() -> None:
-    """What all sets share about how they are to be rendered, the union and its parts still say."""
-    both = merged([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
+    """Settings that all sets share are those of the merged set and of its subsets."""
+    both = merge_gaussians([replace(make(2, 1), kernel_degree=4, antialiased=True)] * 2)
     assert (both.kernel_degree, both.antialiased) == (4, True)
     assert both.subset(np.array([0, 3])).kernel_degree == 4
 
 
 def test_merged_refuses_nothing_and_mixed_settings() -> None:
-    """No sets, and sets whose opacities or scales mean different things, raise one clear error."""
+    """An empty list, and sets whose opacities or scales have different meanings, raise one clear error."""
     with pytest.raises(ls.SceneError, match="nothing to merge"):
-        merged([])
+        merge_gaussians([])
     with pytest.raises(ls.SceneError, match="antialiased"):
-        merged([make(1, 1), replace(make(1, 1), antialiased=True)])
+        merge_gaussians([make(1, 1), replace(make(1, 1), antialiased=True)])
     with pytest.raises(ls.SceneError, match="kernel degrees 0, 2"):
-        merged([make(1, 1), replace(make(1, 1), kernel_degree=0)])
+        merge_gaussians([make(1, 1), replace(make(1, 1), kernel_degree=0)])

@@ -1,7 +1,7 @@
-"""The light that a cloud of points tells of: irradiance in spherical harmonics, fitted to luminance over normals.
+"""Irradiance in spherical harmonics, fitted to the luminance and the normals of points.
 
-``Y_i = alpha_i E(n_i; c)`` with a scale of its own for each point says nothing as it stands: any positive E fits
-exactly. docs/adr/0015-lighting-metrics.md has how c is chosen here, and why.
+``Y_i = alpha_i E(n_i; c)`` with a free scale for each point has no unique solution: any positive E fits exactly.
+docs/adr/0015-lighting-metrics.md explains how c is chosen here, and why.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lumisplat.constants import (
     TRIMMED_SHARE,
 )
 from lumisplat.errors import SceneError
-from lumisplat.scene.ops.sh_colors import sh_basis
+from lumisplat.math.sh import sh_basis
 
 Values = npt.NDArray[np.float64]
 
@@ -34,7 +34,7 @@ _BANDS = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """What `fit_irradiance` finds."""
+    """Irradiance as a function of the normal, and a scale for each point; the result of `fit_irradiance`."""
 
     coefficients: Values
     """c, real and orthonormal SH in the order of captures, shape (16,). The sum of their absolute values is 1."""
@@ -49,17 +49,17 @@ class Irradiance:
 def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str = "points") -> Irradiance:
     """Factorises ``Y_i = alpha_i E(n_i; c)``: c by a robust fit with all scales equal, then the scales.
 
-    The fit is Huber's, of residuals ``alpha_i - 1``, without the 5 % of the points that fit worst; where no normals
-    look, irradiance stays smooth. Scales that do not go with normals, however they are distributed, change c by a
-    factor only.
+    The fit minimises Huber's loss of the residuals ``alpha_i - 1``, without the 5 % of the points that fit worst. In
+    directions without normals, irradiance stays smooth. Scales that are independent of the normals change c by a
+    factor only, whatever their distribution.
 
     Args:
         normals: Unit normals, shape (N, 3).
         luminance: CIE Y, linear, at least 0, shape (N,).
-        name: What the points are, for messages.
+        name: Name of the points in messages.
 
     Returns:
-        c and the scales. Neither depends on the unit of luminance, but for a factor of the scales.
+        c and the scales. The unit of luminance changes the scales by a factor, and c not at all.
 
     Raises:
         SceneError: There are fewer points than coefficients, or all are black.
@@ -67,10 +67,10 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     values = np.asarray(luminance, np.float64)
     if values.size < COEFFICIENTS:
         raise SceneError(f"{values.size} {name}: irradiance of {COEFFICIENTS} coefficients needs as many at least")
-    # Of all but the brightest, a few of which could make up any mean.
+    # The mean without the brightest points, as a few of those could dominate it.
     mean = float(np.sort(values)[: values.size - int(TRIMMED_SHARE * values.size)].mean())
     if not mean > 0.0:
-        raise SceneError(f"all {values.size:,} {name} are black: they tell nothing of the light")
+        raise SceneError(f"all {values.size:,} {name} are black: they show nothing of the light")
     basis = _basis(normals)
     penalty = IRRADIANCE_SMOOTHNESS * _BANDS * (_BANDS + 1.0)
     fitted = robust_fit(basis, values / mean, penalty, relative_above=IRRADIANCE_FLOOR)
@@ -84,23 +84,23 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
 def robust_fit(
     design: Values, values: Values, penalty: Values | None = None, *, relative_above: float | None = None
 ) -> Values:
-    """Coefficients x for which ``design @ x`` is near ``values``: Huber's loss, without the 5 % that fit worst.
+    """Coefficients x for which ``design @ x`` is close to ``values``: Huber's loss, without the 5 % that fit worst.
 
-    Rows are left out once, by their residuals from Huber's fit to all of them: left out anew in each step, those that
-    stay would be the ones that agree with where the fit went by chance. Huber's width follows the median residual, so
-    that the fit of values c times as large is c times as large.
+    Rows are left out once, by their residuals from Huber's fit to all rows. If they were chosen anew in every step, the
+    remaining rows would be those that happen to agree with an early fit. Huber's width follows the median residual, so
+    that the fit scales with the values.
 
     Args:
         design: Shape (N, K).
         values: Shape (N,).
-        penalty: Weight of each squared coefficient against the mean over the rows, shape (K,); None: none has one.
-        relative_above: Residuals are shares of what is fitted, where that is above this: for values that vary by
-            factors. None: they are differences.
+        penalty: Weight of each squared coefficient against the mean over the rows, shape (K,); None: no penalty.
+        relative_above: If given, residuals are relative to the fitted value or to this number, whichever is larger; for
+            values that vary by factors. None: residuals are differences.
 
     Returns:
-        Shape (K,); of several as good the smallest.
+        Shape (K,); the smallest solution if there are several.
     """
-    ridge = np.diag(np.zeros(design.shape[1]) if penalty is None else penalty)
+    ridge = np.diag(np.zeros(int(design.shape[1])) if penalty is None else penalty)
     found = _huber_fit(
         design, values, ridge, relative_above, _weighted_fit(design, values, np.ones_like(values), ridge)
     )
@@ -108,8 +108,8 @@ def robust_fit(
     if not dropped:
         return found
     distance, _ = _residuals(design, values, found, relative_above)
-    kept = np.sort(np.argpartition(distance, values.size - dropped)[: values.size - dropped])
-    return _huber_fit(design[kept], values[kept], ridge, relative_above, found)
+    rows = np.sort(np.argpartition(distance, values.size - dropped)[: values.size - dropped])
+    return _huber_fit(design[rows], values[rows], ridge, relative_above, found)
 
 
 def _huber_fit(design: Values, values: Values, ridge: Values, relative_above: float | None, start: Values) -> Values:
@@ -131,7 +131,7 @@ def _huber_fit(design: Values, values: Values, ridge: Values, relative_above: fl
 def _residuals(
     design: Values, values: Values, found: Values, relative_above: float | None
 ) -> tuple[Values, Values | float]:
-    """Absolute residuals, and the unit of each."""
+    """Absolute residuals, and the unit in which each is measured."""
     fitted = design @ found
     unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
     return np.abs(values - fitted) / unit, unit
@@ -139,9 +139,11 @@ def _residuals(
 
 def _weighted_fit(design: Values, values: Values, weights: Values, ridge: Values) -> Values:
     weighted = design * weights[:, None]
-    # A row counts less, and the penalty with it: the smoothness does not depend on how well a fit goes.
-    return np.linalg.lstsq(design.T @ weighted + weights.sum() * ridge, weighted.T @ values)[0].astype(np.float64)
+    # The penalty scales with the weights, so that the smoothness does not depend on the quality of the fit.
+    matrix: Values = design.T @ weighted + weights.sum() * ridge
+    right: Values = weighted.T @ values
+    return np.linalg.lstsq(matrix, right)[0].astype(np.float64)
 
 
 def _basis(normals: npt.ArrayLike) -> Values:
-    return sh_basis(np.asarray(normals, np.float64), IRRADIANCE_SH_DEGREE).T.astype(np.float64)
+    return sh_basis(normals, IRRADIANCE_SH_DEGREE).astype(np.float64)

@@ -100,7 +100,7 @@ def face_normals(rigged: ls.RiggedGaussians, time: float | None = None) -> np.nd
 
 
 def test_centres_stay_on_their_triangles(tmp_path):
-    """Bent, every centre is at its barycentric place between the twin's vertices."""
+    """In a bent pose, every centre is at its barycentric coordinates between the twin's vertices."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     positions, _ = posed(rig, "bend", 0.8)
@@ -111,7 +111,7 @@ def test_centres_stay_on_their_triangles(tmp_path):
 
 
 def test_discs_lie_on_the_posed_surface(tmp_path):
-    """Bent, thin axes and normals look out of the posed surface: no disc is turned over or stands up."""
+    """In a bent pose, thin axes and normals point out of the surface: no disc is flipped or perpendicular."""
     rig = TubeRig(clips={"bend": BEND})
     rigged = bound(rig, tmp_path)
     shown, outwards = rigged.at(1.0), face_normals(rigged, 1.0)
@@ -123,7 +123,7 @@ def test_discs_lie_on_the_posed_surface(tmp_path):
 
 
 def test_a_posed_rig_has_no_holes(tmp_path):
-    """Bent and seen from four sides, the Gaussians are opaque wherever the inner part of the mesh is."""
+    """In a bent pose, from four sides, the Gaussians are opaque wherever the inner part of the mesh is."""
     rigged = bound(TubeRig(clips={"bend": BEND}), tmp_path, 4000)
     mesh = rigged.rig.pose(1.0)
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.0, 0.0, 0.0)), "cpu")
@@ -139,7 +139,7 @@ def test_a_posed_rig_has_no_holes(tmp_path):
 
 
 def test_what_shrinks_to_nothing_vanishes(tmp_path):
-    """Gaussians of a rig that is scaled to nothing have opacity 0, and there are as many: nothing is a dot."""
+    """Gaussians of a rig that is scaled to nothing have opacity 0; their number stays."""
     rigged = bound(TubeRig(clips={"vanish": VANISH}), tmp_path)
     half = rigged.at(0.5)
     np.testing.assert_allclose(half.scales, 0.5 * rigged.gaussians.scales, rtol=1e-4)
@@ -180,7 +180,7 @@ def test_impossible_counts_are_refused(count, tmp_path):
 
 
 def test_only_rigs_are_bound(tmp_path):
-    """A mesh is no rig, and is told so."""
+    """A mesh is not a rig and is refused."""
     rig = ls.load_rig(TubeRig().write(tmp_path / "tube.glb"))
     with pytest.raises(ls.SceneError, match="takes a Rig of load_rig, got a Mesh"):
         ls.bind_gaussians(rig.mesh)

@@ -1,46 +1,46 @@
-"""PLY list properties: rows that differ in length, as the polygons of a mesh do."""
+"""PLY elements with list properties, whose rows differ in length, such as the polygons of a mesh."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
-from lumisplat.io.ply.ply_rows import ENCODINGS, PlyElement, PlyHeader, PlyProperty, refuse_truncated
+from lumisplat.io.ply.header import ENCODINGS, PlyElement, PlyHeader, PlyProperty, refuse_truncated
 
 
 class PlyList(NamedTuple):
-    """A list property of all rows."""
+    """The lists of one property, of all rows."""
 
-    counts: npt.NDArray
-    """Items of each row, shape (rows,)."""
-    items: npt.NDArray
+    counts: npt.NDArray[Any]
+    """Number of items of each row, shape (rows,)."""
+    items: npt.NDArray[Any]
     """The items of all rows, one row after the other."""
 
 
 class _Span(NamedTuple):
-    """Where one list lies in the data."""
+    """The place of one list in the data."""
 
     start: int
     """Byte of the first item."""
     length: int
-    """Items."""
+    """Number of items."""
 
 
 def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]:
     """Reads the list properties of an element.
 
     Args:
-        header: Of the file.
-        element: One of its elements; none before it may have list properties.
+        header: Header of the file.
+        element: One of its elements; no element before it may have list properties.
 
     Returns:
-        The lists by name. Scalar properties are stepped over.
+        The lists by name. Other properties are skipped.
 
     Raises:
         FormatError: The file ends before its last row, or the rows do not parse.
@@ -57,13 +57,13 @@ def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]
     lists = _equal_rows(stored, data, _walk(header, stored, data, min(1, element.count)))
     if lists is None:
         spans = _walk(header, stored, data, element.count)
-        lists = {p.name: _gathered(p, data, spans[p.name]) for p in stored.properties if p.count_code}
+        lists = {p.name: _gather(p, data, spans[p.name]) for p in stored.properties if p.count_code}
     codes = {p.name: p.code for p in element.properties}
     return {name: PlyList(counts, items.astype(codes[name])) for name, (counts, items) in lists.items()}
 
 
-def _with_types(element: PlyElement, order: str, code: str = "") -> PlyElement:
-    """The element with a byte order before its type codes, or with ``code`` instead of them."""
+def _with_types(element: PlyElement, order: str, code: str | None = None) -> PlyElement:
+    """The element with a byte order before its type codes, or before ``code`` instead of them."""
     properties = (
         PlyProperty(p.name, order + (code or p.code), p.count_code and order + (code or p.count_code))
         for p in element.properties
@@ -72,7 +72,7 @@ def _with_types(element: PlyElement, order: str, code: str = "") -> PlyElement:
 
 
 def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_before: int) -> bytes:
-    """The rows of a text file as if it were a binary one in which every number, counts too, is a double."""
+    """The rows of a text file as binary data in which every number, also each count, is a double."""
     lines = [line for line in data[header.data_offset :].splitlines() if line.strip()]
     rows = lines[rows_before : rows_before + element.count]
     if len(rows) < element.count:
@@ -81,7 +81,7 @@ def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_
 
 
 def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> dict[str, list[_Span]]:
-    """Finds the lists of the first ``count`` rows, which all have to be there."""
+    """Finds the lists of the first ``count`` rows, all of which must be complete."""
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
         for p in element.properties
@@ -108,8 +108,8 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
 
 
 def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
-    """The lists if every row has the lengths of the first, as in a mesh of triangles."""
-    fields: list[tuple] = []
+    """The lists if all rows have lists of the lengths in the first row, as in a mesh of triangles; None otherwise."""
+    fields: list[tuple[Any, ...]] = []
     for p in element.properties:
         if p.count_code:
             fields.append((f"{p.name} count", p.count_code))
@@ -123,7 +123,8 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
     return lists if equal else None
 
 
-def _gathered(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
+def _gather(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
+    """The lists at the given places."""
     size = np.dtype(prop.code).itemsize
     items = b"".join([data[start : start + length * size] for start, length in spans])
     return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

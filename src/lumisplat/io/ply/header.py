@@ -1,15 +1,10 @@
-"""PLY: the header, and the rows of an element as NumPy structured arrays. `ply_lists` reads rows that differ in length.
-
-Format: Greg Turk, "The PLY Polygon File Format" (1994).
-"""
+"""Headers of PLY files. Format: Greg Turk, "The PLY Polygon File Format" (1994)."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import re
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -20,10 +15,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing
 
 HEADER_BYTES_MAX = 2**20
-"""A header is sought within this many bytes of the start."""
-
-BLOCK_BYTES = 2**20
-"""Rows are read in blocks of this size: they stay in the cache while their columns are taken apart."""
+"""Largest number of bytes that a header may have."""
 
 ENCODINGS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -37,18 +29,18 @@ SCALAR_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """One number of each row, or a list of them."""
+    """A number, or a list of numbers, of each row."""
 
     name: str
     code: str
-    """NumPy type code, of the items where it is a list."""
-    count_code: str = ""
-    """NumPy type code of the number of items; empty: not a list."""
+    """NumPy type code of the number, or of the items of the list."""
+    count_code: str | None = None
+    """NumPy type code of the number of items of a list; None: this is not a list."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """One element of a header."""
+    """One element of a header: a table of rows."""
 
     name: str
     count: int
@@ -56,13 +48,13 @@ class PlyElement:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Property names in file order."""
+        """Names of the properties, in the file's order."""
         return tuple(prop.name for prop in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """A parsed header, and where the data begin."""
+    """A parsed header."""
 
     path: str
     encoding: str
@@ -75,32 +67,32 @@ class PlyHeader:
     """Bytes."""
 
     def element(self, name: str) -> PlyElement | None:
-        """The element of that name, if there is one."""
+        """The element of that name, None if there is none."""
         return next((element for element in self.elements if element.name == name), None)
 
     def required(self, name: str) -> PlyElement:
         """The element of that name.
 
         Raises:
-            FormatError: There is none.
+            FormatError: There is no such element.
         """
         element = self.element(name)
         if element is None:
             raise FormatError(self.path, f"the PLY file has no element {name}")
         return element
 
-    def dtype(self, element: PlyElement) -> np.dtype:
+    def dtype(self, element: PlyElement) -> np.dtype[np.void]:
         """Structured type of one row, packed, in the byte order of the file.
 
         Raises:
-            FormatError: Rows have lists, and no fixed length.
+            FormatError: The element has list properties, so that its rows have no fixed length.
         """
         if any(prop.count_code for prop in element.properties):
             raise FormatError(self.path, f"PLY element {element.name} has list properties, expected plain numbers")
         return np.dtype([(prop.name, ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
 
     def start(self, element: PlyElement) -> tuple[int, int]:
-        """Where the rows of an element begin: the byte in a binary file, and the number of rows before.
+        """The byte at which the rows of an element begin in a binary file, and the number of rows before them.
 
         Raises:
             FormatError: An element before it has list properties.
@@ -111,10 +103,10 @@ class PlyHeader:
 
 
 def read_ply_header(path: PathLike) -> PlyHeader:
-    """Parses the header of a PLY file; no row is read.
+    """Parses the header of a PLY file, without its rows.
 
     Raises:
-        FormatError: The file is no PLY file, or its header is damaged.
+        FormatError: The file is not a PLY file, or its header is damaged.
         OSError: The file cannot be read.
     """
     with Path(path).open("rb") as file:
@@ -157,77 +149,19 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
     return encoding, tuple(comments), tuple(PlyElement(name, n, tuple(props)) for name, n, props in elements)
 
 
-def read_ply_rows(header: PlyHeader, element: PlyElement) -> Iterator[np.ndarray]:
-    """Reads the rows of an element in blocks that fit the cache.
-
-    Args:
-        header: Of the file.
-        element: One of its elements; neither it nor any before it may have list properties.
-
-    Yields:
-        Structured arrays, together ``element.count`` rows.
-
-    Raises:
-        FormatError: The header promises more rows than the file holds (found before anything is allocated), or the
-            rows do not parse.
-        OSError: The file cannot be read.
-    """
-    dtype = header.dtype(element)
-    start, rows_before = header.start(element)
-    if header.encoding == "ascii":
-        yield from _ascii_rows(header, element, dtype, rows_before)
-        return
-    _check_size(header, element, start + element.count * dtype.itemsize)
-    with Path(header.path).open("rb") as file:
-        file.seek(start)
-        step = max(1, BLOCK_BYTES // max(1, dtype.itemsize))
-        for first in range(0, element.count, step):
-            rows = np.fromfile(file, dtype, min(step, element.count - first))
-            if len(rows) < min(step, element.count - first):
-                raise FormatError(header.path, "the file became shorter while it was read")
-            yield rows
-
-
-def _ascii_rows(header: PlyHeader, element: PlyElement, dtype: np.dtype, rows_before: int) -> Iterator[np.ndarray]:
-    # A number takes at least two bytes, itself and what separates it; only the last may lack the second.
-    _check_size(header, element, header.data_offset + 2 * element.count * len(element.properties) - 1)
-    if element.count == 0:
-        return
-    with parsing(header.path, "an ASCII PLY file"), Path(header.path).open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # no rows: reported below
-        file.seek(header.data_offset)
-        rows = np.loadtxt(
-            file, dtype, comments=None, skiprows=rows_before, max_rows=element.count, ndmin=1, encoding="ascii"
-        )
-    if len(rows) < element.count:
-        refuse_truncated(header, element, f"{len(rows):,}")
-    yield rows
-
-
-def read_ply_element(header: PlyHeader, element: PlyElement) -> np.ndarray:
-    """All rows of an element as one structured array; see `read_ply_rows`."""
-    blocks = list(read_ply_rows(header, element))
-    return np.concatenate(blocks) if blocks else np.empty(0, dtype=header.dtype(element))
-
-
-def _check_size(header: PlyHeader, element: PlyElement, needed: int) -> None:
-    if needed > header.file_size:
-        refuse_truncated(header, element, f"{header.file_size:,} bytes where at least {needed:,} are needed")
-
-
 def refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoReturn:
-    """Raises the FormatError of a file that holds only ``found`` of an element."""
+    """Raises the `FormatError` of a file that holds only ``found`` of an element."""
     raise FormatError(
         header.path, f"truncated: the header promises {element.count:,} rows of {element.name}, the file holds {found}"
     )
 
 
 def ply_header_bytes(comments: tuple[str, ...], elements: list[tuple[str, int, str, list[str]]]) -> bytes:
-    """A little-endian header.
+    """The header of a little-endian file.
 
     Args:
         comments: One line each; line breaks inside become spaces.
-        elements: (name, count, PLY type of all its properties, property names).
+        elements: Name, count, PLY type of all properties, and property names of each element.
     """
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {' '.join(comment.split())}".rstrip() for comment in comments]

@@ -1,0 +1,79 @@
+"""OpenEXR files: named channels of floats or integers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.limits import check_expansion
+from lumisplat.io.files.source import PathLike, read_bytes
+
+Channel = npt.NDArray[Any]
+"""Pixels of one channel, shape (H, W)."""
+
+
+def write_exr(path: PathLike, channels: Mapping[str, Channel], metadata: Mapping[str, str] | None = None) -> None:
+    """Writes a one-part scanline EXR, ZIP-compressed, with channels exactly as named (Nuke reads ``layer.channel``).
+
+    Args:
+        path: The file to write. It appears complete or not at all.
+        channels: ``"R"``, ``"depth.Z"``, ``"normal.X"``, ..., all of one shape (H, W). Floating-point arrays become
+            32-bit float (infinities are kept), integer ones 32-bit unsigned: -1 ("none") reads back as 4294967295.
+        metadata: Header attributes.
+
+    Raises:
+        SceneError: There is no channel, or shapes differ.
+        FormatError: The file cannot be written.
+    """
+    import OpenEXR
+
+    shapes = {np.shape(pixels) for pixels in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
+    # One array per channel: given an array of shape (H, W, 3), OpenEXR would name its channels .R .G .B.
+    planes = {name: _stored_pixels(np.asarray(pixels)) for name, pixels in channels.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(metadata or {})}
+    with atomic_write(path) as temporary, OpenEXR.File(header, planes) as file:
+        Path(temporary).touch()  # raises an OSError with a reason if the folder cannot be written, unlike OpenEXR
+        try:
+            file.write(os.fspath(temporary))
+        except RuntimeError as error:
+            raise FormatError(path, f"cannot be written: {error}") from None
+
+
+def _stored_pixels(pixels: Channel) -> Channel:
+    if pixels.dtype.kind in "iub":
+        return np.ascontiguousarray(pixels).astype(np.int64).astype(np.uint32)
+    return np.ascontiguousarray(pixels, dtype=np.float32)
+
+
+def read_exr(path: PathLike) -> dict[str, Channel]:
+    """Reads the channels of an EXR's first part by their full names, each (H, W) float16, float32 or uint32.
+
+    Raises:
+        FormatError: The file is missing, damaged, not an EXR, or claims more pixels than its size can hold.
+    """
+    import OpenEXR
+
+    stored_bytes = len(read_bytes(path))
+    try:
+        with OpenEXR.File(os.fspath(path), header_only=True) as file:
+            low, high = file.header()["dataWindow"]
+            count = len(file.header()["channels"])
+        width, height = (int(size) for size in np.subtract(high, low) + 1)
+        check_expansion(
+            path, f"{width} x {height} pixels of {count} channels", 4 * width * height * count, stored_bytes
+        )
+        with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
+            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except FormatError:
+        raise
+    except Exception as error:  # the binding raises RuntimeError, TypeError or its own errors
+        raise FormatError(path, f"damaged, or not an EXR file: {' '.join(str(error).split())}") from error

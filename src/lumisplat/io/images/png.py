@@ -1,0 +1,51 @@
+"""PNG files: 8-bit sRGB."""
+
+from __future__ import annotations
+
+import logging
+import os
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import PathLike
+
+_log = logging.getLogger("lumisplat")
+
+
+def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
+    """Writes an 8-bit PNG.
+
+    Args:
+        path: The file to write. It appears complete or not at all.
+        srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and one
+            log line counts such values.
+
+    Raises:
+        SceneError: The shape is not that of an image.
+        FormatError: The file cannot be written.
+    """
+    from PIL import Image
+
+    pixels = to_bytes(srgb, path)
+    with atomic_write(path) as temporary:
+        Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
+    """Converts display-referred values, 0..1, shape (H, W, 3 or 4), to 8 bits; ``path`` is named in the log.
+
+    Raises:
+        SceneError: The shape is not that of an image.
+    """
+    pixels = np.asarray(srgb, dtype=np.float32)
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
+        raise SceneError(f"a picture takes (H, W, 3 or 4), got {pixels.shape}")
+    nan_count = np.count_nonzero(np.isnan(pixels))
+    if nan_count:
+        _log.warning("%s: %d NaN values written as 0", os.fspath(path), nan_count)
+    # NaN is replaced before the clamp, which would keep it. Adding 0.5 and truncating rounds half up; np.round would
+    # round half to even.
+    return (np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

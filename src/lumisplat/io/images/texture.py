@@ -1,0 +1,58 @@
+"""Textures: PNG, JPEG, WebP and other image files that Pillow reads, as sRGB texels."""
+
+from __future__ import annotations
+
+import io
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import FormatError
+from lumisplat.io.files.source import PathLike, read_bytes
+
+
+def read_texture(path: PathLike, *, wanted_by: PathLike | None = None) -> npt.NDArray[np.uint8]:
+    """Reads an image file; see `decode_texture`.
+
+    Args:
+        path: The image file.
+        wanted_by: The file that refers to it, named in errors.
+
+    Raises:
+        FormatError: The image is missing, corrupt or too large.
+    """
+    return decode_texture(read_bytes(path, wanted_by=wanted_by), path)
+
+
+def decode_texture(data: bytes, path: PathLike, label: str | None = None) -> npt.NDArray[np.uint8]:
+    """Decodes an image in any format that Pillow reads.
+
+    Args:
+        data: The encoded image.
+        path: The file to name in errors.
+        label: The image inside of that file, to name in errors; None: the file is the image.
+
+    Returns:
+        sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) if the image has transparency; row 0 at the top.
+
+    Raises:
+        FormatError: The image is corrupt or too large.
+    """
+    from PIL import Image
+
+    where = f"texture {label} " if label else ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data)) as image:
+                if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clamp at 255
+                    grey = (np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8)
+                    return np.repeat(grey[:, :, None], 3, axis=2)
+                opaque = not image.has_transparency_data
+                return np.asarray(image.convert("RGB" if opaque else "RGBA"))
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise FormatError(path, f"{where}is too large to decode: {error}") from None
+    except Exception as error:  # Pillow's decoders raise many kinds of errors
+        raise FormatError(path, f"{where}is corrupt, or no image: expected PNG, JPEG or WebP") from error
