@@ -18,8 +18,8 @@ import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.cli.input.framing import framing_camera
 from lumisplat.cli.output.console import progress_bars
-from lumisplat.io.images.image import read_image
 from support.files.cli_files import Workplace
+from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 
@@ -36,7 +36,7 @@ def test_render_writes_a_picture_per_camera(work):
     assert (outcome.status, outcome.err) == (0, "")
     assert {path.name for path in work.path("out").iterdir()} == {"left.png", "right.png"}
     frame = ls.render(
-        ls.Scene(splats=(ls.SplatInstance(ls.load(work.path("capture.ply"))),)),  # type: ignore[arg-type]
+        ls.Scene(splats=[work.capture("capture.ply")]),
         ls.load_cameras(work.path("cameras.json"))[0],
         device="cpu",
     )
@@ -65,7 +65,7 @@ def test_render_sizes_cameras_without_a_size(work):
 def test_settings_reach_the_renderer(work):
     """--antialiasing and --sh-degree give the picture that the library gives with the same settings."""
     ls.save(work.path("bands.ply"), random_gaussians(2, count=40, degree=2))
-    scene = ls.Scene([ls.load(work.path("bands.ply"))])  # type: ignore[list-item]
+    scene = ls.Scene([work.capture("bands.ply")])
     camera = ls.load_cameras(work.path("cameras.json"))[0]
     args = ("render", "@bands.ply", "--cameras", "@cameras.json", "--frame", "left", "-o", "@a.npz", "--device", "cpu")
     for options, settings in [
@@ -160,7 +160,7 @@ def test_render_without_cameras_shows_the_scene(work):
     assert work.run(*args, "--device", "cpu").status == 0
     picture = read_image(work.path("first.png"))["srgb"]
     assert picture.shape == (64, 64, 3)
-    scene = ls.Scene([ls.load(work.path("capture.ply"))])  # type: ignore[list-item]
+    scene = ls.Scene([work.capture("capture.ply")])
     framed = ls.render(scene, framing_camera(scene, width=64, height=64), device="cpu")
     np.testing.assert_array_equal(picture, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     assert (picture > 0).any(axis=2).mean() > 0.2
@@ -269,7 +269,7 @@ def test_a_bar_ends_and_begins_anew(monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     shown = []
     with progress_bars() as report:
-        bars = next(cell.cell_contents for cell in report.__closure__ if isinstance(cell.cell_contents, Progress))
+        bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
         for label, fraction in [("a", 0.0), ("b", 0.5), ("a", 1.0), ("b", 1.0), ("b", 0.25), ("c", 1.0)]:
             report(label, fraction)
             shown.append([(task.description, task.completed) for task in bars.tasks])
@@ -295,7 +295,7 @@ def test_info(work):
     """Info says what is in captures, meshes and camera files."""
     outcome = work.run("info", "@capture.ply", "@mesh.obj", "@cameras.json")
     assert outcome.status == 0
-    scales = ls.load(work.path("capture.ply")).scales  # type: ignore[union-attr]
+    scales = work.capture("capture.ply").scales
     assert f"median {np.median(scales):.4g}   99 %" in outcome.out
     for text in ("capture", "SH degree", "opacity", "60", "mesh", "vertices", "frames", "left, right"):
         assert text in outcome.out
@@ -336,11 +336,9 @@ def test_info_shows_text_as_it_is(work):
 
 def test_convert_keeps_the_kernel_degree(work, caplog):
     """A capture trained with another kernel is still one in the other format, or one line says that it is not."""
-    gaussians = ls.load(work.path("capture.ply"))
-    assert isinstance(gaussians, ls.Gaussians)
-    ls.save(work.path("quartic.ply"), replace(gaussians, kernel_degree=4))
+    ls.save(work.path("quartic.ply"), replace(work.capture("capture.ply"), kernel_degree=4))
     assert work.run("convert", "@quartic.ply", "@copy.compressed.ply").status == 0
-    assert ls.load(work.path("copy.compressed.ply")).kernel_degree == 4  # type: ignore[union-attr]
+    assert work.capture("copy.compressed.ply").kernel_degree == 4
     assert not caplog.records
     assert work.run("convert", "@copy.compressed.ply", "@copy.spz").status == 0
     assert ["cannot store the kernel degree, 4" in record.getMessage() for record in caplog.records] == [True]

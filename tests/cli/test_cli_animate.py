@@ -159,10 +159,9 @@ def test_a_range_is_a_part_of_the_whole(work, monkeypatch):
     text = RELIT[: RELIT.index("[[lights]]")] + RELIT[RELIT.index("[[actors]]") :]
     work.path("scene.toml").write_text(text)
     lamp = disc_gaussians(np.array([[0.6, 2.0, 0.4]]), (0.05, 0.05, 0.05), 1.5)
-    floor = ls.load(work.path("floor.ply"))
-    assert isinstance(floor, ls.Gaussians)
+    floor = work.capture("floor.ply")
     both = {name: np.concatenate([getattr(floor, name), getattr(lamp, name)]) for name in floor.arrays()}
-    ls.save(work.path("floor.ply"), ls.Gaussians(**both))
+    ls.save(work.path("floor.ply"), replace(floor, **both))
     places = []
 
     def estimated(scene, place, *args, **options):

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import warp as wp
 from PIL import Image, ImageSequence
+from PIL.GifImagePlugin import GifImageFile
 
 import lumisplat as ls
-from lumisplat.io.images.image import read_image
 from support.files.cli_files import Workplace
+from support.files.image_files import read_image
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
 
 def test_demo(work, monkeypatch):
     """Demo writes a picture for each of its cameras, lit ones, and on request its capture and cameras, which render."""
-    capture = ls.SplatInstance(ls.load(work.path("capture.ply")), material=ls.MaterialPbr())
+    capture = ls.SplatInstance(work.capture("capture.ply"), material=ls.MaterialPbr())
     lights = (
         ls.LightSpot((2.0, -3.0, 1.0), (-1.0, 3.0, 2.0), intensity=300.0, name="spot"),
         ls.LightPoint((0.0, -1.0, 2.0), radius=0.2, name="lamp"),
@@ -44,6 +45,7 @@ def test_demo(work, monkeypatch):
     first, again = (read_image(work.path(name))["srgb"] for name in ("demo/left.png", "again.png"))
     assert np.abs(first.astype(int) - again).max() <= 1
     with Image.open(work.path("demo/lit-swing.gif")) as swing:
+        assert isinstance(swing, GifImageFile)
         assert (swing.size, swing.n_frames) == ((16, swing.height), 24)
         frames = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(swing)]
     # There and back: the way back shows the same pictures, and the light moves.

@@ -260,8 +260,8 @@ def test_a_reader_that_has_gone(work):
     for arguments in ("--help", "info capture.ply", "convert capture.ply copy.ply"):
         command = [sys.executable, "-m", "lumisplat", *arguments.split()]
         environment = os.environ | {"PYTHONUNBUFFERED": "1"}  # the pipe is met inside the command, not after it
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        with subprocess.Popen(command, **pipes, cwd=work.folder, env=environment) as process:
+        pipe = subprocess.PIPE
+        with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=work.folder, env=environment) as process:
             assert process.stdout and process.stderr
             process.stdout.close()
             assert process.stderr.read() == b""

@@ -15,8 +15,9 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.rays import RayOptions
 from lumisplat.cli.options.settings import changed_config
 from lumisplat.cli.options.unused import unused_options
-from lumisplat.io.images.image import read_image, write_exr
+from lumisplat.io.images.exr import write_exr
 from support.files.cli_files import Workplace
+from support.files.image_files import read_image
 
 SCENE = """
 [[meshes]]
@@ -124,9 +125,8 @@ def test_options_win_over_the_file(work, monkeypatch):
     assert stage.config == ls.RenderConfig()
     assert [camera.exposure for camera in stage.cameras] == [-2.0]
     assert work.run("render", "@scene.toml", "-o", "@out", "--sh-degree", "1", "--lighting", "off").status == 0
-    shared = {"sh_degree": 1}
     assert stage.config == replace(
-        FILE_CONFIG, lighting=False, raster=ls.RasterConfig(**shared), trace=replace(FILE_CONFIG.trace, **shared)
+        FILE_CONFIG, lighting=False, raster=ls.RasterConfig(sh_degree=1), trace=replace(FILE_CONFIG.trace, sh_degree=1)
     )
 
 
@@ -245,7 +245,7 @@ def test_two_environments_of_two_files(work):
     assert "are both scene files" in outcome.err
 
 
-LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])  # type: ignore[arg-type]
+LAMP = ls.Scene(lights=[ls.LightPoint((0.0, 0.0, 0.0))])
 RAYS = RayOptions(samples=4, seed=1, no_jitter=True, kernel_degree=4, max_bounces=2, normals="ellipsoid")
 LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.images.image import write_exr, write_png
+from lumisplat.io.images.exr import write_exr
+from lumisplat.io.images.png import write_png
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import random_gaussians
 
@@ -38,7 +39,7 @@ def work(tmp_path, capsys) -> Workplace:
     figure = replace(avatar, means=0.3 * (avatar.means - avatar.means.mean(axis=0)))
     ls.save(place.path("avatar.ply"), figure)
     ls.save(place.path("relit.ply"), ls.scale_light(figure, np.full((60, 3), [0.9, 0.7, 0.5])))
-    ls.save(place.path("lost.ply"), replace(figure, means=figure.means + np.float32([50, 0, 0])))
+    ls.save(place.path("lost.ply"), replace(figure, means=figure.means + np.array([50.0, 0.0, 0.0], np.float32)))
     return place
 
 
@@ -116,7 +117,7 @@ def test_transparent_pictures_lie_over_black(work):
 
 def test_an_avatar_in_a_scene(work):
     """The three figures of the functions, and the table of the paper with an original."""
-    avatar, relit, room = (ls.load(work.path(name)) for name in ("avatar.ply", "relit.ply", "room.ply"))
+    avatar, relit, room = (work.capture(name) for name in ("avatar.ply", "relit.ply", "room.ply"))
     told = json.loads(work.run("metrics", "@avatar.ply", "--scene", "@room.ply", "--json").out)
     assert told == {name: getattr(ls, name)(avatar, room) for name in ("paa_y", "apf_y", "ncm_ab")}
     options = ("--before", "@avatar.ply", "--radius", "2")
@@ -138,8 +139,7 @@ def test_invalid_gaussians_are_left_out(work):
     refused = work.run(*args)
     assert refused.status == 2 and "--drop-invalid" in refused.err
     told = json.loads(work.run(*args, "--drop-invalid").out)
-    avatar, room = (ls.load(work.path(name)) for name in ("avatar.ply", "room.ply"))
-    assert isinstance(avatar, ls.Gaussians)
+    avatar, room = (work.capture(name) for name in ("avatar.ply", "room.ply"))
     assert told["ncm_ab"] == ls.ncm_ab(avatar.subset(np.arange(59)), room, radius=2.0)
 
 

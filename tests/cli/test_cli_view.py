@@ -10,8 +10,8 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.output.frame_writer import FrameWriter
-from lumisplat.io.images.image import read_image
 from support.files.cli_files import Workplace
+from support.files.image_files import read_image
 from support.scenes.raster_scenes import front_camera
 
 ARGS = ("render", "@mesh.obj", "--cameras", "@cameras.json", "--device", "cpu")

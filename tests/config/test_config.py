@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,7 +118,8 @@ def test_renamed_settings_are_refused_with_their_new_names(kind: type) -> None:
 
 def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
     """Further images count once, in any order and from any iterable."""
-    asked = ls.RenderConfig(aovs=(name for name in ("hits", "albedo", "hits")))  # type: ignore[arg-type]
+    names: Any = (name for name in ("hits", "albedo", "hits"))
+    asked = ls.RenderConfig(aovs=names)
     assert asked == ls.RenderConfig(aovs=("albedo", "hits"))
     assert asked.aovs == ("albedo", "hits")
 
@@ -125,21 +127,24 @@ def test_the_same_images_asked_for_otherwise_are_equal_settings() -> None:
 def test_numbers_of_numpy_are_settings() -> None:
     """They give the frame that Python's give, and a background is a tuple whatever it came as."""
     one, two = np.int64(1), np.int32(2)
-    trace = ls.TraceConfig(
-        strategy=ls.TraceStrategy.STOCHASTIC_PASS,
-        hits_per_pass=np.int64(8),
-        sh_degree=one,
-        transmittance_min=np.float32(0),
-    )
+    trace: dict[str, Any] = {
+        "hits_per_pass": np.int64(8),
+        "sh_degree": one,
+        "transmittance_min": np.float32(0.0),
+    }
+    response: dict[str, Any] = {"kernel_degree": two, "min_response": np.float64(0.1)}
+    frame_settings: dict[str, Any] = {
+        "samples": two,
+        "jitter": np.bool_(False),
+        "seed": np.uint32(7),
+        "max_bounces": one,
+        "background": np.array([0.5, 0.25, 0.0]),
+    }
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
-        trace=trace,
-        response=ls.ResponseConfig(kernel_degree=two, min_response=np.float64(0.1)),
-        samples=two,
-        jitter=np.bool_(False),
-        seed=np.uint32(7),
-        max_bounces=one,
-        background=np.array([0.5, 0.25, 0.0]),
+        trace=ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_PASS, **trace),
+        response=ls.ResponseConfig(**response),
+        **frame_settings,
     )
     plain = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
@@ -157,7 +162,8 @@ def test_numbers_of_numpy_are_settings() -> None:
         background=(0.5, 0.25, 0.0),
     )
     assert config == plain
-    assert ls.RenderConfig(background=[0.5, 0.25, 0.0]) == ls.RenderConfig(background=(0.5, 0.25, 0.0))
+    listed: Any = [0.5, 0.25, 0.0]
+    assert ls.RenderConfig(background=listed) == ls.RenderConfig(background=(0.5, 0.25, 0.0))
     scene = ls.Scene([random_gaussians(5, 60, degree=2)])
     frame, expected = (ls.render(scene, front_camera(24, 18), c, device="cpu") for c in (config, plain))
     np.testing.assert_array_equal(frame.color, expected.color)

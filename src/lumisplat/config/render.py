@@ -137,8 +137,10 @@ def _checked_background(background: Iterable[float]) -> tuple[float, float, floa
 
 def _checked_aovs(aovs: object) -> tuple[str, ...]:
     """Names of images, in the order of `AOVS`, each once."""
-    if isinstance(aovs, Iterable) and not isinstance(aovs, str):
-        names = list(cast(Iterable[object], aovs))
-        if all(isinstance(name, str) and name in AOVS for name in names):
-            return tuple(name for name in AOVS if name in names)
-    raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
+    refusal = ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
+    if isinstance(aovs, str) or not isinstance(aovs, Iterable):
+        raise refusal
+    names = list(cast(Iterable[object], aovs))
+    if not all(isinstance(name, str) and name in AOVS for name in names):
+        raise refusal
+    return tuple(name for name in AOVS if name in names)
