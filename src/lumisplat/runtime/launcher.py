@@ -11,7 +11,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from typing import Any
 
@@ -44,6 +44,17 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@contextmanager
+def _finished(jobs: list[Future[None]]) -> Iterator[None]:
+    """Leaves none of the jobs at work, also after an error or an interrupt; those not yet started are cancelled."""
+    try:
+        yield
+    finally:
+        for job in jobs:
+            job.cancel()
+        wait(jobs)
+
+
 class Launcher:
     """Launches kernels on one device.
 
@@ -63,21 +74,30 @@ class Launcher:
         self.device = resolve_device(device)
         self.is_cuda = self.device.startswith("cuda")
         self.is_parallel = self.is_cuda if parallel is None else parallel
-        self.threads = 1 if self.is_cuda else threads or usable_cores()
+        cores = threads or usable_cores()
+        self.threads = 1 if self.is_cuda else cores
         self.profile = profile
         self.stage_ms: dict[str, float] = {}
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, tuple[object, Any]] = {}
 
     def load(self, modules: list[Any], progress: Progress | None = None) -> None:
-        """Compiles and loads kernel modules (seconds at their first use on a machine, then cached on disk)."""
-        for done, module in enumerate(modules):
-            if progress:
-                progress("compiling kernels (once)", done / len(modules))
-            wp.load_module(module, device=self.device, block_dim=BLOCK_THREADS)
+        """Compiles and loads kernel modules, as many at once as there are threads.
+
+        Seconds at their first use on a machine, then cached on disk. Warp's compilers run without the GIL.
+        """
+        label = "compiling kernels (once)"
         if progress:
-            progress("compiling kernels (once)", 1.0)
+            progress(label, 0.0)
+        jobs = [
+            self._pool.submit(wp.load_module, module, device=self.device, block_dim=BLOCK_THREADS) for module in modules
+        ]
+        with _finished(jobs):
+            for done, job in enumerate(as_completed(jobs), start=1):
+                job.result()
+                if progress:
+                    progress(label, done / len(modules))
 
     def run(self, kernel: Any, count: int, *inputs: Any) -> None:
         """Runs ``count`` items of ``kernel`` in one launch."""
@@ -94,21 +114,17 @@ class Launcher:
             bands: How many bands; more balance uneven work better. None: one a thread.
         """
         bands = min(bands or self.threads, count)
-        if self._pool is None or bands < 2:
+        if self.threads == 1 or bands < 2:
             self.run(kernel, count, 0, *inputs)
             return
         edges = [count * band // bands for band in range(bands + 1)]
         jobs = [
             self._pool.submit(self.run, kernel, end - start, start, *inputs) for start, end in itertools.pairwise(edges)
         ]
-        try:
+        # After an interrupt, the arrays that bands still write to must outlive them.
+        with _finished(jobs):
             for job in jobs:
                 job.result()
-        finally:
-            # After an interrupt, the arrays that bands still write to must outlive them.
-            for job in jobs:
-                job.cancel()
-            wait(jobs)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

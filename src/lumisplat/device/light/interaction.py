@@ -10,9 +10,8 @@ wp.set_module_options({"enable_backward": False})
 SHADE_OPTIONS = {
     "enable_backward": False,
     "fuse_fp": False,
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000",
 }
-"""Of the kernels that light surfaces: structs passed by value cost more than what is done with them, unless inlined."""
+"""Of the kernels that light surfaces."""
 
 
 @wp.func
