@@ -10,19 +10,25 @@ DEV := $(VENV)/.installed-dev
 BENCH := $(VENV)/.installed-bench
 DOCS := $(VENV)/.installed-docs
 
+# A worker is about a gigabyte. Stealing keeps tests of a file together, and no worker idle.
+WORKERS := --numprocesses auto --maxprocesses 8 --dist worksteal
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check format bench docs clean
+.PHONY: help demo test test-deep check format bench docs clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile
 
 demo: $(BASE) ## build the demo scene and render it to pictures under out/
 	$(BIN)/lumisplat demo -o out
 
-test: $(DEV) ## run the tests
-	$(BIN)/python -m pytest
+test: $(DEV) ## run the daily suite, a process for each core
+	$(BIN)/python -m pytest $(WORKERS)
+
+test-deep: $(DEV) ## run all tests, with the long ones marked deep: studies, seeds, every stored twin
+	$(BIN)/python -m pytest $(WORKERS) -m "" --recompute-twins
 
 check: $(DEV) ## formatting, lint, types, spelling and sizes; .pre-commit-config.yaml has the same list
 	$(BIN)/ruff format --check .

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.math.random import branch_key, draw, sample_key_of
+from lumisplat.device.math.random import branch_key, draw, sample_key_of, sobol_2d
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 
@@ -26,6 +26,13 @@ def probe_random(
     sample_keys[i] = sample_key
     branches[i] = branch_key(sample_key, 1)
     draws[i] = draw(sample_key, dimensions[i])
+
+
+@wp.kernel
+def probe_sobol(keys: wp.array(dtype=wp.uint32), samples: wp.array(dtype=int), points: wp.array(dtype=wp.vec2)):
+    """Points of the sequences of keys."""
+    i = wp.tid()
+    points[i] = sobol_2d(keys[i], samples[i])
 
 
 @wp.kernel

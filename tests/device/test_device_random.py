@@ -204,10 +204,30 @@ def test_the_statistics_can_fail() -> None:
         assert abs(chi_square_z(np.bincount((PIXELS * np.uint32(0x21F0AAAD)) >> 20, minlength=4096))) > LIMIT
 
 
+def sobol_points(keys: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Points of each key's sequence, shape (keys, samples, 2), in double precision."""
+    every_key, every_sample = (grid.ravel() for grid in np.meshgrid(keys, samples, indexing="ij"))
+    points = wp.zeros(every_key.size, dtype=wp.vec2, device="cpu")
+    inputs = (
+        wp.array(values.astype(dtype), device="cpu")
+        for values, dtype in ((every_key, np.uint32), (every_sample, np.int32))
+    )
+    Launcher("cpu", threads=1).run(probe_kernels.probe_sobol, every_key.size, *inputs, points)
+    return points.numpy().astype(float).reshape(len(keys), len(samples), 2)
+
+
+def test_spread_points_are_those_of_python() -> None:
+    """Kernels and the function called from Python give the same bits."""
+    points = sobol_points(np.array([0, 5, LAST]), np.array([0, 3, 100]))
+    for i, key in enumerate((0, 5, LAST)):
+        for j, sample in enumerate((0, 3, 100)):
+            assert tuple(points[i, j]) == tuple(random.sobol_2d(wp.uint32(key), sample))
+
+
 @pytest.mark.parametrize("key", [0, 0x9E3779B9])
 def test_spread_points_are_stratified(key: int) -> None:
     """Aligned runs of 2^n points have one point in each of the 2^n boxes of every shape, for any key."""
-    points = np.array([random.sobol_2d(wp.uint32(key), i) for i in range(128)])
+    (points,) = sobol_points(np.array([key]), np.arange(128))
     assert (points >= 0.0).all() and (points < 1.0).all()
     for first, count in ((0, 64), (64, 64), (96, 32), (40, 8)):
         run = points[first : first + count]
@@ -219,7 +239,7 @@ def test_spread_points_are_stratified(key: int) -> None:
 def test_spread_points_of_different_keys_are_independent() -> None:
     """The same samples of many keys are uniform, in x and y, and not related to those of the key before."""
     count = 800
-    points = np.array([[random.sobol_2d(wp.uint32(key), i) for i in (0, 3)] for key in range(count)]).reshape(count, 4)
+    points = sobol_points(np.arange(count), np.array([0, 3])).reshape(count, 4)
     assert np.abs(points.mean(axis=0) - 0.5).max() < 4.5 / np.sqrt(12 * count)
     related = np.corrcoef(points[1:].T, points[:-1].T)
     assert np.abs(related[:4, 4:]).max() < 4.5 / np.sqrt(count)

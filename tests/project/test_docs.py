@@ -34,7 +34,7 @@ def beside(tmp_path, monkeypatch):
     """A folder to be in, with a capture, meshes, a rig, frames, an environment and a camera file."""
     import trimesh
 
-    from lumisplat.io.images.image import write_exr
+    from lumisplat.io.images.exr import write_exr
 
     monkeypatch.chdir(tmp_path)
     ls.save("garden.ply", random_gaussians(1, count=100))

@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
 from support.files.rig_files import BEND, TubeRig
 from support.scenes.raster_scenes import random_gaussians
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"))
+LONG = {
+    "avatar_in_capture": {"width": 48},
+    "light_a_capture": {"width": 48, "samples": 1},
+    "mirror_and_glass": {"width": 48, "samples": 1},
+    "relight_a_figure": {"width": 48, "count": 2000},
+}
+"""Examples that take long, and what makes their pictures small."""
 TAKES_A_CAPTURE = ("compose_scene", "points_from_depth", "turntable")
 
 
@@ -25,8 +33,28 @@ def test_example_says_what_it_takes(name, monkeypatch):
         runpy.run_path(str(example), run_name="__main__")
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(example, tmp_path, monkeypatch):
+@pytest.fixture
+def demo_is_ready(demo, monkeypatch):
+    """Examples that take their scene from the demo find it built."""
+    monkeypatch.setattr(ls, "demo_scene", lambda: demo)
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
+    """With small pictures and coarse Gaussians, an example ends without an error and leaves a file in out/."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ls, "gaussians_from_mesh", lambda mesh, count: gaussians_from_mesh(mesh, min(count, 500)))
+    (example,) = (path for path in EXAMPLES if path.stem == name)
+    monkeypatch.setattr("sys.argv", [str(example)])
+    runpy.run_path(str(example))["main"](**LONG[name])
+    assert any((tmp_path / "out").rglob("*.*"))
+
+
+@pytest.mark.parametrize(
+    "example",
+    [pytest.param(path, id=path.stem, marks=[pytest.mark.deep] if path.stem in LONG else []) for path in EXAMPLES],
+)
+def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
     """An example ends without an error and leaves a file in out/."""
     monkeypatch.chdir(tmp_path)
     ls.save("capture.ply", random_gaussians(1, count=200))

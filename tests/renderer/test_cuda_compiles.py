@@ -1,61 +1,46 @@
-"""Every kernel compiles for CUDA, on a machine without a GPU: Warp brings NVRTC along."""
+"""Every kernel compiles for CUDA, on a machine without a GPU: Warp brings NVRTC along.
+
+What it makes is kept in the kernel cache under a hash of the sources, so that a module is compiled when it changes.
+"""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from pathlib import Path
 from typing import Any
 
 import pytest
 import warp as wp
 
-import lumisplat
-from lumisplat.renderer.shadow import gaussian_shadow_kernels
-from lumisplat.renderer.trace import gaussian_trace_kernels
+from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda, generated_modules, kernels_of, package_modules
 
-MODULES = [
-    module.name
-    for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")
-    if module.name.endswith("_kernels")
-    and not module.name.endswith((".gaussian_trace_kernels", ".gaussian_shadow_kernels"))
-]
+MODULES = {module.__name__: module for module in package_modules()}
+GENERATED = {module.name.partition("__")[0]: module for module in generated_modules(parallel=True)}
+"""Made with as many rays a packet as CUDA uses."""
 
 
 def test_kernel_modules_are_found() -> None:
-    """The list is not empty by accident."""
+    """The lists are not empty by accident."""
     assert {"lumisplat.renderer.raster.splat_raster_kernels", "lumisplat.renderer.raster.mesh_raster_kernels"} <= {
         *MODULES
     }
+    assert {*GENERATED} == {"gaussian_trace_kernel", "shadow_kernel"}
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_module_compiles_for_cuda(name: str, tmp_path: Path) -> None:
+def test_module_compiles_for_cuda(name: str) -> None:
     """NVRTC accepts a module for sm_86 and sm_90, and every kernel of it is in the result."""
-    module = importlib.import_module(name)
-    check_compiles(module, [value for value in vars(module).values() if isinstance(value, wp.Kernel)], tmp_path)
+    check_compiles(MODULES[name], kernels_of(MODULES[name]))
 
 
-@pytest.mark.parametrize("hits", [4, 32])
-def test_integrator_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
-    """So do the kernels that are made for a number of hits, with as many rays a packet as CUDA uses."""
-    kernel = gaussian_trace_kernels.gaussian_trace_kernel(1, hits)
-    check_compiles(kernel.module, [kernel], tmp_path)
+@pytest.mark.parametrize("name", GENERATED)
+def test_generated_kernel_compiles_for_cuda(name: str) -> None:
+    """So do the kernels that are made for a number of rays."""
+    check_compiles(GENERATED[name], list(GENERATED[name].kernels.values()))
 
 
-@pytest.mark.parametrize("hits", [0, 32])
-def test_occluder_compiles_for_cuda(hits: int, tmp_path: Path) -> None:
-    """So do those of shadow rays."""
-    kernel = gaussian_shadow_kernels.shadow_kernel(1, hits)
-    check_compiles(kernel.module, [kernel], tmp_path)
-
-
-def check_compiles(module: Any, kernels: list[wp.Kernel], tmp_path: Path) -> None:
+def check_compiles(module: Any, kernels: list[wp.Kernel]) -> None:
     """Fails unless all kernels of a module are in what NVRTC makes of it."""
     assert kernels, f"{module} has no kernels"
-    artifacts = wp.compile_aot_module(module, arch=[86, 90], module_dir=tmp_path, use_ptx=True)
-    assert len(artifacts) == 2
-    for artifact, architecture in zip(artifacts, (86, 90), strict=True):
+    for artifact, architecture in zip(compile_for_cuda(module), CUDA_ARCHITECTURES, strict=True):
         code = artifact.read_text()
         assert f".target sm_{architecture}" in code
         for kernel in kernels:

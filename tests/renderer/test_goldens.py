@@ -10,16 +10,10 @@ from support.compare.goldens import CASES, LAYERS, Golden
 from support.compare.images import assert_images_alike
 
 
-@pytest.fixture(scope="module")
-def scene() -> ls.Scene:
-    """The demo scene, built once."""
-    return ls.demo_scene()
-
-
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.view)
-def test_demo_looks_as_stored(case: Golden, scene: ls.Scene) -> None:
+def test_demo_looks_as_stored(case: Golden, demo: ls.Scene) -> None:
     """Colour, normal and depth of a view agree with the stored ones, channel by channel."""
-    now = case.render(scene)
+    now = case.render(demo)
     with np.load(case.path) as stored:
         for layer in LAYERS:
             expected = stored[layer].astype(np.float32)
@@ -32,10 +26,10 @@ def test_demo_looks_as_stored(case: Golden, scene: ls.Scene) -> None:
             )
 
 
-def test_goldens_notice_a_change(scene: ls.Scene) -> None:
+def test_goldens_notice_a_change(demo: ls.Scene) -> None:
     """A frame of another setting is not taken for the stored one."""
     case = CASES[0]
-    blurred = Golden(case.view, "", ls.RenderConfig(raster=ls.RasterConfig(dilation=3.0))).render(scene)
+    blurred = Golden(case.view, "", ls.RenderConfig(raster=ls.RasterConfig(dilation=3.0))).render(demo)
     with np.load(case.path) as stored, pytest.raises(AssertionError):
         assert_images_alike(
             blurred["color"], stored["color"].astype(np.float32), mean=1 / 255, within=8 / 255, share=0.98

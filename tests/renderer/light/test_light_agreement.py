@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.demo.shapes import joined, rounded_box, sphere, torus, transformed
+from lumisplat.demo.shapes import join_meshes, rounded_box, sphere, torus, transform_mesh
 from support.compare.images import assert_close
 from support.scenes.light_rig import PIPELINES, lit
 from support.scenes.light_scenes import ball_at, box, matte, parallelogram
@@ -24,20 +24,20 @@ SHINY = ls.MaterialPbr(base_color=(0.3, 0.6, 0.8), roughness=0.4)
 
 def ring() -> ls.Mesh:
     """A tilted ring."""
-    return transformed(torus(0.5, 0.18), similarity((1.0, 0.0, 0.3), 0.5, 1.0, (0.0, 0.6, 0.0)))
+    return transform_mesh(torus(0.5, 0.18), similarity((1.0, 0.0, 0.3), 0.5, 1.0, (0.0, 0.6, 0.0)))
 
 
 def tray() -> ls.Mesh:
     """A slab, and a ball over it that shadows it."""
-    slab = transformed(rounded_box((1.3, 0.2, 1.0), 0.06), similarity((0.3, 1.0, 0.1), 0.2, 1.0, (0.0, 0.45, 0.0)))
-    return joined([slab, transformed(sphere(0.22), similarity(offset=(-0.1, 0.85, 0.0)))])
+    slab = transform_mesh(rounded_box((1.3, 0.2, 1.0), 0.06), similarity((0.3, 1.0, 0.1), 0.2, 1.0, (0.0, 0.45, 0.0)))
+    return join_meshes([slab, transform_mesh(sphere(0.22), similarity(offset=(-0.1, 0.85, 0.0)))])
 
 
 OBJECTS = {
     "sphere": (ball_at((0.0, 0.7, 0.0), 0.5, RED), 12_000),
     "shiny sphere": (ball_at((0.0, 0.7, 0.0), 0.5, SHINY), 12_000),
     "ring": (replace(ring(), material=RED), 12_000),
-    "box": (transformed(box((0.7, 0.6, 0.5), RED), similarity((0.2, 1.0, 0.0), 0.6, 1.0, (0.0, 0.6, 0.0))), 16_000),
+    "box": (transform_mesh(box((0.7, 0.6, 0.5), RED), similarity((0.2, 1.0, 0.0), 0.6, 1.0, (0.0, 0.6, 0.0))), 16_000),
     "tray": (replace(tray(), material=RED), 20_000),
 }
 FLOOR = parallelogram((-3.0, 0.0, 3.0), (6.0, 0.0, 0.0), (0.0, 0.0, -6.0), matte(0.8))

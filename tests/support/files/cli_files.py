@@ -6,6 +6,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 import lumisplat as ls
 from lumisplat.cli import main
 from support.scenes.raster_scenes import front_camera, random_gaussians
@@ -23,7 +25,7 @@ class Outcome:
 class Workplace:
     """A folder with a capture, a camera file of two frames and a mesh, and a way to run commands in it."""
 
-    def __init__(self, folder: Path, capsys) -> None:
+    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.folder = folder
         self._capsys = capsys
         ls.save(folder / "capture.ply", random_gaussians(1, count=60))
@@ -33,6 +35,12 @@ class Workplace:
     def path(self, name: str) -> Path:
         """A file of the folder."""
         return self.folder / name
+
+    def capture(self, name: str) -> ls.Gaussians:
+        """A capture of the folder."""
+        loaded = ls.load(self.path(name))
+        assert isinstance(loaded, ls.Gaussians)
+        return loaded
 
     def run(self, *args: str) -> Outcome:
         """Runs a command; ``@name`` stands for a file of the folder."""

@@ -9,7 +9,7 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
-from lumisplat.scene.gaussians import merged
+from lumisplat.scene.gaussians import merge_gaussians
 
 SIZE = np.array([4.0, 3.0, 5.0])
 """Of the room, metres; its corner is the origin, y is up."""
@@ -64,4 +64,4 @@ def sparkle(center: tuple[float, float, float], towards: np.ndarray, count: int 
 
 def room_with(*parts: ls.Gaussians) -> ls.Gaussians:
     """The walls and what is in the room, one capture."""
-    return merged([walls(), *parts])
+    return merge_gaussians([walls(), *parts])

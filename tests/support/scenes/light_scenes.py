@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.demo.shapes import sphere, transformed
+from lumisplat.demo.shapes import sphere, transform_mesh
 from support.scenes.raster_scenes import similarity
 
 WIDTH, HEIGHT = 96, 72
@@ -91,7 +91,7 @@ def box(size: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
 
 def ball_at(center: tuple[float, ...], radius: float, material: ls.MaterialPbr, rows: int = 40) -> ls.Mesh:
     """A sphere with smooth normals."""
-    placed = transformed(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))  # type: ignore[arg-type]
+    placed = transform_mesh(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))  # type: ignore[arg-type]
     return replace(placed, material=material, uvs=None)
 
 
@@ -141,7 +141,7 @@ def _floor() -> ls.Mesh:
 
 
 def _things() -> list[ls.Mesh]:
-    turned = transformed(
+    turned = transform_mesh(
         box((0.8, 0.9, 0.6), matte(0.2, 0.5, 0.8)), similarity((0.0, 1.0, 0.0), 0.5, offset=(0.75, 0.45, -0.7))
     )
     return [ball_at((-0.55, 0.6, 0.1), 0.6, matte(0.8, 0.3, 0.2)), turned]
@@ -168,7 +168,7 @@ def _metals() -> list[ls.Mesh]:
 def _mirror_and_glass() -> list[ls.Mesh]:
     mirror = ball_at((-0.7, 0.6, -0.1), 0.6, metal(0.0), rows=96)
     glass = ball_at((0.65, 0.5, 0.5), 0.5, clear_glass(), rows=96)
-    red = transformed(
+    red = transform_mesh(
         box((0.5, 0.5, 0.5), matte(0.8, 0.2, 0.1)), similarity((0.0, 1.0, 0.0), 0.4, 1.0, (0.4, 0.25, -1.0))
     )
     return [*_corner(), mirror, glass, red]

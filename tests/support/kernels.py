@@ -1,0 +1,57 @@
+"""All kernels, by module: the package's, for one thread's schedule and for CUDA's, and those of the tests."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+import lumisplat
+from lumisplat.config import RenderConfig
+from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
+from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
+from lumisplat.runtime.launcher import Launcher
+
+CUDA_ARCHITECTURES = (86, 90)
+
+
+def kernels_of(module: Any) -> list[wp.Kernel]:
+    """Kernels that a Python module holds."""
+    return [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+
+
+def package_modules() -> list[Any]:
+    """Python modules of the package with kernels; those that only make kernels have none."""
+    names = [module.name for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")]
+    modules = [importlib.import_module(name) for name in names if name.endswith("_kernels")]
+    return [module for module in modules if kernels_of(module)]
+
+
+def generated_modules(*, parallel: bool) -> list[Any]:
+    """Warp modules of the kernels that are made for a schedule: of rays through Gaussians, and of their shadows."""
+    launcher = Launcher("cpu", threads=1, parallel=parallel)
+    return [kernel_of(launcher, RenderConfig()).module for kernel_of in (trace_kernel_of, shadow_kernel_of)]
+
+
+def probe_modules() -> list[Any]:
+    """Python modules of kernels that call the package's device functions for the tests."""
+    return [
+        importlib.import_module(path.stem) for path in sorted((Path(__file__).parents[1] / "device").glob("probe_*"))
+    ]
+
+
+def compile_all() -> None:
+    """Compiles what the cache lacks, for the CPU and for CUDA, on all cores; a warm cache costs a second."""
+    schedules = [*generated_modules(parallel=False), *generated_modules(parallel=True)]
+    Launcher("cpu").load([*package_modules(), *schedules, *probe_modules()])
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(compile_for_cuda, [*package_modules(), *generated_modules(parallel=True)]))
+
+
+def compile_for_cuda(module: Any) -> list[Path]:
+    """PTX of a module for each architecture, from the kernel cache if its sources have not changed."""
+    return wp.compile_aot_module(module, arch=list(CUDA_ARCHITECTURES), use_ptx=True)

@@ -1,0 +1,155 @@
+"""What float64 twins compute, stored: they take longer than all that they are compared with.
+
+A stored result is found by a hash of everything that it follows from: the arguments of its oracle and the source of the
+oracle and of those that it imports. So none can be stale, but for what an oracle takes from the package: therefore a
+tenth of the results, another one each day, is computed all the same and compared, and all are by `make test-deep`. A
+result that is not stored is computed; `tools/make_twins.py` stores it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import inspect
+import json
+import re
+import zlib
+from collections.abc import Callable
+from datetime import date
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lumisplat.io.files.atomic import atomic_write
+
+PATH = Path(__file__).parents[1] / "reference" / "twins.bin"
+COMMAND = "python tools/make_twins.py"
+TENTH = date.today().toordinal() % 10
+"""Results whose hash ends in this, modulo ten, are computed anew today."""
+
+Result = dict[str, np.ndarray]
+
+
+class Twins:
+    """The stored results, and what this run has done with them."""
+
+    def __init__(self) -> None:
+        self.recompute_all = False
+        self.computed: dict[str, Result] = {}
+        """Every result that was computed, by its hash."""
+        self.missing = 0
+        """Results that were not stored."""
+
+    def result(self, compute: Callable[..., Result], *arguments: Any) -> Result:
+        """What an oracle's function returns, read if it is stored.
+
+        Args:
+            compute: Function of a module of `support.oracles`; returns arrays by name.
+            *arguments: Its arguments: dataclasses, arrays, numbers, text, and containers of these.
+        """
+        key = hashlib.sha256(source_of(compute.__module__) + described((compute.__qualname__, *arguments))).hexdigest()
+        found = stored().get(key[:16])
+        if found is not None and not self.recompute_all and int(key, 16) % 10 != TENTH:
+            return found
+        now = compute(*arguments)
+        self.computed[key[:16]] = now
+        if found is None:
+            self.missing += 1
+            return now
+        assert now.keys() == found.keys()
+        for name, values in now.items():
+            message = f"{name} of a stored twin is not what {compute.__module__} computes: {COMMAND}"
+            np.testing.assert_allclose(found[name], values, rtol=1e-5, atol=1e-6, err_msg=message)
+        return now
+
+
+TWINS = Twins()
+
+
+# --- Hashes ---
+
+
+def described(value: Any) -> bytes:
+    """A value as bytes, equal for equal values; fields of dataclasses that have their defaults are left out.
+
+    Doubles are rounded to single precision: they may differ in their last bits from one machine to another.
+    """
+    if isinstance(value, float | np.floating):
+        value = np.array(value)
+    if isinstance(value, np.ndarray):
+        exact = value.astype(np.float32) if value.dtype.kind == "f" else value.astype(np.int64)
+        return f"{exact.dtype}{exact.shape}".encode() + exact.tobytes()
+    if isinstance(value, dict):
+        return b"{" + b",".join(described(item) for item in value.items()) + b"}"
+    if isinstance(value, tuple | list):
+        return b"(" + b",".join(map(described, value)) + b")"
+    if dataclasses.is_dataclass(value):
+        parts = [type(value).__name__.encode()]
+        for one in dataclasses.fields(value):
+            part = described(getattr(value, one.name))
+            default = one.default_factory() if callable(one.default_factory) else one.default
+            if default is dataclasses.MISSING or described(default) != part:
+                parts.append(one.name.encode() + b"=" + part)
+        return b"<" + b",".join(parts) + b">"
+    if isinstance(value, Enum):
+        return f"{type(value).__name__}.{value.name}".encode()
+    if value is None or isinstance(value, str | bool | int):
+        return repr(value).encode()
+    raise TypeError(f"no description of a {type(value).__name__}")
+
+
+@cache
+def source_of(module: str) -> bytes:
+    """Source of an oracle and of all oracles that it imports."""
+    names, texts = [module], []
+    for name in names:
+        text = inspect.getsource(importlib.import_module(name))
+        texts.append(text)
+        names += [
+            other for other in re.findall(r"^from (support\.oracles\.\w+) import", text, re.M) if other not in names
+        ]
+    return "".join(texts).encode()
+
+
+# --- The file: compressed JSON that says what there is, and one array of float32 ---
+
+
+@cache
+def stored() -> dict[str, Result]:
+    """All stored results by the first 16 digits of their hash, in double precision."""
+    if not PATH.exists():
+        return {}
+    content = zlib.decompress(PATH.read_bytes())
+    length = int.from_bytes(content[:4], "little")
+    index = json.loads(content[4 : 4 + length])
+    # Bytes of equal weight lie together: so they compress better.
+    values = np.frombuffer(content[4 + length :], np.uint8).reshape(4, -1).T.copy().view(np.float32)[:, 0]
+    results: dict[str, Result] = {}
+    first = 0
+    for key, arrays in index.items():
+        results[key] = {}
+        for name, dtype, shape in arrays:
+            count = int(np.prod(shape))
+            results[key][name] = values[first : first + count].reshape(shape).astype(dtype)
+            first += count
+    return results
+
+
+def store(results: dict[str, Result]) -> int:
+    """Replaces all stored results; returns the size of the file."""
+    results = dict(sorted(results.items()))
+    index = {
+        key: [(name, str(values.dtype), values.shape) for name, values in result.items()]
+        for key, result in results.items()
+    }
+    text = json.dumps(index, separators=(",", ":")).encode()
+    floats = [values.astype(np.float32).ravel() for result in results.values() for values in result.values()]
+    values = np.concatenate([np.zeros(0, np.float32), *floats])
+    content = len(text).to_bytes(4, "little") + text + values.view(np.uint8).reshape(-1, 4).T.tobytes()
+    with atomic_write(PATH) as written:
+        written.write_bytes(zlib.compress(content, 9))
+    return PATH.stat().st_size
