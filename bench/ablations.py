@@ -94,7 +94,7 @@ def main() -> None:
     """Measures what is asked for and prints it."""
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
     parser = argparse.ArgumentParser(prog="python -m bench.ablations", description=__doc__)
     parser.add_argument("tables", nargs="*", help=f"some of {', '.join([*TABLES, 'timings'])}; none: all")
     parser.add_argument("--size", choices=STAGES, default="640x360", help="of the pictures, and sets to match")

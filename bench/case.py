@@ -43,25 +43,29 @@ def measure(name: str, path: str) -> None:
     started = time.perf_counter()
     import lumisplat as ls
 
-    scene = ls.Scene(splats=[ls.load(path)])
+    capture = ls.load(path)
+    assert isinstance(capture, ls.Gaussians)
+    scene = ls.Scene(splats=[capture])
     loaded = time.perf_counter()
     import warp as wp
 
-    wp.config.quiet = True
-    from bench.presets import PRESETS
+    wp.config.log_level = wp.LOG_ERROR
+    from bench.presets import PRESETS, stage_ms
 
     preset = next(preset for preset in PRESETS if preset.name == name)
     camera = preset.camera()
     renderer = ls.create_renderer(preset.config(), device="cpu")
     ready = time.perf_counter()
-    build_ms = renderer.render(scene, camera).stats.stage_ms.get("build", 0.0)
+    build_ms = stage_ms(renderer.render(scene, camera)).get("build", 0.0)
     first = time.perf_counter()
     frames, walls = [], []
     for _ in range(REPEATS):
         begun = time.perf_counter()
-        frames.append(renderer.render(scene, camera).stats)
+        frames.append(renderer.render(scene, camera))
         walls.append(1e3 * (time.perf_counter() - begun))
-    stages = {s: statistics.median(f.stage_ms[s] for f in frames) for s in frames[0].stage_ms}
+    stages = {name: statistics.median(stage_ms(frame)[name] for frame in frames) for name in stage_ms(frames[0])}
+    stats = frames[0].stats
+    assert stats is not None
     row = {
         "load_ms": 1e3 * (loaded - started),
         "start_ms": 1e3 * (ready - loaded),
@@ -71,9 +75,9 @@ def measure(name: str, path: str) -> None:
         "frame_max_ms": max(walls),
         "build_ms": build_ms,
         "stage_ms": stages,
-        "gaussians": frames[0].gaussian_count,
-        "visible": frames[0].visible_count,
-        "pairs": frames[0].pair_count,
+        "gaussians": stats.gaussian_count,
+        "visible": stats.visible_count,
+        "pairs": stats.pair_count,
         "peak_mib": peak_mib(),
     }
     print(json.dumps(row))
@@ -84,7 +88,7 @@ def peak_mib() -> float:
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024
-    raise RuntimeError("this system does not tell a process's peak memory")
+    raise RuntimeError("this system does not report the peak memory of a process")
 
 
 if __name__ == "__main__":

@@ -19,9 +19,10 @@ def main(name: str, path: str) -> None:
     """Renders a first frame of both, then times ``REPEATS`` of each."""
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
     import lumisplat as ls
     from bench.light_presets import BASE, LIGHT, camera, stored_demo
+    from bench.presets import stage_ms
 
     demo, view = stored_demo(Path(path)), camera()
     preset = next(preset for preset in LIGHT if preset.name == name)
@@ -36,7 +37,7 @@ def main(name: str, path: str) -> None:
             if turn > 0:
                 walls[part].append(1e3 * (time.perf_counter() - begun))
                 if part == preset:
-                    stages.append(frame.stats.stage_ms)
+                    stages.append(stage_ms(frame))
     middle = {part: statistics.median(times) for part, times in walls.items()}
     row = {
         "frame_ms": middle[preset],

@@ -21,11 +21,11 @@ REPEATS = 5
 def main(name: str) -> None:
     """Renders the preset ``REPEATS`` times after a warm-up."""
     import lumisplat as ls
-    from bench.presets import BIKER, MITSUBA_T, PRESETS, synthetic
+    from bench.presets import BIKER, MITSUBA_T, PRESETS, load_capture, synthetic
 
     mi = load_mitsuba()
     preset = next(preset for preset in PRESETS if preset.name == name)
-    gaussians = synthetic(preset.count) if preset.count else ls.load(BIKER)
+    gaussians = synthetic(preset.count) if preset.count else load_capture(BIKER)
     scene = mi.load_dict(describe(mi, gaussians, preset.camera()))
     mi.render(scene, spp=1).numpy()
     walls = []
@@ -59,7 +59,7 @@ def load_mitsuba():
     found = sorted(glob.glob("/usr/lib/*/libLLVM.so.19*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM.so*"))
     if found:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
-    import mitsuba as mi
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     mi.set_variant("llvm_ad_rgb")
     return mi

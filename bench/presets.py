@@ -87,6 +87,19 @@ TRACE = [
 PRESETS = RASTER + TRACE
 
 
+def load_capture(path: Path) -> ls.Gaussians:
+    """Loads a capture."""
+    capture = ls.load(path)
+    assert isinstance(capture, ls.Gaussians)
+    return capture
+
+
+def stage_ms(frame: ls.Frame) -> dict[str, float]:
+    """Milliseconds of a frame's stages."""
+    assert frame.stats is not None
+    return frame.stats.stage_ms
+
+
 def synthetic(count: int, seed: int = 7) -> ls.Gaussians:
     """A capture-like set: flat Gaussians over three nested wavy spheres, their size following the local density."""
     random = np.random.default_rng(seed)

@@ -25,22 +25,23 @@ def main(path: str) -> None:
     """Prints one row a scene."""
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
     print(json.dumps({name: row(*case) for name, case in scenes(path).items()}))
 
 
 def scenes(path: str) -> dict:
-    """By name: a scene, its camera, and the number of lights whose share is looked at.
+    """By name: a scene, its camera, and the number of lights whose shares are compared.
 
-    Of the sky's, which comes from elsewhere with each sample, there is no exact one.
+    The share of the sky has no exact value, as its rays go in other directions with each sample.
     """
     import lumisplat as ls
     from bench.light_presets import camera, stored_demo
-    from bench.presets import BIKER, TRACE
+    from bench.presets import BIKER, TRACE, load_capture
 
     found = {"demo": (stored_demo(Path(path)), camera(), 2)}
     if BIKER.is_file():
-        biker = ls.SplatInstance(ls.load(BIKER), material=ls.MaterialSimple(emissive=0.2, diffuse=0.8))
+        material = ls.MaterialSimple(emissive=(0.2, 0.2, 0.2), diffuse=(0.8, 0.8, 0.8))
+        biker = ls.SplatInstance(load_capture(BIKER), material=material)
         light = ls.LightPoint((-1.5, -4.5, -2.5), intensity=30.0)
         found["biker"] = (ls.Scene(splats=[biker], lights=[light]), TRACE[0].camera(), 1)
     return found
@@ -49,6 +50,7 @@ def scenes(path: str) -> dict:
 def row(scene, camera, count: int) -> dict:
     """Decibels by number of samples, and milliseconds a sample by method."""
     import lumisplat as ls
+    from bench.presets import stage_ms
 
     compared = replace(scene, lights=scene.lights[:count])
     exact = shares(compared, camera, ls.ShadowMethod.EXACT, 1)
@@ -62,15 +64,16 @@ def row(scene, camera, count: int) -> dict:
     times: dict = {method: [] for method in methods}
     for turn in range(REPEATS + 1):
         for method, renderer in renderers.items():
-            stage = renderer.render(scene, camera).stats.stage_ms["shadow"]
+            stage = stage_ms(renderer.render(scene, camera))["shadow"]
             if turn > 0:
                 times[method].append(stage / TIMED)
     return {"psnr_db": decibels, "sample_ms": {m.value: statistics.median(t) for m, t in times.items()}}
 
 
 def shares(scene, camera, method, samples: int) -> np.ndarray:
-    """Share of each light that arrives, (L, H, W, 3); -1 where it could not reach anyway."""
+    """Share of each light that arrives, (L, H, W, 3); -1 where no light would arrive anyway."""
     frame = start(method, samples, aovs=("lights",)).render(scene, camera)
+    assert frame.light_direct is not None and frame.light_shadow is not None
     return np.where(frame.light_direct > 0.0, frame.light_shadow, -1.0)
 
 

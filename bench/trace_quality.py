@@ -18,18 +18,18 @@ def main() -> None:
     """Prints decibels by number of samples, and seconds."""
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_ERROR
     print(json.dumps(tree_seconds() | {"psnr_db": convergence()}))
 
 
 def convergence() -> dict[str, dict[str, float]]:
     """PSNR against the sorted frame by strategy and number of samples, all through the pixel centres."""
     import lumisplat as ls
-    from bench.presets import BIKER, TRACE
+    from bench.presets import BIKER, TRACE, load_capture
 
     if not BIKER.is_file():
         return {}
-    scene, camera = ls.Scene(splats=[ls.load(BIKER)]), TRACE[0].camera()
+    scene, camera = ls.Scene(splats=[load_capture(BIKER)]), TRACE[0].camera()
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
     exact = ls.render(scene, camera, config, device="cpu").color
     rows = {}
@@ -49,7 +49,7 @@ def convergence() -> dict[str, dict[str, float]]:
 def tree_seconds() -> dict[str, float]:
     """Seconds for the tree of a million Gaussians: built, refitted to all moved alike, and to each moved at random."""
     import lumisplat as ls
-    from bench.presets import TRACE, synthetic
+    from bench.presets import TRACE, stage_ms, synthetic
 
     gaussians = synthetic(TREE_COUNT)
     camera = TRACE[0].camera().scaled(width=16)
@@ -59,14 +59,13 @@ def tree_seconds() -> dict[str, float]:
     for turn in range(3):
         # Of another size, so that the next one is taken for a new capture, not for one that moved.
         renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - turn - 1))]), camera)
-        begun = renderer.render(ls.Scene(splats=[gaussians]), camera).stats
+        built.append(stage_ms(renderer.render(ls.Scene(splats=[gaussians]), camera))["build"])
         moved = replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * turn) + np.float32(0.01))
-        built.append(begun.stage_ms["build"])
-        refitted.append(renderer.render(ls.Scene(splats=[moved]), camera).stats.stage_ms["build"])
+        refitted.append(stage_ms(renderer.render(ls.Scene(splats=[moved]), camera))["build"])
         steps = random.standard_normal((TREE_COUNT, 3), dtype=np.float32)
         apart = gaussians.means + 0.5 * gaussians.scales.mean(axis=1, keepdims=True) * steps
         wild = ls.Scene(splats=[replace(gaussians, means=apart)])
-        strewn.append(renderer.render(wild, camera).stats.stage_ms["build"])
+        strewn.append(stage_ms(renderer.render(wild, camera))["build"])
     times = {"build_s": built, "refit_s": refitted, "strew_s": strewn}
     return {name: 1e-3 * float(np.median(values)) for name, values in times.items()}
 

@@ -66,6 +66,7 @@ def write_walker(path: Path) -> None:
     weights = [file.read(primitive.attributes.WEIGHTS_0).astype(np.float32)]
     indices = [file.read(primitive.indices).reshape(-1, 3).astype(np.uint32)]
     unposed = list(file.read(skin.inverseBindMatrices).reshape(-1, 4, 4))
+    assert skin.joints is not None
     for bone in BONES:
         first, last = (names[f"{name}_bind_JNT"] for name in (bone.joint, bone.end))
         points, faces = capsule(rest[first][:3, 3], rest[last][:3, 3], bone.radius, bone.end_radius)
@@ -140,7 +141,8 @@ class _Buffers:
         self.source = source
         self.bytes = bytearray(source.binary_blob())
 
-    def read(self, index: int) -> np.ndarray:
+    def read(self, index: int | None) -> np.ndarray:
+        assert index is not None
         accessor = self.source.accessors[index]
         view = self.source.bufferViews[accessor.bufferView]
         kind = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}[accessor.componentType]

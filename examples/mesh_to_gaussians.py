@@ -29,6 +29,8 @@ def ring(columns: int = 96, rows: int = 48) -> ls.Mesh:
 def main(path: str | None) -> None:
     """Writes out/mesh.png and out/gaussians.png, and out/gaussians.ply where one mesh became one capture."""
     loaded = ls.load(path) if path else ring()
+    if isinstance(loaded, ls.Gaussians):
+        sys.exit(f"{path} is a capture already")
     meshes = loaded if isinstance(loaded, ls.Scene) else ls.Scene(meshes=[loaded])
     splats = ls.Scene(
         splats=[ls.SplatInstance(ls.gaussians_from_mesh(one.mesh), one.transform) for one in meshes.meshes]

@@ -22,8 +22,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch  # noqa: TID253
-from gsplat.cuda._torch_impl import _fully_fused_projection, _quat_scale_to_covar_preci, _spherical_harmonics
+import torch  # noqa: TID253  # pyright: ignore[reportMissingImports]
+from gsplat.cuda._torch_impl import (  # pyright: ignore[reportMissingImports]
+    _fully_fused_projection,
+    _quat_scale_to_covar_preci,
+    _spherical_harmonics,
+)
 
 from lumisplat.io import load
 from lumisplat.scene.camera import Camera

@@ -35,7 +35,7 @@ SKY_SIZE = (1024, 2048)
 
 def main(names: list[str]) -> None:
     """Renders and stores the scenes of those names, or all."""
-    import mitsuba as mi
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     mi.set_variant("scalar_rgb")
     for name, one in light_scenes().items():
@@ -152,7 +152,7 @@ def check_sky(mi: Any, scene: Any, one: LightScene) -> None:
     if not isinstance(light, ls.LightEnvironment) or light.image is None:
         return
     directions = np.random.default_rng(0).normal(size=(500, 3))
-    directions[:100] = world_from_sky(light) @ (SUN / np.linalg.norm(SUN)) + 0.02 * directions[:100]
+    directions[:100] = world_from_sky(light) @ (np.array(SUN) / np.linalg.norm(SUN)) + 0.02 * directions[:100]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     for direction in directions:
         interaction = mi.SurfaceInteraction3f()
@@ -222,6 +222,7 @@ class Walk:
         """Whether a point is not behind glass as seen from the light, nor where a spot fades out."""
         if isinstance(self.light, ls.LightDirectional):
             return True
+        assert not isinstance(self.light, ls.LightEnvironment)
         away = np.array(hit.p) - self.light.position
         away /= np.linalg.norm(away)
         if isinstance(self.light, ls.LightSpot):

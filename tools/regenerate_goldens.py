@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import lumisplat as ls  # noqa: E402
-from lumisplat.io.images.image import write_png  # noqa: E402
+from lumisplat.io.images.png import write_png  # noqa: E402
 from support.compare.goldens import CASES, FOLDER  # noqa: E402
 
 
@@ -32,7 +32,8 @@ def main() -> None:
                 old = stored["color"].astype(np.float32)
         difference = np.abs(new["color"] - old)
         sheet.append(np.concatenate([old, new["color"], 10.0 * difference], axis=1))
-        np.savez_compressed(case.path, **{name: image.astype(np.float16) for name, image in new.items()})
+        stored = {name: image.astype(np.float16) for name, image in new.items()}
+        np.savez_compressed(case.path, **stored)  # pyright: ignore[reportArgumentType]
         print(
             f"{case.view}: mean difference {255 * difference.mean():.3f}/255, largest {255 * difference.max():.1f}/255"
         )

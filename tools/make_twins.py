@@ -1,0 +1,34 @@
+"""Computes what the float64 twins say in all tests, and stores it for them: python tools/make_twins.py.
+
+Needed after a change of an oracle or of the scenes that it is asked about; takes a few minutes. The tests that ask run
+meanwhile: what is stored is what they have been compared with.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parents[1] / "tests"
+sys.path.insert(0, str(TESTS))
+
+
+def main() -> int:
+    """Runs the tests that read stored twins, deep ones too, and stores what was computed if they pass."""
+    from support.twins import PATH, TWINS, store
+
+    asking = [str(path) for path in sorted(TESTS.rglob("test_*.py")) if "TWINS.result(" in path.read_text()]
+    PATH.unlink(missing_ok=True)
+    failed = pytest.main(["-q", "-m", "", "--recompute-twins", *asking])
+    if failed:
+        print(f"nothing is stored: a test fails; `git checkout {PATH.relative_to(TESTS.parent)}` brings back what was")
+        return int(failed)
+    size = store(TWINS.computed)
+    print(f"{len(TWINS.computed)} results, {size / 2**20:.2f} MiB in {PATH.relative_to(TESTS.parent)}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
