@@ -61,9 +61,9 @@ if TYPE_CHECKING:
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
     from lumisplat.scene.animation.actors import Actor, Animation
-    from lumisplat.scene.animation.bound_gaussians import RiggedGaussians, bind_gaussians
     from lumisplat.scene.animation.keyframes import Keyframes
     from lumisplat.scene.animation.rig import Rig
+    from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.gaussians import Gaussians
@@ -127,7 +127,7 @@ _HOME = {
     "Renderer": "renderer.renderer",
     "ResponseConfig": "config",
     "Rig": "scene.animation.rig",
-    "RiggedGaussians": "scene.animation.bound_gaussians",
+    "RiggedGaussians": "scene.animation.rigged_gaussians",
     "Scene": "scene.scene",
     "SceneError": "errors",
     "ShadowConfig": "config",
@@ -138,7 +138,7 @@ _HOME = {
     "TraceConfig": "config",
     "TraceStrategy": "config",
     "apf_y": "metrics.lighting",
-    "bind_gaussians": "scene.animation.bound_gaussians",
+    "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
     "create_renderer": "renderer.renderer",
     "demo_cameras": "demo.scene",

@@ -13,6 +13,7 @@ Messages say what, where, what was expected and what to do, in one line.
 from __future__ import annotations
 
 import os
+from types import UnionType
 
 import numpy as np
 
@@ -56,6 +57,12 @@ class FormatError(SceneError):
 
 class DeviceError(LumisplatError, RuntimeError):
     """A compute device is missing, out of memory or failed."""
+
+
+def check_instance(value: object, kinds: type | UnionType, expected: str, advice: str = "") -> None:
+    """Raises a SceneError, ``expected`` and the type that was given, unless ``value`` is of one of the kinds."""
+    if not isinstance(value, kinds):
+        raise SceneError(f"{expected}, got a {type(value).__name__}{advice}")
 
 
 def check_shapes(**named: tuple[np.ndarray | None, str]) -> dict[str, int]:

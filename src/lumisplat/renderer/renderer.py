@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.errors import ConfigError
-from lumisplat.frame.frame import Frame, FrameStats
+from lumisplat.frame.frame import Frame
+from lumisplat.frame.frame_data import FrameStats
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_camera, check_resumable, check_scene, checked_config
 from lumisplat.renderer.film.film import Film, images_of_pixels

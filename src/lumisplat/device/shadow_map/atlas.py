@@ -1,60 +1,20 @@
-"""Where a deep shadow map keeps a point: by the direction from the light, or for parallel light by its shadow's place.
-
-An atlas has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
-"""
+"""Texels of a deep shadow map: by direction from the light, or for parallel light by the place in a plane across it."""
 
 import warp as wp
 
 from lumisplat.constants import SHADOW_TILE
-from lumisplat.device.structs.scene import struct
+from lumisplat.device.structs.shadow_map import OCTAHEDRAL, PARALLEL, Atlas, AtlasPoint, LightRay
 
 wp.set_module_options({"enable_backward": False})
 
-OCTAHEDRAL = wp.constant(0)
-CUBEMAP = wp.constant(1)
-PARALLEL = wp.constant(2)
-TILE = wp.constant(SHADOW_TILE)
-TILE_TEXELS = wp.constant(SHADOW_TILE * SHADOW_TILE)
+TILE: int = wp.constant(SHADOW_TILE)
+TILE_TEXELS: int = wp.constant(SHADOW_TILE * SHADOW_TILE)
 
 
-@struct
-class Atlas:
-    """A light and the space around it, cut into texels and bins."""
-
-    layout: int
-    """OCTAHEDRAL, CUBEMAP or PARALLEL."""
-    size: int
-    """Texels across a face, a multiple of ``TILE``."""
-    origin: wp.vec3
-    """The light; of parallel light, the corner of texel (0, 0)."""
-    axes: wp.mat33
-    """World from light, of parallel light: columns are the atlas's x and y and the way light travels."""
-    texel_length: float
-    """Of parallel light, scene units."""
-    bins: int
-    bin_length: float
-    """Scene units."""
-
-
-@struct
-class Place:
-    """A point in an atlas."""
-
-    face: int
-    x: float
-    """Texels; centres are whole numbers."""
-    y: float
-    t: float
-    """Distance from the light, scene units."""
-
-
-@struct
-class LightRay:
-    """The ray through a texel's centre."""
-
-    origin: wp.vec3
-    direction: wp.vec3
-    """Unit."""
+@wp.func
+def parallel_direction(atlas: Atlas) -> wp.vec3:
+    """The way parallel light travels, unit."""
+    return wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
 
 
 @wp.func
@@ -65,7 +25,7 @@ def sign_of(value: float) -> float:
 
 @wp.func
 def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
-    """Where the octahedral map shows a direction, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
+    """Coordinates of a direction on the octahedral map, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
     q = direction / (wp.abs(direction[0]) + wp.abs(direction[1]) + wp.abs(direction[2]))
     if q[2] >= 0.0:
         return wp.vec2(q[0], q[1])
@@ -74,7 +34,7 @@ def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def direction_from_octahedral(at: wp.vec2) -> wp.vec3:
-    """The unit direction that the octahedral map shows at a place."""
+    """The unit direction at coordinates of the octahedral map, -1..1 each."""
     z = 1.0 - wp.abs(at[0]) - wp.abs(at[1])
     if z >= 0.0:
         return wp.normalize(wp.vec3(at[0], at[1], z))
@@ -85,9 +45,9 @@ def direction_from_octahedral(at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def direction_from_cube(face: int, at: wp.vec2) -> wp.vec3:
-    """The unit direction at a place on a face: faces 0 to 2 are towards +x, +y, +z, 3 to 5 opposite.
+    """The unit direction at coordinates of a face: faces 0 to 2 are towards +x, +y, +z, 3 to 5 opposite.
 
-    The place is that of the two axes that follow the face's in cyclic order, -1..1 each.
+    The coordinates are along the two axes that follow the face's own in cyclic order, -1..1 each.
     """
     axis = face % 3
     direction = wp.vec3(0.0)
@@ -106,15 +66,15 @@ def texels_from_unit(atlas: Atlas, at: wp.vec2) -> wp.vec2:
 
 @wp.func
 def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
-    """The other way round."""
+    """From texels, whose centres are whole numbers, to -1..1."""
     scale = 2.0 / float(atlas.size)
     return wp.vec2((x + 0.5) * scale - 1.0, (y + 0.5) * scale - 1.0)
 
 
 @wp.func
-def place_of_direction(atlas: Atlas, direction: wp.vec3) -> Place:
-    """Where the atlas of a point light shows a direction of any length; ``t`` is 0."""
-    place = Place()
+def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
+    """The place of a direction, of any length, in the atlas of a point light; its distance is 0."""
+    place = AtlasPoint()
     if atlas.layout == OCTAHEDRAL:
         at = texels_from_unit(atlas, octahedral_from_direction(direction))
     else:
@@ -133,33 +93,33 @@ def place_of_direction(atlas: Atlas, direction: wp.vec3) -> Place:
 
 
 @wp.func
-def place_of_point(atlas: Atlas, point: wp.vec3) -> Place:
-    """Where the atlas keeps a point, world space; the light itself is at distance 0 in any direction."""
+def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
+    """The place of a point, world space, in an atlas; the light itself is at distance 0 in any direction."""
     offset = point - atlas.origin
     if atlas.layout == PARALLEL:
         local = wp.transpose(atlas.axes) * offset
-        place = Place()
+        place = AtlasPoint()
         place.x = local[0] / atlas.texel_length - 0.5
         place.y = local[1] / atlas.texel_length - 0.5
-        place.t = local[2]
+        place.distance = local[2]
         return place
     distance = wp.length(offset)
     if distance == 0.0:
         offset = wp.vec3(0.0, 0.0, 1.0)
-    place = place_of_direction(atlas, offset)
-    place.t = distance
+    place = atlas_from_direction(atlas, offset)
+    place.distance = distance
     return place
 
 
 @wp.func
-def ray_at(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
-    """The ray through a place of the atlas, in texels."""
+def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
+    """The light ray through a place of a face, in texels."""
     ray = LightRay()
     if atlas.layout == PARALLEL:
         ray.origin = atlas.origin + atlas.axes * wp.vec3(
             (x + 0.5) * atlas.texel_length, (y + 0.5) * atlas.texel_length, 0.0
         )
-        ray.direction = wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
+        ray.direction = parallel_direction(atlas)
         return ray
     ray.origin = atlas.origin
     if atlas.layout == OCTAHEDRAL:
@@ -171,16 +131,16 @@ def ray_at(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
 
 @wp.func
 def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
-    """The number of a texel, which may be one beyond an edge of its face: then it is the one that lies there.
+    """The number of a texel, which may be one beyond an edge of its face: then the one that adjoins it on the sphere.
 
-    -1 outside of what parallel light's plane covers.
+    -1: outside of the plane of parallel light, which has no texel there.
     """
     size = atlas.size
     if x < 0 or y < 0 or x >= size or y >= size:
         if atlas.layout == PARALLEL:
             return -1
         if atlas.layout == OCTAHEDRAL:
-            # Beyond an edge lies its own mirror image: the edge's two halves are one, folded at their middle.
+            # An edge is folded at its middle, its two halves are one line: beyond it lies its own mirror image.
             if x < 0 or x >= size:
                 x = wp.where(x < 0, -1 - x, 2 * size - 1 - x)
                 y = size - 1 - y
@@ -189,7 +149,7 @@ def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
                 x = size - 1 - x
         else:
             beyond = direction_from_cube(face, unit_from_texels(atlas, float(x), float(y)))
-            place = place_of_direction(atlas, beyond)
+            place = atlas_from_direction(atlas, beyond)
             face = place.face
             x = wp.clamp(int(wp.floor(place.x + 0.5)), 0, size - 1)
             y = wp.clamp(int(wp.floor(place.y + 0.5)), 0, size - 1)
@@ -198,7 +158,7 @@ def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
 
 
 @wp.func
-def texel_place(atlas: Atlas, texel: int) -> wp.vec3i:
+def texel_coordinates(atlas: Atlas, texel: int) -> wp.vec3i:
     """Face, x and y of a texel by its number."""
     tiles = atlas.size // TILE
     tile = texel // TILE_TEXELS

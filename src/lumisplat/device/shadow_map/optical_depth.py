@@ -1,33 +1,23 @@
-"""Optical depth of Gaussians on rays from a light, in closed form, and where it is not negligible.
-
-The equations are in docs/method/deep_shadow_maps.md.
-"""
+"""Optical depth of Gaussians along rays from a light, in closed form (docs/method/deep_shadow_maps.md)."""
 
 import math
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MAX, SHADOW_BOUND_MARGIN, SHADOW_DEPTH_MIN, SHADOW_ERF_MAX
+from lumisplat.constants import ALPHA_MAX, SHADOW_DEPTH_MIN, SHADOW_ERF_MAX
 from lumisplat.device.gaussian.particle import canonical_from_object
-from lumisplat.device.math.directions import around
-from lumisplat.device.shadow_map.atlas import PARALLEL, Atlas, LightRay
-from lumisplat.device.structs.shadow_map import Casters, Cell, Footprint, Occluder, Passage
+from lumisplat.device.structs.shadow_map import PARALLEL, Atlas, Casters, DepthProfile, LightRay, Occluder
 
 wp.set_module_options({"enable_backward": False})
 
-NOTHING = wp.constant(0)
-SOMETHING = wp.constant(1)
-EVERYTHING = wp.constant(2)
-
-SIMPLE = wp.constant(0)
-AVERAGE = wp.constant(1)
-MASS = wp.constant(2)
+SIMPLE: int = wp.constant(0)
+AVERAGE: int = wp.constant(1)
+MASS: int = wp.constant(2)
 
 OPACITY_MAX = wp.constant(wp.float32(ALPHA_MAX))
 DEPTH_MIN = wp.constant(wp.float32(SHADOW_DEPTH_MIN))
 ERF_MAX = wp.constant(wp.float32(SHADOW_ERF_MAX))
 SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
-MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 
 @wp.func
@@ -58,7 +48,7 @@ def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
 
 @wp.func
 def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: float) -> Occluder:
-    """Gaussian ``i`` as seen from the light."""
+    """Caster ``i`` as seen from the light."""
     occluder = Occluder()
     scale = casters.scales[i]
     occluder.offset = casters.means[i] - atlas.origin
@@ -71,7 +61,7 @@ def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: 
 
 @wp.func
 def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
-    """Whether a ray comes near enough to a Gaussian: a first look, which most rays of a tile end with."""
+    """Whether a ray comes near enough to an occluder: a cheap test that most rays of a tile fail."""
     to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = to_mean - nearest * ray.direction
@@ -79,12 +69,13 @@ def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
 
 
 @wp.func
-def passage_of(occluder: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
-    """A ray through a Gaussian, by docs/method/deep_shadow_maps.md#line-distance: no difference of large numbers.
+def depth_profile(occluder: Occluder, ray: LightRay, light: wp.vec3) -> DepthProfile:
+    """An occluder's optical depth along a ray, by docs/method/deep_shadow_maps.md#line-distance.
 
-    The line's nearest point to the mean is found in the world first, then in canonical space, where the rest is small.
+    The line's nearest point to the mean is found in the world first, then in canonical space, where the rest is small:
+    no difference of large numbers is taken.
     """
-    passage = Passage()
+    profile = DepthProfile()
     to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = nearest * ray.direction - to_mean
@@ -93,15 +84,15 @@ def passage_of(occluder: Occluder, ray: LightRay, light: wp.vec3) -> Passage:
     a = wp.dot(along, along)
     further = -wp.dot(start, along) / a
     miss = start + further * along
-    passage.peak = nearest + further
-    passage.sharpness = wp.sqrt(0.5 * a)
-    passage.depth = occluder.absorption * SQRT_2_PI / wp.sqrt(a) * wp.exp(-0.5 * wp.dot(miss, miss))
-    return passage
+    profile.peak = nearest + further
+    profile.sharpness = wp.sqrt(0.5 * a)
+    profile.total = occluder.absorption * SQRT_2_PI / wp.sqrt(a) * wp.exp(-0.5 * wp.dot(miss, miss))
+    return profile
 
 
 @wp.func
 def erf_between(low: float, high: float) -> float:
-    """erf(high) - erf(low), for low <= high, with all digits also where both are near one."""
+    """erf(high) - erf(low), for low <= high, with all digits also if both are near one."""
     if low > 0.0:
         return wp.erfc(low) - wp.erfc(high)
     if high < 0.0:
@@ -110,119 +101,20 @@ def erf_between(low: float, high: float) -> float:
 
 
 @wp.func
-def depth_until(passage: Passage, start: float, distance: float) -> float:
-    """Optical depth of a Gaussian from ``start``, in units of its width from its peak, to a distance.
+def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
+    """Optical depth from ``start``, the argument of the error function at which light starts, to a distance.
 
     Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
-    end = passage.sharpness * (distance - passage.peak)
+    end = profile.sharpness * (distance - profile.peak)
     if start <= -ERF_MAX and end >= ERF_MAX:
-        return passage.depth
-    return 0.5 * passage.depth * erf_between(start, wp.max(end, start))
+        return profile.total
+    return 0.5 * profile.total * erf_between(start, wp.max(end, start))
 
 
 @wp.func
-def start_of(atlas: Atlas, passage: Passage) -> float:
-    """Where light starts, as for ``depth_until``: parallel light comes from behind everything."""
+def start_of(atlas: Atlas, profile: DepthProfile) -> float:
+    """The argument of the error function at which light starts; parallel light has no beginning."""
     if atlas.layout == PARALLEL:
         return -ERF_MAX
-    return -passage.sharpness * passage.peak
-
-
-@wp.func
-def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
-    """What Gaussian ``i`` covers: the ellipsoid outside which lines have negligible depth in it, seen from the light.
-
-    The rectangle lies along the axes of the covariance across the light, and bounds the ellipsoid's perspective image
-    exactly, by its dual quadric (docs/method/deep_shadow_maps.md#footprint).
-    """
-    footprint = Footprint()
-    scale = casters.scales[i]
-    reach2 = reach_squared_of(absorption, scale)
-    if reach2 <= 0.0:
-        return footprint
-    footprint.extent = EVERYTHING
-    offset = casters.means[i] - atlas.origin
-    distance = wp.length(offset)
-    reach = wp.sqrt(reach2) * wp.max(scale)
-    direction = wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
-    if atlas.layout != PARALLEL:
-        if distance <= reach * (1.0 + MARGIN):
-            return footprint
-        direction = offset / distance
-    footprint.extent = SOMETHING
-    footprint.direction = direction
-
-    # The ellipsoid's axes, from the mean to where it ends, in the frame of the light's direction.
-    spread = wp.sqrt(reach2) * (wp.quat_to_matrix(casters.rotations[i]) * wp.diag(scale))
-    u = around(direction, 0.0, 1.0, 0.0)
-    v = wp.cross(direction, u)
-    along_u = wp.transpose(spread) * u
-    along_v = wp.transpose(spread) * v
-    turn = 0.5 * wp.atan2(2.0 * wp.dot(along_u, along_v), wp.dot(along_u, along_u) - wp.dot(along_v, along_v))
-    footprint.first = wp.cos(turn) * u + wp.sin(turn) * v
-    footprint.second = wp.cross(direction, footprint.first)
-    first = wp.transpose(spread) * footprint.first
-    second = wp.transpose(spread) * footprint.second
-    half = wp.vec2(wp.length(first), wp.length(second)) * (1.0 + MARGIN)
-    if atlas.layout == PARALLEL:
-        middle = wp.vec2(wp.dot(offset, footprint.first), wp.dot(offset, footprint.second))
-        margin = wp.vec2(MARGIN * atlas.texel_length)
-        footprint.low = middle - half - margin
-        footprint.high = middle + half + margin
-        return footprint
-    angle = wp.asin(reach / distance) + MARGIN
-    footprint.cosine = wp.cos(angle)
-    footprint.sine = wp.sin(angle)
-    depth = wp.transpose(spread) * direction
-    behind = distance * distance - wp.dot(depth, depth)
-    skew = wp.vec2(wp.dot(first, depth), wp.dot(second, depth)) / behind
-    width = wp.vec2(
-        wp.sqrt(skew[0] * skew[0] + half[0] * half[0] / behind) + MARGIN * angle,
-        wp.sqrt(skew[1] * skew[1] + half[1] * half[1] / behind) + MARGIN * angle,
-    )
-    footprint.low = -skew - width
-    footprint.high = -skew + width
-    return footprint
-
-
-@wp.func
-def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: float) -> bool:
-    """Whether a cone's image in the plane at distance 1 reaches between two lines across one of the plane's axes.
-
-    Args:
-        axis_cosine: Of the cone's axis with that axis of the plane.
-        forward: Of the cone's axis with the plane's normal, above ``sine``.
-        sine: Of half the cone's angle.
-        low: Where the first line is.
-        high: Where the second is.
-    """
-    behind = forward * forward - sine * sine
-    middle = axis_cosine * forward / behind
-    width = sine * wp.sqrt(wp.max(axis_cosine * axis_cosine + behind, 0.0)) / behind
-    return middle - width <= high and middle + width >= low
-
-
-@wp.func
-def meets(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
-    """Whether a ray through a cell may have more than negligible depth in a Gaussian; never False where one has."""
-    if footprint.extent != SOMETHING:
-        return footprint.extent == EVERYTHING
-    forward = wp.dot(cell.axis, footprint.direction)
-    # The axes are farther apart than the two half angles together; by cosines, as most pairs end here.
-    if atlas.layout != PARALLEL and (
-        cell.cosine >= 0.0 and forward < cell.cosine * footprint.cosine - cell.sine * footprint.sine
-    ):
-        return False
-    across = wp.dot(cell.axis, footprint.first)
-    down = wp.dot(cell.axis, footprint.second)
-    if atlas.layout == PARALLEL:
-        r = cell.sine
-        low = footprint.low
-        high = footprint.high
-        return across - r <= high[0] and across + r >= low[0] and down - r <= high[1] and down + r >= low[1]
-    if cell.cosine < 0.0 or forward <= cell.sine:
-        return True
-    return overlaps(across, forward, cell.sine, footprint.low[0], footprint.high[0]) and overlaps(
-        down, forward, cell.sine, footprint.low[1], footprint.high[1]
-    )
+    return -profile.sharpness * profile.peak

@@ -26,6 +26,7 @@ from lumisplat.device.structs.light import (
     EnvironmentData,
     LightData,
 )
+from lumisplat.math.rotations import rotation_matrix
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -96,7 +97,7 @@ class LightTable:
             wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
             power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
             data.visible = int(light.visible)
-            data.world_from_environment = wp.mat33(*_rotation(wxyz).ravel())
+            data.world_from_environment = wp.mat33(*rotation_matrix(wxyz).ravel())
             data.power = wp.vec3(*power)
             seen = (*wxyz, *power, light.visible)
         key = self.count, id(self._image), data.exists, seen
@@ -200,12 +201,6 @@ def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     least = ENVIRONMENT_SHARE_MIN / ENVIRONMENT_SHARE_STEPS
     ends = np.cumsum(np.where(weights > 0.0, np.maximum(weights / total, least), 0.0), dtype=np.float64)
     return (np.rint(ends / ends[-1] * ENVIRONMENT_SHARE_STEPS) / ENVIRONMENT_SHARE_STEPS).astype(np.float32)
-
-
-def _rotation(wxyz: Doubles) -> Doubles:
-    """The matrix of a unit quaternion q, shape (3, 3): x + 2 w q x x + 2 q x (q x x), column by column."""
-    cross = np.cross(wxyz[1:], np.eye(3)).T
-    return np.eye(3) + 2.0 * wxyz[0] * cross + 2.0 * cross @ cross
 
 
 def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
