@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import probe_light_kernels
 import pytest
 import warp as wp
 
@@ -15,6 +14,7 @@ from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSamp
 from lumisplat.runtime.launcher import Launcher
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.oracles.bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
+from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import probe_light_kernels
 import pytest
 import warp as wp
 
@@ -19,6 +18,7 @@ from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.oracles.light_oracle import Array, cell_density, cell_sizes, direction_at, image_coordinates, lookup
+from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 CAMERA = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), width=8, height=8)

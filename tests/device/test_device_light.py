@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import probe_light_kernels
 import pytest
 import warp as wp
 
@@ -23,6 +22,7 @@ from lumisplat.device.structs.light import (
 )
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window
+from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 POSITION = (1.0, 2.0, -0.5)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import probe_tree_kernels
 import pytest
 import warp as wp
 
@@ -18,6 +17,7 @@ from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
 from support.oracles import raster_oracle as oracles
+from support.probes import probe_tree_kernels
 from support.scenes.raster_scenes import random_gaussians
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]

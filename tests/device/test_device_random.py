@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import probe_kernels
 import pytest
 import warp as wp
 
 from lumisplat.device.math import random
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.random_oracle import BRANCH_LAST, LENS_ANGLE, LENS_RADIUS, absorbed, draws, mix, sample_keys
+from support.probes import probe_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 PIXELS = np.arange(1 << 18, dtype=np.uint32)

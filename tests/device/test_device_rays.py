@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import probe_kernels
 import pytest
 import warp as wp
 
@@ -19,6 +18,7 @@ from lumisplat.renderer.scene.camera_table import camera_table, subpixel
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.camera_oracle import camera_rays, unit
+from support.probes import probe_kernels
 from support.scenes.raster_scenes import front_camera, rotation
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]

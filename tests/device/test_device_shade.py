@@ -6,9 +6,10 @@ import itertools
 import math
 
 import numpy as np
-import probe_shade_kernels as probes
 import pytest
 import warp as wp
+
+from support.probes import probe_shade_kernels as probes
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 LIMIT = 5.0

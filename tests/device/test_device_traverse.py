@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import probe_tree_kernels
 import pytest
 import warp as wp
 
@@ -20,6 +19,7 @@ from lumisplat.renderer.scene.bvh_scene import empty_node
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.raster_oracle import normalized
+from support.probes import probe_tree_kernels
 from support.scenes.raster_scenes import rotation
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]

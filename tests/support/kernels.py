@@ -39,9 +39,8 @@ def generated_modules(*, parallel: bool) -> list[Any]:
 
 def probe_modules() -> list[Any]:
     """Python modules of kernels that call the package's device functions for the tests."""
-    return [
-        importlib.import_module(path.stem) for path in sorted((Path(__file__).parents[1] / "device").glob("probe_*"))
-    ]
+    paths = sorted((Path(__file__).parent / "probes").glob("probe_*.py"))
+    return [importlib.import_module(f"support.probes.{path.stem}") for path in paths]
 
 
 def compile_all() -> None:
