@@ -140,7 +140,7 @@ def test_quantized_positions(tmp_path: Path) -> None:
 def test_texture_transform_turns_counter_clockwise() -> None:
     """A quarter turn takes +u to -v, which points up in the image; scale comes first, offset last."""
     uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
-    turned = Placement(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).applied(uvs)
+    turned = Placement(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).transform(uvs)
     np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
 
 

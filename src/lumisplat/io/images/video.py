@@ -49,7 +49,7 @@ def write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> 
         MissingExtraError: PyAV is not installed.
     """
     try:
-        from av.error import FFmpegError
+        av: Any = import_module("av")  # most of its types are unknown
     except ImportError:
         raise MissingExtraError("a video", "video") from None
     if not 0.0 < fps <= _FPS_MAX:
@@ -58,8 +58,9 @@ def write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> 
     first = next(pictures)
     with atomic_write(path) as temporary:
         try:
-            _encode(temporary, chain([first], pictures), first.shape, Fraction(fps).limit_denominator(_FPS_DENOMINATOR))
-        except FFmpegError as error:
+            rate = Fraction(fps).limit_denominator(_FPS_DENOMINATOR)
+            _encode(av, temporary, chain([first], pictures), first.shape, rate)
+        except av.error.FFmpegError as error:
             raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
 
 
@@ -83,9 +84,8 @@ def _with_equal_shapes(pictures: Iterable[_Bytes]) -> Iterator[_Bytes]:
         raise SceneError(f"{expected} none")
 
 
-def _encode(path: Path, pictures: Iterable[_Bytes], shape: tuple[int, ...], rate: Fraction) -> None:
-    """Encodes pictures of one shape."""
-    av: Any = import_module("av")  # most of its types are unknown
+def _encode(av: Any, path: Path, pictures: Iterable[_Bytes], shape: tuple[int, ...], rate: Fraction) -> None:
+    """Encodes pictures of one shape with PyAV."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options=_QUALITY)
         stream.height, stream.width = (size + size % 2 for size in shape[:2])

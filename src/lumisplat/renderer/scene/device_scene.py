@@ -9,6 +9,7 @@ import numpy as np
 from lumisplat.config import RenderConfig
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
+from lumisplat.device.structs.shading import ShadingScene
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel, tile_grid
@@ -91,7 +92,8 @@ class DeviceScene:
             self._camera, self.image_size = camera, (camera.width, camera.height)
             self.camera.assign(camera_table(camera, CENTER))
             if plan.is_sampled:
-                self._shading.sync(scene, camera, plan, self)
+                row, texture_first = self._shading_row(), self._meshes.texture_first
+                self._shading.sync(scene, camera, plan, row=row, assets=self.assets, texture_first=texture_first)
         if plan.follows_rays:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config)
@@ -107,9 +109,12 @@ class DeviceScene:
         """Tiles of the image across and down."""
         return tile_grid(*self.image_size)
 
-    def texture_first(self, texture: np.ndarray) -> int:
-        """First texel of a texture among those of all meshes."""
-        return self._meshes.texture_first(texture)
+    def _shading_row(self) -> ShadingScene:
+        """What shading reads of the camera and of all instances."""
+        row = ShadingScene()
+        row.sample = self.sample
+        row.splats, row.mesh_instances, row.meshes = self.splat_instances, self.mesh_instances, self.mesh_data
+        return row
 
     def _sync_assets(self, scene: Scene, plan: FramePlan) -> None:
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]

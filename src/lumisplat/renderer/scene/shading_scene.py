@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,7 @@ from lumisplat.device.structs.shading import (
 )
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.lights import LightTable
-from lumisplat.renderer.scene.materials import material_table
+from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.renderer.scene.upload import as_device_array
 from lumisplat.runtime.buffers import Buffers
@@ -27,9 +27,6 @@ from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from lumisplat.renderer.scene.device_scene import DeviceScene
 
 
 class ShadingTables:
@@ -45,7 +42,7 @@ class ShadingTables:
         self._buffers, self._config, self._device = buffers, config, device
         self._table = LightTable()
         self._attributes_of: list[int] | None = None
-        self._row = ShadingScene()
+        self._attributes: Any = None
         self.data: Any = None
         """What kernels take: a 1-element ShadingScene array."""
         self.lights: tuple[Light, ...] = ()
@@ -58,28 +55,35 @@ class ShadingTables:
         """Of the lights that are on, in order."""
         return self._table.names
 
-    def sync(self, scene: Scene, camera: Camera, plan: FramePlan, device_scene: DeviceScene) -> None:
+    def sync(
+        self,
+        scene: Scene,
+        camera: Camera,
+        plan: FramePlan,
+        *,
+        row: ShadingScene,
+        assets: list[SplatAsset],
+        texture_first: TextureFirst,
+    ) -> None:
         """Writes the tables.
 
         Args:
-            scene: What ``device_scene`` has just been brought up to date with.
+            scene: What there is.
             camera: From where it is seen.
             plan: Of the frame.
-            device_scene: Its assets and instances on the device.
+            row: With the camera's sample, the instances and the meshes; the rest is filled in.
+            assets: The distinct Gaussian sets.
+            texture_first: First texel of a texture among those of all meshes.
         """
         self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit)
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()
         self.has_headlight = plan.is_lit and not scene.lights
-        self._sync_attributes(device_scene.assets)
-        row = self._row
+        self._sync_attributes(assets)
+        row.attributes = self._attributes
         row.materials = self._write(
-            "shading.materials", MaterialData, material_table(scene, device_scene.texture_first, is_lit=plan.is_lit)
+            "shading.materials", MaterialData, material_table(scene, texture_first, is_lit=plan.is_lit)
         )
         row.settings = self._write("shading.settings", ShadingSettings, self._settings(plan))
-        row.sample = device_scene.sample
-        row.splats = device_scene.splat_instances
-        row.mesh_instances = device_scene.mesh_instances
-        row.meshes = device_scene.mesh_data
         row.lights = self._table.lights
         row.environment = self._table.environment
         self.data = upload_structs([row], ShadingScene, self._device)
@@ -95,7 +99,7 @@ class ShadingTables:
         if identities != self._attributes_of:
             rows = [attribute_row(asset, self._device) for asset in assets]
             # An array without elements has no address.
-            self._row.attributes = upload_structs(rows or [SplatAttributes()], SplatAttributes, self._device)
+            self._attributes = upload_structs(rows or [SplatAttributes()], SplatAttributes, self._device)
             self._attributes_of = identities
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
