@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.structs.light import BSDF_PBR, Bsdf
-from lumisplat.device.structs.shading import Interaction, Interactions, MaterialData
+from lumisplat.device.structs.shading import Interaction, MaterialData, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -50,42 +50,42 @@ def bsdf_of(
 
 
 @wp.func
-def load_interaction(interactions: Interactions, j: int) -> Interaction:
+def load_interaction(j: int, wave: wp.array(dtype=WaveData)) -> Interaction:
     """Element ``j``, which exists."""
     interaction = Interaction()
     interaction.exists = True
-    interaction.position = interactions.position[j]
-    interaction.normal = interactions.normal[j]
-    interaction.geometric_normal = interactions.geometric_normal[j]
-    interaction.wo = interactions.wo[j]
-    interaction.bsdf.model = interactions.model[j]
-    interaction.bsdf.diffuse = interactions.diffuse[j]
-    interaction.bsdf.specular = interactions.specular[j]
-    interaction.bsdf.grazing = interactions.grazing[j]
-    interaction.bsdf.alpha = interactions.alpha[j]
-    interaction.bsdf.shininess = interactions.shininess[j]
-    interaction.weight = interactions.weight[j]
-    interaction.occlusion = interactions.occlusion[j]
-    interaction.shadow_only = interactions.shadow_only[j]
+    interaction.position = wave[0].interactions.position[j]
+    interaction.normal = wave[0].interactions.normal[j]
+    interaction.geometric_normal = wave[0].interactions.geometric_normal[j]
+    interaction.wo = wave[0].interactions.wo[j]
+    interaction.bsdf.model = wave[0].interactions.model[j]
+    interaction.bsdf.diffuse = wave[0].interactions.diffuse[j]
+    interaction.bsdf.specular = wave[0].interactions.specular[j]
+    interaction.bsdf.grazing = wave[0].interactions.grazing[j]
+    interaction.bsdf.alpha = wave[0].interactions.alpha[j]
+    interaction.bsdf.shininess = wave[0].interactions.shininess[j]
+    interaction.weight = wave[0].interactions.weight[j]
+    interaction.occlusion = wave[0].interactions.occlusion[j]
+    interaction.shadow_only = wave[0].interactions.shadow_only[j]
     return interaction
 
 
 @wp.func
-def store_interaction(interactions: Interactions, j: int, interaction: Interaction):
+def store_interaction(j: int, interaction: Interaction, wave: wp.array(dtype=WaveData)):
     """Writes element ``j``, but for where rays leave it."""
-    interactions.exists[j] = interaction.exists
+    wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
-    interactions.position[j] = interaction.position
-    interactions.normal[j] = interaction.normal
-    interactions.geometric_normal[j] = interaction.geometric_normal
-    interactions.wo[j] = interaction.wo
-    interactions.model[j] = interaction.bsdf.model
-    interactions.diffuse[j] = interaction.bsdf.diffuse
-    interactions.specular[j] = interaction.bsdf.specular
-    interactions.grazing[j] = interaction.bsdf.grazing
-    interactions.alpha[j] = interaction.bsdf.alpha
-    interactions.shininess[j] = interaction.bsdf.shininess
-    interactions.weight[j] = interaction.weight
-    interactions.occlusion[j] = interaction.occlusion
-    interactions.shadow_only[j] = interaction.shadow_only
+    wave[0].interactions.position[j] = interaction.position
+    wave[0].interactions.normal[j] = interaction.normal
+    wave[0].interactions.geometric_normal[j] = interaction.geometric_normal
+    wave[0].interactions.wo[j] = interaction.wo
+    wave[0].interactions.model[j] = interaction.bsdf.model
+    wave[0].interactions.diffuse[j] = interaction.bsdf.diffuse
+    wave[0].interactions.specular[j] = interaction.bsdf.specular
+    wave[0].interactions.grazing[j] = interaction.bsdf.grazing
+    wave[0].interactions.alpha[j] = interaction.bsdf.alpha
+    wave[0].interactions.shininess[j] = interaction.bsdf.shininess
+    wave[0].interactions.weight[j] = interaction.weight
+    wave[0].interactions.occlusion[j] = interaction.occlusion
+    wave[0].interactions.shadow_only[j] = interaction.shadow_only

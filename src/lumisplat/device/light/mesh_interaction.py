@@ -8,9 +8,8 @@ from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black, sample_texture
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.structs.light import BSDF_PBR
-from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData
-from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, TextureData
+from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, TextureData, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -68,19 +67,19 @@ def mapped_normal(
 
 @wp.func
 def mesh_interaction(
-    i: int, transmittance: float, rays: RayData, hits: MeshHits, scene: wp.array(dtype=ShadingScene)
+    i: int, transmittance: float, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
 ) -> Interaction:
     """The interaction of ray ``i`` with the mesh that it ends on, seen through what the Gaussians before it let pass.
 
     It does not exist where the mesh reflects nothing but what mirrors do.
     """
     interaction = Interaction()
-    number = hits.instance[i]
+    number = wave[0].meshes.instance[i]
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     instance = scene[0].mesh_instances[number]
     meshes = scene[0].meshes
-    corners = meshes.indices[hits.face[i]]
-    weights = hit_weights(hits.weights[i])
+    corners = meshes.indices[wave[0].meshes.face[i]]
+    weights = hit_weights(wave[0].meshes.weights[i])
     color = surface_color(instance, meshes, corners, weights)
     roughness = material.roughness
     metallic = material.metallic
@@ -106,7 +105,7 @@ def mesh_interaction(
     if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction
     interaction.exists = True
-    interaction.wo = -rays.direction[i]
+    interaction.wo = -wave[0].rays.direction[i]
     interaction.geometric_normal = face_normal(instance, meshes, corners)
     if wp.dot(interaction.geometric_normal, interaction.wo) < 0.0:
         interaction.geometric_normal = -interaction.geometric_normal
@@ -114,27 +113,29 @@ def mesh_interaction(
     # A shading normal may turn away from the view at a silhouette: there, the triangle's own is better.
     facing = wp.dot(normal, interaction.wo) > 0.0
     interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
-    interaction.position = rays.origin[i] - hits.t[i] * interaction.wo
+    interaction.position = wave[0].rays.origin[i] - wave[0].meshes.t[i] * interaction.wo
     interaction.weight = transmittance
     return interaction
 
 
 @wp.func
-def mesh_spawn_point(i: int, side: wp.vec3, hits: MeshHits, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
+def mesh_spawn_point(
+    i: int, side: wp.vec3, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
+) -> wp.vec3:
     """Where rays start that leave the mesh on which ray ``i`` ends, on the side to which ``side`` points."""
-    corners = scene[0].meshes.indices[hits.face[i]]
-    instance = scene[0].mesh_instances[hits.instance[i]]
-    return spawn_point(instance, scene[0].meshes, corners, hit_weights(hits.weights[i]), side)
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
 
 
 @wp.func
-def mesh_emission(i: int, hits: MeshHits, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
+def mesh_emission(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> wp.vec3:
     """What the mesh that ray ``i`` ends on shows without lights: emission and ambient light, linear."""
-    number = hits.instance[i]
+    number = wave[0].meshes.instance[i]
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes
-    corners = meshes.indices[hits.face[i]]
-    weights = hit_weights(hits.weights[i])
+    corners = meshes.indices[wave[0].meshes.face[i]]
+    weights = hit_weights(wave[0].meshes.weights[i])
     emission = material.emissive
     if material.model == BSDF_PBR:
         if material.emissive_texture.width > 0 and not is_black(emission):

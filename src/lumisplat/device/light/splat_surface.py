@@ -7,8 +7,7 @@ from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.math.color import decode_srgb_color, over
 from lumisplat.device.structs.light import BSDF_PBR
-from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface
+from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,18 +16,18 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
 @wp.func
-def is_over_light(i: int, from_camera: bool, meshes: MeshHits, scene: wp.array(dtype=ShadingScene)) -> bool:
+def is_over_light(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> bool:
     """Whether what is behind the Gaussians is light (a mesh, the environment) or nothing, and not the background."""
-    if meshes.face[i] >= 0:
+    if wave[0].meshes.face[i] >= 0:
         return True
-    if from_camera:
+    if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_BACKGROUND
     return scene[0].environment.exists != 0
 
 
 @wp.func
 def splat_surface(
-    i: int, gaussians: GaussianHits, scene: wp.array(dtype=ShadingScene), over_light: bool
+    i: int, over_light: bool, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
 ) -> SplatSurface:
     """What the Gaussians before the nearest mesh show ray ``i``.
 
@@ -36,22 +35,22 @@ def splat_surface(
 
     Args:
         i: The ray.
-        gaussians: What it hit.
-        scene: The scene.
         over_light: What is behind is light, not the background that colours were captured over.
+        scene: The scene.
+        wave: Of the ray.
     """
     surface = SplatSurface()
     surface.instance = -1
     surface.gaussian = -1
-    surface.transmittance = gaussians.transmittance[i]
-    color = gaussians.color[i]
-    index = gaussians.gaussian[i]
+    surface.transmittance = wave[0].gaussians.transmittance[i]
+    color = wave[0].gaussians.color[i]
+    index = wave[0].gaussians.gaussian[i]
     emits_capture_only = int(1)
     keeps_capture = int(1)
     if index >= 0:
         surface.instance = instance_of(scene[0].splats, index)
         emits_capture_only = scene[0].materials[surface.instance].emits_capture_only
-        if gaussians.depth[i] < wp.inf:
+        if wave[0].gaussians.depth[i] < wp.inf:
             surface.gaussian = index - scene[0].splats[surface.instance].first
             keeps_capture = scene[0].materials[surface.instance].keeps_capture
         elif emits_capture_only == 0:
@@ -83,16 +82,18 @@ def reflects_light(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -
 
 @wp.func
 def splat_interaction(
-    i: int, surface: SplatSurface, rays: RayData, gaussians: GaussianHits, scene: wp.array(dtype=ShadingScene)
+    i: int, surface: SplatSurface, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
 ) -> Interaction:
     """The interaction of ray ``i`` with the surface of its Gaussians, if that ``reflects_light``."""
     interaction = Interaction()
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[surface.instance].asset
     interaction.exists = True
-    interaction.wo = -rays.direction[i]
-    interaction.position = rays.origin[i] - gaussians.depth[i] * interaction.wo
-    interaction.normal = unit_or(gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo)
+    interaction.wo = -wave[0].rays.direction[i]
+    interaction.position = wave[0].rays.origin[i] - wave[0].gaussians.depth[i] * interaction.wo
+    interaction.normal = unit_or(
+        wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo
+    )
     if wp.dot(interaction.normal, interaction.wo) < 0.0:
         interaction.normal = interaction.wo
     interaction.geometric_normal = interaction.normal

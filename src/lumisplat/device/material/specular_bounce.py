@@ -13,8 +13,9 @@ from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
-from lumisplat.device.structs.rays import Bounce, MeshHits, RayData
+from lumisplat.device.structs.rays import Bounce
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SmoothData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -91,25 +92,18 @@ def bounce_of(
 
 
 @wp.func
-def bounce_of_ray(
-    i: int,
-    rays: RayData,
-    hits: MeshHits,
-    instances: wp.array(dtype=MeshInstanceData),
-    meshes: MeshData,
-    lit: bool,
-) -> Bounce:
+def bounce_of_ray(i: int, lit: bool, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> Bounce:
     """What the mesh that a ray met does with it."""
-    number = hits.instance[i]
-    instance = instances[number]
-    corners = meshes.indices[hits.face[i]]
-    weights = hit_weights(hits.weights[i])
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    meshes = scene[0].meshes
+    corners = meshes.indices[wave[0].meshes.face[i]]
+    weights = hit_weights(wave[0].meshes.weights[i])
     return bounce_of(
         instance.material,
         surface_color(instance, meshes, corners, weights),
         face_normal(instance, meshes, corners),
         surface_normal(instance, meshes, corners, weights),
-        rays.direction[i],
+        wave[0].rays.direction[i],
         lit,
     )
 

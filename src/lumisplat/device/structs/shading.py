@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.light import Bsdf, EnvironmentData, LightData
+from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
 
 SEES_BACKGROUND = wp.constant(0)
@@ -197,6 +198,32 @@ class RayRadiance:
     """Linear: the surfaces' own colour."""
     emission: wp.array(dtype=wp.vec3)
     """Linear: what they emit without lights."""
+
+
+@struct
+class WaveData:
+    """A wave of rays, in a 1-element array: kernels that shade take it by reference.
+
+    By value, compilers copy all of these arrays' descriptors for each ray, which costs more than the shading itself.
+    """
+
+    from_camera: int
+    """1: the rays are the first ones, not reflected or refracted."""
+    may_branch: int
+    """1: smooth meshes send rays on where these are worth following."""
+    rays: RayData
+    meshes: MeshHits
+    gaussians: GaussianHits
+    interactions: Interactions
+    radiance: RayRadiance
+    path_weights: wp.array(dtype=float)
+    """Largest share of a ray's colour in its pixel."""
+    weights: wp.array(dtype=wp.vec3)
+    """Share of a ray's colour in that of the ray it branches off; without elements in the first wave."""
+    branches: wp.array(dtype=int)
+    """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one."""
+    branch_ends: wp.array(dtype=int)
+    """Inclusive sum of these: one more than the place of the branch's ray in the next wave."""
 
 
 @struct

@@ -12,8 +12,8 @@ from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
 from lumisplat.device.math.color import captured_color
 from lumisplat.device.math.random import branch_key
 from lumisplat.device.mesh.mesh_surface import hit_weights
-from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.shading import RayRadiance, ShadingScene
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -22,79 +22,73 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def spawn_rays(
     start: int,
     scene: wp.array(dtype=ShadingScene),
-    rays: RayData,
-    meshes: MeshHits,
-    gaussians: GaussianHits,
-    path_weights: wp.array(dtype=float),
-    branches: wp.array(dtype=int),
-    branch_ends: wp.array(dtype=int),
+    wave: wp.array(dtype=WaveData),
     rays_out: RayData,
     weights_out: wp.array(dtype=wp.vec3),
     path_weights_out: wp.array(dtype=float),
 ):
     """Item = branch: starts its ray on the surface, on the side on which it goes on."""
     j = start + wp.tid()
-    if branches[j] == 0:
+    if wave[0].branches[j] == 0:
         return
-    stride = branches.shape[0] // 2
+    stride = wave[0].branches.shape[0] // 2
     refracted = j // stride
     i = j % stride
     is_lit = scene[0].settings[0].is_lit != 0
-    bounce = bounce_of_ray(i, rays, meshes, scene[0].mesh_instances, scene[0].meshes, is_lit)
-    weight = gaussians.transmittance[i] * bounce.reflected
-    direction = reflect(rays.direction[i], bounce.normal)
+    bounce = bounce_of_ray(i, is_lit, scene, wave)
+    weight = wave[0].gaussians.transmittance[i] * bounce.reflected
+    direction = reflect(wave[0].rays.direction[i], bounce.normal)
     side = bounce.side
     if refracted == 1:
-        weight = gaussians.transmittance[i] * bounce.refracted
-        direction = refract(rays.direction[i], bounce.normal, bounce.eta)
+        weight = wave[0].gaussians.transmittance[i] * bounce.refracted
+        direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
         side = -bounce.side
-    corners = scene[0].meshes.indices[meshes.face[i]]
-    instance = scene[0].mesh_instances[meshes.instance[i]]
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
 
-    child = branch_ends[j] - 1
+    child = wave[0].branch_ends[j] - 1
     rays_out.is_active[child] = True
-    rays_out.origin[child] = spawn_point(instance, scene[0].meshes, corners, hit_weights(meshes.weights[i]), side)
+    rays_out.origin[child] = spawn_point(
+        instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side
+    )
     rays_out.direction[child] = direction
     rays_out.t_min[child] = 0.0
     rays_out.t_max[child] = wp.inf
-    rays_out.path_length[child] = rays.path_length[i] + meshes.t[i]
-    rays_out.sample_key[child] = branch_key(rays.sample_key[i], refracted)
-    rays_out.pixel_key[child] = branch_key(rays.pixel_key[i], refracted)
+    rays_out.path_length[child] = wave[0].rays.path_length[i] + wave[0].meshes.t[i]
+    rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], refracted)
+    rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], refracted)
     weights_out[child] = weight
-    path_weights_out[child] = path_weights[i] * wp.max(weight)
+    path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)
 
 
 @wp.kernel
 def gather_branches(
     start: int,
     scene: wp.array(dtype=ShadingScene),
-    branches: wp.array(dtype=int),
-    branch_ends: wp.array(dtype=int),
-    weights: wp.array(dtype=wp.vec3),
-    seen: RayRadiance,
-    radiance_inout: RayRadiance,
+    far: wp.array(dtype=WaveData),
+    near_inout: wp.array(dtype=WaveData),
 ):
     """Adds what a ray's branches see to what it sees itself: display-referred colours if unlit, else linear light."""
     i = start + wp.tid()
-    stride = branches.shape[0] // 2
+    stride = near_inout[0].branches.shape[0] // 2
     is_lit = scene[0].settings[0].is_lit != 0
     color = wp.vec3(0.0)
     if not is_lit:
-        color = radiance_inout.captured[i]
+        color = near_inout[0].radiance.captured[i]
     for branch in range(2):
         j = branch * stride + i
-        if branches[j] == 1:
-            child = branch_ends[j] - 1
+        if near_inout[0].branches[j] == 1:
+            child = near_inout[0].branch_ends[j] - 1
             if is_lit:
-                light = captured_color(seen.captured[child], seen.captured_weight[child])
-                if seen.capture_factor:
-                    light = wp.cw_mul(light, seen.capture_factor[child])
-                color += wp.cw_mul(weights[child], light + seen.light[child])
+                light = captured_color(far[0].radiance.captured[child], far[0].radiance.captured_weight[child])
+                if far[0].radiance.capture_factor:
+                    light = wp.cw_mul(light, far[0].radiance.capture_factor[child])
+                color += wp.cw_mul(far[0].weights[child], light + far[0].radiance.light[child])
             else:
-                color += wp.cw_mul(weights[child], seen.captured[child])
+                color += wp.cw_mul(far[0].weights[child], far[0].radiance.captured[child])
     if is_lit:
-        radiance_inout.light[i] += color
-        if radiance_inout.reflection:
-            radiance_inout.reflection[i] += color
+        near_inout[0].radiance.light[i] += color
+        if near_inout[0].radiance.reflection:
+            near_inout[0].radiance.reflection[i] += color
     else:
-        radiance_inout.captured[i] = color
+        near_inout[0].radiance.captured[i] = color

@@ -33,8 +33,8 @@ class SpecularWaves:
 
     def count(self, wave: RayWave) -> int:
         """How many rays go on; the host waits for it, so that such a frame cannot be captured as a graph."""
-        wp.utils.array_scan(wave.branches, wave.branch_ends, inclusive=True)
-        return int(wave.branch_ends[-1:].numpy()[0])
+        wp.utils.array_scan(wave.row.branches, wave.row.branch_ends, inclusive=True)
+        return int(wave.row.branch_ends[-1:].numpy()[0])
 
     def spawn(self, scene: DeviceScene, wave: RayWave, count: int) -> tuple[RayData, Any]:
         """The ``count`` rays that go on from a wave, and their weights; writes the path weights of the next wave."""
@@ -44,19 +44,13 @@ class SpecularWaves:
         rays.is_active.fill_(False)
         weights = self._buffers.get(f"wave.{number}.weights", wp.vec3, capacity)
         path_weights = self._buffers.get(f"wave.path_weights{number % 2}", wp.float32, capacity)
-        hits = wave.hits
         self._launcher.run_banded(
             kernels.spawn_rays,
-            wave.branches.shape[0],
-            *(scene.shading, hits.rays, hits.meshes, hits.gaussians),
-            *(wave.path_weights, wave.branches, wave.branch_ends, rays, weights, path_weights),
+            wave.row.branches.shape[0],
+            *(scene.shading, wave.data, rays, weights, path_weights),
         )
         return rays, weights
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
         """Adds what the rays of a wave see to what those see that they branch off."""
-        self._launcher.run_banded(
-            kernels.gather_branches,
-            near.count,
-            *(scene.shading, near.branches, near.branch_ends, far.weights, far.radiance, near.radiance),
-        )
+        self._launcher.run_banded(kernels.gather_branches, near.count, scene.shading, far.data, near.data)

@@ -54,7 +54,7 @@ class WhittedIntegrator:
                 waves.append(self._shade(scene, plan, hits, len(waves), weights))
             for near, far in reversed(list(itertools.pairwise(waves))):
                 self._specular.gather(scene, near, far)
-        return waves[0].radiance
+        return waves[0].row.radiance
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """What each light gave the rays of these hits, if the frame asks for it."""
@@ -72,4 +72,4 @@ class WhittedIntegrator:
 
     def _branch_count(self, wave: RayWave) -> int:
         """How many rays go on from a wave; 0 where they would exceed ``max_bounces``."""
-        return self._specular.count(wave) if wave.may_branch else 0
+        return self._specular.count(wave) if wave.row.may_branch else 0

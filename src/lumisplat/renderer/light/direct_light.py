@@ -68,18 +68,17 @@ class DirectLight:
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
         lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
         soft = self._config.shadows is Shadows.SOFT
-        light = wave.radiance.light
         if lamps and not soft:
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_hard_lights,
                 wave.count,
-                *(no_shadows, scene.shading, wave.interactions, light),
+                *(no_shadows, scene.shading, wave.data),
             )
         if len(lights) > lamps or (soft and lamps):
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_sampled_lights,
                 wave.count,
-                *(no_shadows, scene.shading, wave.hits.rays, wave.interactions, light),
+                *(no_shadows, scene.shading, wave.data),
             )
 
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
@@ -105,16 +104,10 @@ class DirectLight:
                         self._launcher.run_banded(
                             kernels.add_light,
                             wave.count,
-                            *(shadowed, contributions, visibility, wave.interactions, arrivals),
-                            *(wave.radiance.light, direct, arrived),
+                            *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived),
                         )
         if plan.has_shadow_only:
-            hits = wave.hits
-            self._launcher.run_banded(
-                kernels.darken_captured,
-                wave.count,
-                *(wave.is_primary, scene.shading, hits.rays, hits.meshes, hits.gaussians, arrivals, wave.radiance),
-            )
+            self._launcher.run_banded(kernels.darken_captured, wave.count, scene.shading, arrivals, wave.data)
 
     def _contributions(
         self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool, shadowed: bool
@@ -126,11 +119,10 @@ class DirectLight:
             self._launcher.run_banded(
                 kernels.spawn_shadow_rays,
                 wave.count,
-                *(number, samples_bsdf, scene.shading, wave.hits.rays, wave.interactions),
-                *(shadow_rays, contributions),
+                *(number, samples_bsdf, scene.shading, wave.data, shadow_rays, contributions),
             )
         if not shadowed:
             return contributions, contributions
         with self._launcher.stage("shadow"):
-            skips = wave.interactions.shadow_only
+            skips = wave.row.interactions.shadow_only
             return contributions, self._shadows.trace(scene, shadow_rays, skips, "light.visibility")

@@ -17,8 +17,8 @@ from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
 from lumisplat.device.math.random import branch_key
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
-from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.shading import Arrivals, Contribution, Interactions, RayRadiance, ShadingScene
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -29,8 +29,7 @@ def spawn_shadow_rays(
     number: int,
     samples_bsdf: bool,
     scene: wp.array(dtype=ShadingScene),
-    rays: RayData,
-    interactions: Interactions,
+    wave: wp.array(dtype=WaveData),
     rays_out: RayData,
     contributions_out: wp.array(dtype=wp.vec3),
 ):
@@ -40,24 +39,26 @@ def spawn_shadow_rays(
     for slot in range(2):
         j = slot * stride + i
         contribution = Contribution()
-        if interactions.exists[j]:
-            interaction = load_interaction(interactions, j)
+        if wave[0].interactions.exists[j]:
+            interaction = load_interaction(j, wave)
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                contribution = environment_contribution(number, samples_bsdf, interaction, rays.pixel_key[i], scene)
+                contribution = environment_contribution(
+                    number, samples_bsdf, interaction, wave[0].rays.pixel_key[i], scene
+                )
             elif scene[0].settings[0].soft != 0:
-                contribution = light_sample_contribution(number, interaction, rays.pixel_key[i], scene)
+                contribution = light_sample_contribution(number, interaction, wave[0].rays.pixel_key[i], scene)
             else:
                 contribution = light_center_contribution(number, interaction, scene)
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
-            rays_out.origin[j] = interactions.spawn_point[j]
+            rays_out.origin[j] = wave[0].interactions.spawn_point[j]
             rays_out.direction[j] = contribution.direction
-            rays_out.t_min[j] = interactions.spawn_t_min[j]
+            rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
             rays_out.t_max[j] = contribution.distance
             rays_out.path_length[j] = 0.0
-            rays_out.pixel_key[j] = rays.pixel_key[i]
-            rays_out.sample_key[j] = branch_key(light_key(rays.sample_key[i], number), slot)
+            rays_out.pixel_key[j] = wave[0].rays.pixel_key[i]
+            rays_out.sample_key[j] = branch_key(light_key(wave[0].rays.sample_key[i], number), slot)
 
 
 @wp.kernel
@@ -66,9 +67,8 @@ def add_light(
     shadowed: bool,
     contributions: wp.array(dtype=wp.vec3),
     visibility: wp.array(dtype=wp.vec3),
-    interactions: Interactions,
+    wave_inout: wp.array(dtype=WaveData),
     arrivals_inout: Arrivals,
-    light_inout: wp.array(dtype=wp.vec3),
     direct_inout: wp.array(dtype=wp.vec3),
     arrived_inout: wp.array(dtype=wp.vec3),
 ):
@@ -85,11 +85,11 @@ def add_light(
             arrived = sent
             if shadowed:
                 arrived = wp.cw_mul(sent, visibility[j])
-            if interactions.shadow_only[j]:
+            if wave_inout[0].interactions.shadow_only[j]:
                 arrivals_inout.sent[i] += sent
                 arrivals_inout.arrived[i] += arrived
             else:
-                light_inout[i] += arrived
+                wave_inout[0].radiance.light[i] += arrived
             if direct_inout:
                 direct_inout[i] += sent
                 arrived_inout[i] += arrived
@@ -98,21 +98,17 @@ def add_light(
 @wp.kernel
 def darken_captured(
     start: int,
-    from_camera: bool,
     scene: wp.array(dtype=ShadingScene),
-    rays: RayData,
-    meshes: MeshHits,
-    gaussians: GaussianHits,
     arrivals: Arrivals,
-    radiance_inout: RayRadiance,
+    wave_inout: wp.array(dtype=WaveData),
 ):
     """The share of captured colours that is left where lights do not arrive (Debevec 1998, differential rendering)."""
     i = start + wp.tid()
     sent = arrivals.sent[i]
-    if is_black(sent) or not rays.is_active[i]:
+    if is_black(sent) or not wave_inout[0].rays.is_active[i]:
         return
-    over_light = is_over_light(i, from_camera, meshes, scene)
-    surface = splat_surface(i, gaussians, scene, over_light)
+    over_light = is_over_light(i, scene, wave_inout)
+    surface = splat_surface(i, over_light, scene, wave_inout)
     besides = wp.PI * scene[0].materials[surface.instance].ambient
     missing = sent - arrivals.arrived[i]
     shown = captured_color(surface.captured, surface.weight)
@@ -124,4 +120,4 @@ def darken_captured(
         if missing[k] > 0.0 and shown[k] > 0.0:
             share = wp.max(shown[k] - behind[k], 0.0) / shown[k]
             factor[k] = 1.0 - share * missing[k] / (besides[k] + sent[k])
-    radiance_inout.capture_factor[i] = factor
+    wave_inout[0].radiance.capture_factor[i] = factor

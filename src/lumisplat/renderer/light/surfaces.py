@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.device.structs.shading import Interactions, RayRadiance
+from lumisplat.device.structs.shading import Interactions, RayRadiance, WaveData
 from lumisplat.renderer.light import surface_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -14,6 +14,7 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import upload_structs
 
 
 class Surfaces:
@@ -47,31 +48,25 @@ class Surfaces:
             weights: Of its rays, as `RayWave` has them; None in the first wave.
             may_branch: Smooth meshes send rays on where these are worth following.
         """
-        wave = self._wave(plan, hits, number, weights, may_branch)
-        if wave.is_primary:
-            wave.path_weights.fill_(1.0)
         with self._launcher.stage("shade"):
-            self._launcher.run_banded(
-                kernels.shade_surfaces,
-                wave.count,
-                *(wave.is_primary, may_branch, scene.shading, hits.rays, hits.meshes, hits.gaussians),
-                *(wave.path_weights, wave.radiance, wave.interactions, wave.branches),
-            )
+            wave = self._wave(plan, hits, number, weights, may_branch)
+            if wave.is_primary:
+                wave.row.path_weights.fill_(1.0)
+            self._launcher.run_banded(kernels.shade_surfaces, wave.count, scene.shading, wave.data)
         return wave
 
     def _wave(self, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any, may_branch: bool) -> RayWave:
         count, get = hits.count, self._buffers.get
-        return RayWave(
-            number,
-            hits,
-            interactions=self._interactions(plan, count),
-            radiance=self._radiance(plan, count, number),
-            path_weights=get(f"wave.path_weights{number % 2}", wp.float32, count),
-            may_branch=may_branch,
-            weights=weights,
-            branches=get(f"wave.{number}.branches", wp.int32, 2 * count),
-            branch_ends=get(f"wave.{number}.branch_ends", wp.int32, 2 * count),
-        )
+        row = WaveData()
+        row.from_camera, row.may_branch = int(number == 0), int(may_branch)
+        row.rays, row.meshes, row.gaussians = hits.rays, hits.meshes, hits.gaussians
+        row.interactions = self._interactions(plan, count)
+        row.radiance = self._radiance(plan, count, number)
+        row.path_weights = get(f"wave.path_weights{number % 2}", wp.float32, count)
+        row.weights = weights
+        row.branches = get(f"wave.{number}.branches", wp.int32, 2 * count)
+        row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, 2 * count)
+        return RayWave(number, hits, row, upload_structs([row], WaveData, self._launcher.device))
 
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
         if not plan.is_lit:

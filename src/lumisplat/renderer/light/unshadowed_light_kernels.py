@@ -9,8 +9,7 @@ from lumisplat.device.light.direct_light import (
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
-from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Interaction, Interactions, ShadingScene
+from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -52,19 +51,18 @@ def add_hard_lights(
     start: int,
     no_shadows: bool,
     scene: wp.array(dtype=ShadingScene),
-    interactions: Interactions,
-    light_inout: wp.array(dtype=wp.vec3),
+    wave_inout: wp.array(dtype=WaveData),
 ):
     """Adds unshadowed lights, all of each from its centre.
 
     Apart from ``add_sampled_lights``: together, they cost a deferred frame an eighth more.
     """
     i = start + wp.tid()
-    stride = interactions.exists.shape[0] // 2
+    stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):
         j = slot * stride + i
-        if interactions.exists[j] and not interactions.shadow_only[j]:
-            light_inout[i] += hard_light(load_interaction(interactions, j), no_shadows, scene)
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+            wave_inout[0].radiance.light[i] += hard_light(load_interaction(j, wave_inout), no_shadows, scene)
 
 
 @wp.kernel
@@ -72,15 +70,15 @@ def add_sampled_lights(
     start: int,
     no_shadows: bool,
     scene: wp.array(dtype=ShadingScene),
-    rays: RayData,
-    interactions: Interactions,
-    light_inout: wp.array(dtype=wp.vec3),
+    wave_inout: wp.array(dtype=WaveData),
 ):
     """Adds unshadowed lights that are sampled."""
     i = start + wp.tid()
-    stride = interactions.exists.shape[0] // 2
+    stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):
         j = slot * stride + i
-        if interactions.exists[j] and not interactions.shadow_only[j]:
-            interaction = load_interaction(interactions, j)
-            light_inout[i] += sampled_light(interaction, rays.pixel_key[i], no_shadows, scene)
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+            interaction = load_interaction(j, wave_inout)
+            wave_inout[0].radiance.light[i] += sampled_light(
+                interaction, wave_inout[0].rays.pixel_key[i], no_shadows, scene
+            )

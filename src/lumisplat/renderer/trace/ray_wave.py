@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-from lumisplat.device.structs.shading import Interactions, RayRadiance
+from lumisplat.device.structs.shading import WaveData
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import DeviceArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,20 +16,10 @@ class RayWave:
     number: int
     """How often its rays have been reflected or refracted; 0: they come from the camera, or were given."""
     hits: PrimaryHits
-    interactions: Interactions
-    """Where light reaches the rays; without elements in an unlit wave."""
-    radiance: RayRadiance
-    """What each ray sees: first without its branches, then with them."""
-    path_weights: Any
-    """Largest share of a ray's colour in its pixel."""
-    may_branch: bool
-    """Whether smooth meshes may send its rays on; otherwise the branches are undefined."""
-    weights: Any
-    """Share of a ray's colour in that of the ray it branches off; none in the first wave."""
-    branches: Any
-    """How many rays go on in each branch, 0 or 1."""
-    branch_ends: Any
-    """Inclusive sum of these: one more than the place of the branch's ray in the next wave."""
+    row: WaveData
+    """Its arrays. Interactions have no elements in an unlit wave; branches are undefined unless the wave may branch."""
+    data: DeviceArray
+    """The same on the device, of 1 element."""
 
     @property
     def count(self) -> int:
