@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         shape: tuple[int, ...]
         ptr: int
         capacity: int
+        device: wp.Device
 
         def __getitem__(self, key: slice) -> DeviceArray:
             """A view of some elements."""

@@ -26,7 +26,7 @@ def add_sample(
     alpha: float,
     surface: FirstSurface,
     pixels: PixelData,
-    nonfinite: wp.array(dtype=int),
+    nonfinite: wp.array[int],
 ):
     """Adds a sample's display-referred colour and alpha to a pixel; the surface of the first sample stays.
 
@@ -61,7 +61,7 @@ def add_light(pixel: int, sample: int, captured_weight: float, light: wp.vec3, l
 
 
 @wp.func
-def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array(dtype=wp.vec3)):
+def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
     """Adds a sample of any colour to an image's pixel."""
     if sample == 0:
         image[pixel] = color
@@ -70,7 +70,7 @@ def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array(dtype=wp.
 
 
 @wp.func
-def develop(pixel: int, pixels: PixelData, lit: LitPixels, capture_factor: wp.array(dtype=wp.vec3)):
+def develop(pixel: int, pixels: PixelData, lit: LitPixels, capture_factor: wp.array[wp.vec3]):
     """Makes the linear colour of a lit pixel after its last sample, from what was captured and light.
 
     What shadows take from the captured goes to the light. It is a share of the mean, with a mean of its own: means of

@@ -1,1 +1,1 @@
-"""Lights and what they add: sampling, interactions, direct light, shadows, the lit film."""
+"""Lights: sampling, interactions with surfaces, direct light, attenuation of shadow rays."""

@@ -1,4 +1,4 @@
-"""Direct light at interactions: what a light adds to a ray's colour if nothing blocks it (docs/method/lighting.md)."""
+"""Direct light at interactions: unshadowed contributions of lights to a ray's radiance (docs/method/lighting.md)."""
 
 import warp as wp
 
@@ -13,12 +13,12 @@ from lumisplat.device.structs.shading import Contribution, Interaction, ShadingS
 wp.set_module_options({"enable_backward": False})
 
 LIGHT_BRANCHES = wp.constant(2)
-"""Random numbers of lights follow those of the reflected and the refracted ray."""
+"""First branch of the lights' random numbers: 0 and 1 are the reflected and the refracted ray."""
 
 
 @wp.func
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
-    """Irradiance of a surface by a sample of a light, unshadowed."""
+    """Unshadowed irradiance at an interaction by a sample of a light."""
     cosine = wp.dot(interaction.normal, sample.direction)
     if cosine <= 0.0 or wp.dot(interaction.geometric_normal, sample.direction) <= 0.0:
         return wp.vec3(0.0)
@@ -27,7 +27,7 @@ def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
 
 @wp.func
 def contribution_of(interaction: Interaction, sample: LightSample, share: float) -> Contribution:
-    """What ``share`` of a light sample adds to the ray's colour; of a surface that is only darkened, its irradiance."""
+    """Contribution of ``share`` of a light sample to the ray's radiance; of a shadow-only surface, its irradiance."""
     irradiance = share * irradiance_of(interaction, sample)
     result = Contribution()
     if is_black(irradiance):
@@ -43,24 +43,22 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 @wp.func
 def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
-    """Key of the sequence by which light ``number`` is sampled."""
+    """Key of the random sequence that samples light ``number``."""
     return branch_key(pixel_key, LIGHT_BRANCHES + number)
 
 
 @wp.func
-def light_center_contribution(
-    number: int, interaction: Interaction, scene: wp.array(dtype=ShadingScene)
-) -> Contribution:
-    """What light ``number``, not the environment, adds at an interaction, all of it from its centre."""
+def light_center_contribution(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> Contribution:
+    """Contribution of light ``number``, not the environment, sampled at its centre."""
     sample = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
     return contribution_of(interaction, sample, 1.0)
 
 
 @wp.func
 def light_sample_contribution(
-    number: int, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array(dtype=ShadingScene)
+    number: int, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """The same, from a sampled point of its extent."""
+    """Contribution of light ``number``, not the environment, sampled at a random point of its extent."""
     u = sobol_2d(light_key(pixel_key, number), scene[0].sample[0].index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
     return contribution_of(interaction, sample, 1.0)
@@ -68,9 +66,9 @@ def light_sample_contribution(
 
 @wp.func
 def environment_contribution(
-    number: int, picks_bsdf: bool, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array(dtype=ShadingScene)
+    number: int, samples_bsdf: bool, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """What the environment, light ``number``, adds at an interaction by one sample of its brightness or of the BSDF.
+    """Contribution of the environment, light ``number``, by one sample of its radiance or of the BSDF.
 
     The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
     """
@@ -78,7 +76,7 @@ def environment_contribution(
     environment = scene[0].environment
     key = light_key(pixel_key, number)
     index = scene[0].sample[0].index
-    if picks_bsdf:
+    if samples_bsdf:
         u = sobol_2d(branch_key(key, 0), index)
         choice = sobol_2d(branch_key(key, 1), index)
         sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice[0])

@@ -1,7 +1,8 @@
-"""Light from all around: looking an image up by direction, and picking directions by its brightness.
+"""Environment light: its image looked up by direction, and directions sampled by its brightness.
 
-The image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. Directions are picked by
-the mean of what is interpolated over each cell, evenly in solid angle within it: none that shines is left out.
+The image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. A cell is sampled in
+proportion to the mean of the interpolated image over it, a direction within the cell uniformly in solid angle: every
+direction from which light comes has a density above 0.
 
 The equations are in docs/method/lighting.md#environment.
 """
@@ -24,17 +25,17 @@ INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 @wp.func
 def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
-    """Where the image shows a direction of the world, 0..1 each, from the left and from the top."""
+    """Image coordinates of a world-space direction, 0..1 each, from the left and from the top."""
     local = wp.transpose(environment.world_from_environment) * direction
     u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
-    # Not the arc cosine of y, which knows little of what is near the poles.
+    # Not the arc cosine of y, which loses digits near the poles.
     v = INV_PI * angle_of(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
     return wp.vec2(u, v)
 
 
 @wp.func
 def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
-    """Radiance at a place in the image: bilinear, left and right edges joined."""
+    """Radiance at image coordinates: bilinear, left and right edges joined."""
     x = at[0] * float(environment.width) - 0.5
     y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
     left = wp.floor(x)
@@ -54,8 +55,8 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def first_above(ends: wp.array(dtype=float), first: int, count: int, value: float) -> int:
-    """The first of ``count`` ascending numbers from ``first`` on that is above ``value``; the last one is."""
+def first_above(ends: wp.array[float], first: int, count: int, value: float) -> int:
+    """Which of ``count`` ascending numbers, from element ``first`` on, first exceeds ``value``; the last one does."""
     low = int(0)
     high = count - 1
     while low < high:
@@ -68,8 +69,8 @@ def first_above(ends: wp.array(dtype=float), first: int, count: int, value: floa
 
 
 @wp.func
-def start_of(ends: wp.array(dtype=float), first: int, index: int) -> float:
-    """Where the share of an entry starts: where the last one's ends."""
+def start_of(ends: wp.array[float], first: int, index: int) -> float:
+    """Cumulative share before entry ``index``: the end of the previous one."""
     if index == 0:
         return 0.0
     return ends[first + index - 1]
@@ -77,9 +78,9 @@ def start_of(ends: wp.array(dtype=float), first: int, index: int) -> float:
 
 @wp.func
 def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
-    """Cosines' distances from the nearer pole's, halved, at the edges of a row: ``sin^2 (theta / 2)``, with all digits.
+    """``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the two edges of a row, without cancellation.
 
-    In the upper half theta counts from the top, in the lower from the bottom.
+    theta is the angle from the nearer pole: in the upper half from the top, in the lower from the bottom.
     """
     step = 0.5 * PI / float(environment.height)
     upper = row
@@ -100,7 +101,7 @@ def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
 
 @wp.func
 def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp.vec3:
-    """What comes from a direction of the world; nothing where there is no environment."""
+    """Radiance from a world-space direction; black without an environment."""
     if environment.exists == 0:
         return wp.vec3(0.0)
     return interpolate(environment, image_coordinates(environment, direction))
@@ -108,7 +109,7 @@ def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp
 
 @wp.func
 def environment_density(environment: EnvironmentData, direction: wp.vec3) -> float:
-    """Density with which ``sample_environment`` gives a direction, per steradian."""
+    """Density with which ``sample_environment`` samples a direction, per steradian."""
     if environment.exists == 0:
         return 0.0
     at = image_coordinates(environment, direction)
@@ -122,10 +123,10 @@ def environment_density(environment: EnvironmentData, direction: wp.vec3) -> flo
 
 @wp.func
 def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
-    """A direction to look for the environment in, more often where it is brighter.
+    """A direction towards the environment, sampled in proportion to its brightness.
 
     Args:
-        environment: The environment; a dark one, or none, gives no light from anywhere.
+        environment: The environment; if it is black or missing, the sample has no irradiance.
         u: Random, 0..1 each.
     """
     sample = LightSample()
@@ -138,7 +139,7 @@ def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
     row = first_above(environment.row_ends, 0, environment.height, down)
     first = row * environment.width
     column = first_above(environment.column_ends, first, environment.width, along)
-    # What is left of the random numbers says where in the cell.
+    # The remainders of the random numbers give the point within the cell.
     start_row = start_of(environment.row_ends, 0, row)
     share_row = environment.row_ends[row] - start_row
     down = (down - start_row) / share_row

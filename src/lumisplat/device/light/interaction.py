@@ -1,4 +1,4 @@
-"""Interactions of rays with surfaces: their material, and how a wave keeps them (docs/method/lighting.md#surfaces)."""
+"""Interactions of rays with surfaces: their BSDF, and the arrays of a wave (docs/method/lighting.md#surfaces)."""
 
 import warp as wp
 
@@ -11,12 +11,12 @@ SHADE_OPTIONS = {
     "enable_backward": False,
     "fuse_fp": False,
 }
-"""Of the kernels that light surfaces."""
+"""Module options of the kernels that shade surfaces."""
 
 
 @wp.func
 def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
-    """The vector's direction; ``otherwise`` where it is no longer than ``least``."""
+    """The normalised vector; ``otherwise`` if it is no longer than ``least``."""
     if wp.length(vector) > least:
         return wp.normalize(vector)
     return otherwise
@@ -24,14 +24,14 @@ def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
 
 @wp.func
 def bsdf_of(
-    materials: wp.array(dtype=MaterialData),
+    materials: wp.array[MaterialData],
     number: int,
     color: wp.vec3,
     roughness: float,
     metallic: float,
     transmission: float,
 ) -> Bsdf:
-    """What material ``number`` does with light where its surface has that colour (docs/adr/0009)."""
+    """The BSDF of material ``number`` at a point of this base colour (docs/adr/0009)."""
     bsdf = Bsdf()
     bsdf.model = materials[number].model
     if bsdf.model == BSDF_PBR:
@@ -50,8 +50,8 @@ def bsdf_of(
 
 
 @wp.func
-def load_interaction(j: int, wave: wp.array(dtype=WaveData)) -> Interaction:
-    """Element ``j``, which exists."""
+def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
+    """Reads interaction ``j``, which must exist."""
     interaction = Interaction()
     interaction.exists = True
     interaction.position = wave[0].interactions.position[j]
@@ -71,8 +71,8 @@ def load_interaction(j: int, wave: wp.array(dtype=WaveData)) -> Interaction:
 
 
 @wp.func
-def store_interaction(j: int, interaction: Interaction, wave: wp.array(dtype=WaveData)):
-    """Writes element ``j``, but for where rays leave it."""
+def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
+    """Writes interaction ``j``, except for the spawn point of its shadow rays."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return

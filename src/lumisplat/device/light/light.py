@@ -1,7 +1,7 @@
-"""How a point of a surface sees a light: from where, from how far, and how much arrives.
+"""Samples of lights from a point of a surface: direction, distance and irradiance.
 
-A hard light is a point at its centre. A soft one has its extent, and ``u`` picks a direction within it: the mean over
-``u`` of irradiance times cosine is what all of the light gives.
+A hard light is sampled at its centre. A soft one has an extent, and ``u`` samples a direction within it: the mean of
+irradiance times cosine over ``u`` is the irradiance by the whole light.
 
 The equations are in docs/method/lighting.md#lights.
 """
@@ -25,12 +25,12 @@ wp.set_module_options({"enable_backward": False})
 NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 TINY = wp.constant(wp.float32(1e-30))
-"""Smallest divisor, and squared distance below which a light is in the point itself, and so in no direction."""
+"""Smallest divisor, and squared distance below which a light is at the point itself and has no direction."""
 
 
 @wp.func
 def window(light: LightData, distance2: float) -> float:
-    """How much of a light is left towards the end of its range (glTF, KHR_lights_punctual)."""
+    """Attenuation of a light towards the end of its range (glTF, KHR_lights_punctual)."""
     if light.range == wp.inf:
         return 1.0
     share2 = distance2 / (light.range * light.range)
@@ -39,9 +39,9 @@ def window(light: LightData, distance2: float) -> float:
 
 @wp.func
 def cone(light: LightData, direction: wp.vec3) -> float:
-    """How much of its intensity a spot sends to a point that sees it in ``direction``.
+    """Angular attenuation of a spot at a point that sees it in ``direction``.
 
-    ``1 - cosine`` is half the squared distance of the two directions, which keeps its digits in small cones.
+    ``1 - cosine`` is half the squared distance of the two unit vectors, which keeps its digits in small cones.
     """
     off = direction + light.direction
     share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)
@@ -51,7 +51,7 @@ def cone(light: LightData, direction: wp.vec3) -> float:
 
 @wp.func
 def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A point or spot; soft, a sphere of the same candela, seen in the cone that it fills."""
+    """A point or spot; soft, a sphere of the same candela, sampled in the cone that it subtends."""
     sample = LightSample()
     offset = light.position - point
     distance2 = wp.dot(offset, offset)
@@ -101,7 +101,7 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
         edge = 2.0 * sine * sine
         lift = u[0] * edge
         sample.direction = around(-light.direction, 1.0 - lift, wp.sqrt(lift * (2.0 - lift)), u[1])
-        # The cone's solid angle, 2 pi edge, over what of it faces a surface, pi edge (2 - edge).
+        # The cone's solid angle, 2 pi edge, over its projected solid angle, pi edge (2 - edge).
         sample.irradiance = (2.0 / (2.0 - edge)) * light.power
         sample.density = 1.0 / wp.max(TWO_PI * edge, TINY)
     return sample
@@ -109,7 +109,7 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
 
 @wp.func
 def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A parallelogram: all of it at its centre; soft, at one of its points."""
+    """A parallelogram: all of it at its centre; soft, at a random point of it."""
     sample = LightSample()
     offset = light.position - point
     if soft != 0:
@@ -128,7 +128,7 @@ def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
     if soft != 0:
         sample.density = 1.0 / wp.max(solid_angle, TINY)
     else:
-        # A hard light shines no brighter than a sky full of it.
+        # A hard light gives no more irradiance than a whole sky of its radiance.
         solid_angle = wp.min(solid_angle, PI)
     sample.irradiance = wp.min(solid_angle * light.power, BRIGHTEST)
     return sample
@@ -136,13 +136,13 @@ def sample_rect(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
 
 @wp.func
 def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """How ``point`` sees a light that is no environment.
+    """A sample of a light, as ``point`` sees it.
 
     Args:
-        light: The light.
+        light: Any light but the environment.
         point: World space.
         soft: 0: all of the light is at its centre; 1: it has an extent.
-        u: Random, 0..1 each; not used where there is one direction only.
+        u: Random, 0..1 each; not used by lights that have one direction only.
     """
     if light.kind == LIGHT_POINT or light.kind == LIGHT_SPOT:  # noqa: PLR1714
         return sample_point(light, point, soft, u)

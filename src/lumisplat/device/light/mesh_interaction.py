@@ -1,4 +1,4 @@
-"""The mesh that a ray ends on: its interaction, and what it emits (docs/method/lighting.md#surfaces)."""
+"""The mesh that a ray hits: its interaction, and its emission (docs/method/lighting.md#surfaces)."""
 
 import warp as wp
 
@@ -17,8 +17,8 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
 @wp.func
-def texel(meshes: MeshData, values: wp.array(dtype=float), texture: TextureData, uv: wp.vec2) -> wp.vec3:
-    """A texture's colour, its bytes looked up in ``values``."""
+def texel(meshes: MeshData, values: wp.array[float], texture: TextureData, uv: wp.vec2) -> wp.vec3:
+    """A texture's colour at ``uv``; ``values`` maps its bytes to colours."""
     return sample_texture(meshes.texels, values, texture.first, texture.width, texture.height, uv)
 
 
@@ -39,9 +39,9 @@ def mapped_normal(
     uv: wp.vec2,
     normal: wp.vec3,
 ) -> wp.vec3:
-    """The normal that a normal map makes of a shading normal; both point out of the mesh.
+    """A shading normal perturbed by a normal map; both point out of the mesh.
 
-    Tangents follow from how texture coordinates run over the triangle.
+    Tangents follow from the gradients of the texture coordinates over the triangle.
     """
     edge1 = world_from_object * (meshes.positions[corners[1]] - meshes.positions[corners[0]])
     edge2 = world_from_object * (meshes.positions[corners[2]] - meshes.positions[corners[0]])
@@ -67,11 +67,11 @@ def mapped_normal(
 
 @wp.func
 def mesh_interaction(
-    i: int, transmittance: float, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
+    i: int, transmittance: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """The interaction of ray ``i`` with the mesh that it ends on, seen through what the Gaussians before it let pass.
+    """The interaction of ray ``i`` with the mesh that it hits, behind Gaussians of this transmittance.
 
-    It does not exist where the mesh reflects nothing but what mirrors do.
+    It does not exist if the mesh reflects nothing, or only as a mirror does.
     """
     interaction = Interaction()
     number = wave[0].meshes.instance[i]
@@ -110,7 +110,7 @@ def mesh_interaction(
     if wp.dot(interaction.geometric_normal, interaction.wo) < 0.0:
         interaction.geometric_normal = -interaction.geometric_normal
         normal = -normal
-    # A shading normal may turn away from the view at a silhouette: there, the triangle's own is better.
+    # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.
     facing = wp.dot(normal, interaction.wo) > 0.0
     interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
     interaction.position = wave[0].rays.origin[i] - wave[0].meshes.t[i] * interaction.wo
@@ -119,18 +119,16 @@ def mesh_interaction(
 
 
 @wp.func
-def mesh_spawn_point(
-    i: int, side: wp.vec3, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
-) -> wp.vec3:
-    """Where rays start that leave the mesh on which ray ``i`` ends, on the side to which ``side`` points."""
+def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Origin of rays that leave the mesh which ray ``i`` hits, on the side to which ``side`` points."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
 
 
 @wp.func
-def mesh_emission(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> wp.vec3:
-    """What the mesh that ray ``i`` ends on shows without lights: emission and ambient light, linear."""
+def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Linear radiance, without lights, of the mesh that ray ``i`` hits: emission and reflected ambient light."""
     number = wave[0].meshes.instance[i]
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes

@@ -1,4 +1,4 @@
-"""What is left of a light behind what stands in its way (docs/method/shadows.md)."""
+"""Attenuation of light by the surfaces and Gaussians on a shadow ray (docs/method/shadows.md)."""
 
 import warp as wp
 
@@ -14,16 +14,16 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Of what a stochastic sample draws; no pixel's."""
+    """Key of the random numbers of a stochastic sample, the same for all pixels."""
     return sample_key_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.func
 def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> wp.vec3:
-    """Share of the light that crosses a surface, linear; none unless it is smooth and transmits.
+    """Share of light that crosses a surface, linear; 0 unless it is smooth and transmits.
 
-    Straight on, without refraction. So light is in the air on both sides, and Fresnel's reflectance is that of
-    coming from there also where it leaves the mesh: no angle is reflected totally.
+    The ray goes straight on, without refraction. Both sides therefore count as air: light that leaves the mesh has the
+    Fresnel reflectance of light that enters it, and total internal reflection does not occur.
     """
     if material.smooth == 0:
         return wp.vec3(0.0)
@@ -33,18 +33,18 @@ def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> w
 
 @wp.func
 def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
-    """Linear colour of Gaussian ``i`` from all sides: its SH of degree 0."""
+    """Linear, view-independent colour of Gaussian ``i``: its SH of degree 0."""
     return decode_srgb_color(sh_color(gaussians.sh, i * gaussians.sh_count, 0, wp.vec3(0.0)))
 
 
 @wp.func
 def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
-    """Factor of the light that comes through Gaussians.
+    """Visibility of a light through Gaussians: the factor of each channel.
 
     Args:
         settings: Threshold and strength.
         transmittance: Of all of them.
-        tint: Sum of their linear colours, weighted by alpha; its length does not matter.
+        tint: Sum of their linear colours, weighted by alpha; its scale is irrelevant.
     """
     if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
         return wp.vec3(0.0)

@@ -16,8 +16,8 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
 @wp.func
-def is_over_light(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> bool:
-    """Whether what is behind the Gaussians is light (a mesh, the environment) or nothing, and not the background."""
+def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
+    """Whether a mesh, the environment or nothing is behind the Gaussians: linear light, and not the background."""
     if wave[0].meshes.face[i] >= 0:
         return True
     if wave[0].from_camera != 0:
@@ -26,16 +26,15 @@ def is_over_light(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dt
 
 
 @wp.func
-def splat_surface(
-    i: int, over_light: bool, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
-) -> SplatSurface:
-    """What the Gaussians before the nearest mesh show ray ``i``.
+def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> SplatSurface:
+    """The surface of the Gaussians before the nearest mesh on ray ``i``, and their captured colours.
 
-    Where their material needs a surface and they reach none, they are left out (docs/method/lighting.md#surfaces).
+    If their material needs an iso-opacity surface and the ray reaches none, they are left out
+    (docs/method/lighting.md#surfaces).
 
     Args:
         i: The ray.
-        over_light: What is behind is light, not the background that colours were captured over.
+        over_light: Whether linear light is behind them, not the background that colours were captured over.
         scene: The scene.
         wave: Of the ray.
     """
@@ -61,7 +60,7 @@ def splat_surface(
     if emits_capture_only == 0 and surface.gaussian >= 0:
         surface.albedo = decode_srgb_color(color / alpha)
     if keeps_capture == 0:
-        # None of it shines as captured: light decides about all of it.
+        # None of the captured colour is kept: lights alone determine it.
         color = wp.vec3(0.0)
     if over_light:
         surface.captured = color
@@ -73,8 +72,8 @@ def splat_surface(
 
 
 @wp.func
-def reflects_light(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> bool:
-    """Whether light may change what Gaussians show: there is a surface, and not one that shines as captured."""
+def reflects_light(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
+    """Whether lights change what Gaussians show: they have a surface that does not only emit its captured colour."""
     if surface.gaussian < 0:
         return False
     return scene[0].materials[surface.instance].emits_capture_only == 0
@@ -82,9 +81,9 @@ def reflects_light(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -
 
 @wp.func
 def splat_interaction(
-    i: int, surface: SplatSurface, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
+    i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """The interaction of ray ``i`` with the surface of its Gaussians, if that ``reflects_light``."""
+    """The interaction of ray ``i`` with the surface of its Gaussians, which must pass ``reflects_light``."""
     interaction = Interaction()
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[surface.instance].asset
@@ -114,8 +113,8 @@ def splat_interaction(
 
 
 @wp.func
-def shadow_offset(surface: SplatSurface, scene: wp.array(dtype=ShadingScene)) -> float:
-    """Distance from the Gaussians' surface within which others do not shadow it, scene units."""
+def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
+    """Distance from the Gaussians' surface within which Gaussians cast no shadow on it, scene units."""
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
     return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute

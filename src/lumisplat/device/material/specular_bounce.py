@@ -92,7 +92,7 @@ def bounce_of(
 
 
 @wp.func
-def bounce_of_ray(i: int, lit: bool, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)) -> Bounce:
+def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
     """What the mesh that a ray met does with it."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes

@@ -1,4 +1,4 @@
-"""Host pass: samples of rays into the images of a frame."""
+"""Host pass: accumulates the samples of rays in the images of a frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.device.structs.film import FilmShape, LitPixels
+from lumisplat.device.structs.film import FilmShape, LitPixels, PixelData
 from lumisplat.device.structs.shading import RayRadiance
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
@@ -17,7 +17,7 @@ from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -34,13 +34,13 @@ class Film:
         self._shape = FilmShape()
 
     def begin(self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None) -> None:
-        """Before the samples that a frame adds: the first ones, or more to a frame that is resumed."""
+        """Starts a frame, or resumes one to add more samples to it."""
         self._plan = plan
         self._shape.width, self._shape.height = scene.image_size
         self._shape.in_blocks = 1
         self._nonfinite.zero_()
         if resume is not None:
-            self._put_back(resume)
+            self._restore(resume)
 
     def add(self, scene: DeviceScene, hits: PrimaryHits, radiance: RayRadiance, lights: LightImages) -> None:
         """Adds the scene's current sample: one ray a pixel."""
@@ -77,9 +77,9 @@ class Film:
         """Samples since ``begin`` whose colour was NaN or infinite."""
         return int(self._nonfinite.numpy().sum())
 
-    def _sampled_images(self, hits: PrimaryHits, radiance: RayRadiance, lights: LightImages) -> dict[str, Any]:
-        """Further images of the sample, an array of wp.vec3 each."""
-        images = {
+    def _sampled_images(self, hits: PrimaryHits, radiance: RayRadiance, lights: LightImages) -> dict[str, DeviceArray]:
+        """The layers of the sample, an array of wp.vec3 each."""
+        images: dict[str, DeviceArray] = {
             name: getattr(radiance, name) for name in ("albedo", "emission", "reflection") if name in self._plan.aovs
         }
         if "hits" in self._plan.aovs:
@@ -98,8 +98,8 @@ class Film:
             "light_shadow": np.clip(np.stack(shares), 0.0, 1.0) if shares else np.zeros(shape, np.float32),
         }
 
-    def _put_back(self, frame: Frame) -> None:
-        """Puts back the images of a frame, and of a lit one what it keeps beside them."""
+    def _restore(self, frame: Frame) -> None:
+        """Uploads the images of a frame whose samples are continued."""
         self._pixels.upload(
             {
                 "color": frame.color if frame.captured is None else frame.captured,
@@ -117,7 +117,7 @@ class Film:
     def _download(self, name: str) -> FloatArray:
         return self._image(name).numpy().reshape(self._shape.height, self._shape.width, 3).copy()
 
-    def _image(self, name: str) -> Any:
+    def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)
 
     @property
@@ -125,11 +125,11 @@ class Film:
         return self._shape.width * self._shape.height
 
     @property
-    def _pixels(self) -> PixelBuffers:
+    def _pixels(self) -> PixelBuffers[PixelData]:
         return PixelBuffers.of(self._buffers, (self._shape.width, self._shape.height))
 
     @property
-    def _lit(self) -> PixelBuffers:
+    def _lit(self) -> PixelBuffers[LitPixels]:
         return PixelBuffers.of_light(self._buffers, (self._shape.width, self._shape.height))
 
     @property
@@ -137,16 +137,16 @@ class Film:
         return self._lit.data if self._plan.is_lit else LitPixels()
 
     @property
-    def _capture_factor(self) -> Any:
+    def _capture_factor(self) -> DeviceArray | None:
         return self._image("capture_factor") if self._plan.has_shadow_only else None
 
     @property
-    def _nonfinite(self) -> Any:
+    def _nonfinite(self) -> DeviceArray:
         return self._buffers.get("film.nonfinite", wp.int32, self._pixel_count)
 
 
-def images_of_pixels(pixels: PixelBuffers) -> dict[str, Any]:
-    """What a frame takes from its pixels, by the names of `Frame`'s fields."""
+def images_of_pixels(pixels: PixelBuffers[PixelData]) -> dict[str, Any]:
+    """Downloads the images of a frame, by the names of `Frame`'s fields."""
     images: dict[str, Any] = pixels.download()
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images

@@ -1,4 +1,4 @@
-"""What rays see, onto the film: running means over the samples. One item is one ray."""
+"""Adds the radiance of rays to the film, as running means over the samples. One item is one ray."""
 
 import warp as wp
 
@@ -28,19 +28,20 @@ def pixel_index(shape: FilmShape, ray: int) -> int:
 def add_samples(
     start: int,
     shape: FilmShape,
-    scene: wp.array(dtype=ShadingScene),
+    scene: wp.array[ShadingScene],
     rays: RayData,
     meshes: MeshHits,
     gaussians: GaussianHits,
     radiance: RayRadiance,
     pixels_inout: PixelData,
     lit_inout: LitPixels,
-    capture_factor_inout: wp.array(dtype=wp.vec3),
-    nonfinite_inout: wp.array(dtype=int),
+    capture_factor_inout: wp.array[wp.vec3],
+    nonfinite_inout: wp.array[int],
 ):
-    """Means of what rays see, and the surface that the first sample hit; light that is not finite is 0, and counted.
+    """Adds a sample to the means, and stores the surface that the first sample hits.
 
-    The arrays of ``lit_inout`` and ``capture_factor_inout`` have no elements where the frame needs none.
+    Light that is not finite becomes 0, and is counted. The arrays of ``lit_inout`` and ``capture_factor_inout`` have no
+    elements in frames that do not need them.
     """
     i = start + wp.tid()
     pixel = pixel_index(shape, i)
@@ -70,11 +71,11 @@ def add_samples(
 def add_image(
     start: int,
     shape: FilmShape,
-    scene: wp.array(dtype=ShadingScene),
-    values: wp.array(dtype=wp.vec3),
-    image_inout: wp.array(dtype=wp.vec3),
+    scene: wp.array[ShadingScene],
+    values: wp.array[wp.vec3],
+    image_inout: wp.array[wp.vec3],
 ):
-    """The mean of any colour of the rays."""
+    """Adds a sample of any colour to the means of an image."""
     i = start + wp.tid()
     pixel = pixel_index(shape, i)
     if pixel >= 0:
@@ -82,8 +83,8 @@ def add_image(
 
 
 @wp.kernel
-def count_hits(start: int, rays: RayData, gaussians: GaussianHits, count_out: wp.array(dtype=wp.vec3)):
-    """How many Gaussians each ray blended, in all channels."""
+def count_hits(start: int, rays: RayData, gaussians: GaussianHits, count_out: wp.array[wp.vec3]):
+    """Number of Gaussians that each ray blended, the same in all channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
     if rays.is_active[i]:
@@ -92,7 +93,7 @@ def count_hits(start: int, rays: RayData, gaussians: GaussianHits, count_out: wp
 
 @wp.kernel
 def merge_captured(start: int, meshes: MeshHits, gaussians: GaussianHits, radiance_inout: RayRadiance):
-    """Makes ``captured`` all that lit rays see, linear: for rays whose captured part nobody wants apart."""
+    """Makes ``captured`` the whole linear radiance of lit rays, for queries that do not ask for its parts."""
     i = start + wp.tid()
     captured = captured_color(radiance_inout.captured[i], radiance_inout.captured_weight[i])
     radiance_inout.captured[i] = captured + radiance_inout.light[i]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from lumisplat.device.structs.film import LitPixels, PixelData
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+
+Pixels = TypeVar("Pixels", PixelData, LitPixels)
 
 FIELDS = (
     ("color", wp.vec3, 3),
@@ -21,54 +24,45 @@ FIELDS = (
 )
 """Arrays of ``PixelData``: name, element, 32-bit words an element."""
 
-
 LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
 """The same of ``LitPixels``."""
 
 
 @dataclass(frozen=True, slots=True)
-class PixelBuffers:
+class PixelBuffers(Generic[Pixels]):
     """Arrays of a frame's pixels, one after another in one block of device memory."""
 
-    data: Any
-    """What kernels take: PixelData, or LitPixels."""
-    block: Any
+    data: Pixels
+    """The struct of these arrays, for kernels."""
+    block: DeviceArray
     """The memory, as float32."""
     size: tuple[int, int]
     """Width and height of the image."""
-    fields: tuple[tuple[str, Any, int], ...]
-    """What the block holds."""
+    fields: tuple[tuple[str, type[object], int], ...]
+    """The arrays of the block, as in ``FIELDS``."""
 
-    @classmethod
-    def of(cls, buffers: Buffers, size: tuple[int, int]) -> PixelBuffers:
+    @staticmethod
+    def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
         """The buffers of an image of that width and height; the same memory for every image of that size."""
-        return cls._of(buffers, "pixels", PixelData(), FIELDS, size)
+        return _split_block(buffers, "pixels", PixelData(), FIELDS, size)
 
-    @classmethod
-    def of_light(cls, buffers: Buffers, size: tuple[int, int]) -> PixelBuffers:
-        """What a lit image keeps beside them."""
-        return cls._of(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
+    @staticmethod
+    def of_light(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[LitPixels]:
+        """The buffers of the further arrays of a lit image."""
+        return _split_block(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
-    @classmethod
-    def _of(
-        cls, buffers: Buffers, name: str, data: Any, fields: tuple[tuple[str, Any, int], ...], size: tuple[int, int]
-    ) -> PixelBuffers:
-        block, arrays = buffers.split(name, fields, size[0] * size[1])
-        for field, array in arrays.items():
-            setattr(data, field, array)
-        return cls(data, block, size, fields)
-
-    def upload(self, images: dict[str, np.ndarray]) -> None:
-        """Puts images back that ``download`` gave."""
+    def upload(self, images: dict[str, npt.NDArray[Any]]) -> None:
+        """Uploads images that ``download`` returned."""
         self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
-    def download(self) -> dict[str, np.ndarray]:
+    def download(self) -> dict[str, npt.NDArray[Any]]:
         """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
         words = self.block.numpy()
         if self.block.device.is_cpu:
-            words = words.copy()  # there, what Warp gives is the buffer itself
+            words = words.copy()  # on the CPU, Warp returns the buffer itself
         width, height = self.size
-        images, first = {}, 0
+        images: dict[str, npt.NDArray[Any]] = {}
+        first = 0
         for name, dtype, channels in self.fields:
             image = words[first : first + height * width * channels]
             images[name] = image.reshape((height, width) if channels == 1 else (height, width, channels))
@@ -76,3 +70,17 @@ class PixelBuffers:
                 images[name] = images[name].view(np.int32)
             first += image.size
         return images
+
+
+def _split_block(
+    buffers: Buffers,
+    name: str,
+    data: Pixels,
+    fields: tuple[tuple[str, type[object], int], ...],
+    size: tuple[int, int],
+) -> PixelBuffers[Pixels]:
+    """Buffers whose arrays share one block, set as the fields of ``data``."""
+    block, arrays = buffers.split(name, fields, size[0] * size[1])
+    for field, array in arrays.items():
+        setattr(data, field, array)
+    return PixelBuffers(data, block, size, fields)

@@ -21,8 +21,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def spawn_rays(
     start: int,
-    scene: wp.array(dtype=ShadingScene),
-    wave: wp.array(dtype=WaveData),
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
     rays_out: RayData,
     weights_out: wp.array(dtype=wp.vec3),
     path_weights_out: wp.array(dtype=float),
@@ -64,9 +64,9 @@ def spawn_rays(
 @wp.kernel
 def gather_branches(
     start: int,
-    scene: wp.array(dtype=ShadingScene),
-    far: wp.array(dtype=WaveData),
-    near_inout: wp.array(dtype=WaveData),
+    scene: wp.array[ShadingScene],
+    far: wp.array[WaveData],
+    near_inout: wp.array[WaveData],
 ):
     """Adds what a ray's branches see to what it sees itself: display-referred colours if unlit, else linear light."""
     i = start + wp.tid()

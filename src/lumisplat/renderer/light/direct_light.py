@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from lumisplat.config import RenderConfig, Shadows
@@ -16,13 +14,13 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import LightEnvironment
 
 
 class DirectLight:
-    """Lights waves.
+    """Adds direct light to waves of rays.
 
     Args:
         launcher: Runs the kernels.
@@ -35,12 +33,12 @@ class DirectLight:
         self._shadows = ShadowRays(launcher, buffers, config)
 
     def begin_sample(self, sample: int) -> None:
-        """Before the waves of a sample."""
+        """Prepares the shadow rays of a sample, before its first wave."""
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds what all lights give a wave by way of its interactions."""
-        # A shadow is a share of all light: where sets are only darkened, unshadowed lights count, too.
+        """Adds the light of all lights that a wave's interactions reflect."""
+        # Shadow-only sets are darkened by the blocked share of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_only)
         if not one_by_one:
             with self._launcher.stage("shade"):
@@ -49,7 +47,7 @@ class DirectLight:
             self._add_one_by_one(scene, plan, wave, also_unshadowed=one_by_one)
 
     def images(self, scene: DeviceScene, plan: FramePlan, count: int) -> LightImages:
-        """What each light gave the first wave, of ``count`` rays; nothing unless the frame asks for it."""
+        """Images of each light in the primary wave, of ``count`` rays; none unless the frame asks for ``lights``."""
         if "lights" not in plan.aovs:
             return LightImages()
         numbers = range(len(scene.lights.names))
@@ -63,18 +61,18 @@ class DirectLight:
         return wave.is_primary and "lights" in plan.aovs
 
     def _add_unshadowed(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the lights that nothing blocks: without shadows, all of them."""
+        """Adds the lights that cast no shadow; in frames without shadows, all lights."""
         no_shadows = not plan.casts_shadows
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
-        lamps = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
+        analytic = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
         soft = self._config.shadows is Shadows.SOFT
-        if lamps and not soft:
+        if analytic and not soft:
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_hard_lights,
                 wave.count,
                 *(no_shadows, scene.shading, wave.data),
             )
-        if len(lights) > lamps or (soft and lamps):
+        if len(lights) > analytic or (soft and analytic):
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_sampled_lights,
                 wave.count,
@@ -82,7 +80,7 @@ class DirectLight:
             )
 
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
-        """Adds the shadowed lights, and the others if they count in images or for what is only darkened."""
+        """Adds each shadowed light, and each unshadowed one if light images or shadow-only sets need it."""
         images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
         arrivals = Arrivals()
         if plan.has_shadow_only:
@@ -111,8 +109,8 @@ class DirectLight:
 
     def _contributions(
         self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool, shadowed: bool
-    ) -> tuple[Any, Any]:
-        """What a light adds at the interactions if nothing blocks it, and how much of that arrives."""
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """A light's unshadowed contributions at the interactions, and the visibility of each."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
         shadow_rays = self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
         with self._launcher.stage("shade"):

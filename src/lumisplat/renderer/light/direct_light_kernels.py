@@ -1,7 +1,7 @@
 """Direct light with shadow rays, light by light. One item is one ray of a wave, with its two interactions.
 
-``spawn_shadow_rays`` and ``add_light`` go before and after the shadow rays of a light; ``darken_captured`` ends what is
-only darkened.
+``spawn_shadow_rays`` and ``add_light`` run before and after the shadow rays of each light; ``darken_captured`` follows
+the last light, for shadow-only sets.
 """
 
 import warp as wp
@@ -28,12 +28,12 @@ def spawn_shadow_rays(
     start: int,
     number: int,
     samples_bsdf: bool,
-    scene: wp.array(dtype=ShadingScene),
-    wave: wp.array(dtype=WaveData),
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
     rays_out: RayData,
-    contributions_out: wp.array(dtype=wp.vec3),
+    contributions_out: wp.array[wp.vec3],
 ):
-    """Rays from the interactions to light ``number``, and what it adds if nothing blocks it."""
+    """Shadow rays from the interactions towards light ``number``, and its unshadowed contributions."""
     i = start + wp.tid()
     stride = contributions_out.shape[0] // 2
     for slot in range(2):
@@ -65,16 +65,16 @@ def spawn_shadow_rays(
 def add_light(
     start: int,
     shadowed: bool,
-    contributions: wp.array(dtype=wp.vec3),
-    visibility: wp.array(dtype=wp.vec3),
-    wave_inout: wp.array(dtype=WaveData),
+    contributions: wp.array[wp.vec3],
+    visibility: wp.array[wp.vec3],
+    wave_inout: wp.array[WaveData],
     arrivals_inout: Arrivals,
-    direct_inout: wp.array(dtype=wp.vec3),
-    arrived_inout: wp.array(dtype=wp.vec3),
+    direct_inout: wp.array[wp.vec3],
+    arrived_inout: wp.array[wp.vec3],
 ):
-    """Adds what arrives of a light; ``visibility`` counts where it is ``shadowed``.
+    """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
 
-    The last two take the light's own images; they have no elements where nobody asked for them.
+    The last two arrays are the light's own images, without elements if the frame does not ask for them.
     """
     i = start + wp.tid()
     stride = contributions.shape[0] // 2
@@ -98,26 +98,26 @@ def add_light(
 @wp.kernel
 def darken_captured(
     start: int,
-    scene: wp.array(dtype=ShadingScene),
+    scene: wp.array[ShadingScene],
     arrivals: Arrivals,
-    wave_inout: wp.array(dtype=WaveData),
+    wave_inout: wp.array[WaveData],
 ):
-    """The share of captured colours that is left where lights do not arrive (Debevec 1998, differential rendering)."""
+    """The share of captured colours that shadows leave (differential rendering, Debevec 1998)."""
     i = start + wp.tid()
     sent = arrivals.sent[i]
     if is_black(sent) or not wave_inout[0].rays.is_active[i]:
         return
     over_light = is_over_light(i, scene, wave_inout)
     surface = splat_surface(i, over_light, scene, wave_inout)
-    besides = wp.PI * scene[0].materials[surface.instance].ambient
-    missing = sent - arrivals.arrived[i]
+    ambient = wp.PI * scene[0].materials[surface.instance].ambient
+    blocked = sent - arrivals.arrived[i]
     shown = captured_color(surface.captured, surface.weight)
     behind = wp.vec3(0.0)
     if not over_light:
         behind = decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
     factor = wp.vec3(1.0)
     for k in range(3):
-        if missing[k] > 0.0 and shown[k] > 0.0:
+        if blocked[k] > 0.0 and shown[k] > 0.0:
             share = wp.max(shown[k] - behind[k], 0.0) / shown[k]
-            factor[k] = 1.0 - share * missing[k] / (besides[k] + sent[k])
+            factor[k] = 1.0 - share * blocked[k] / (ambient[k] + sent[k])
     wave_inout[0].radiance.capture_factor[i] = factor

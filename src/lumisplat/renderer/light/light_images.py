@@ -1,16 +1,17 @@
-"""What each light alone gives the rays of pixels."""
+"""Images of each light alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+
+from lumisplat.runtime.buffers import DeviceArray
 
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
-    """What each light gives the rays of pixels in a sample, one array a light."""
+    """The light of each light alone that the rays of a sample see, linear, one array a light."""
 
-    direct: list[Any] = field(default_factory=list)
-    """Unshadowed, linear."""
-    arrived: list[Any] = field(default_factory=list)
-    """What of it arrives."""
+    direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
+    """Unshadowed."""
+    arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
+    """Shadowed."""

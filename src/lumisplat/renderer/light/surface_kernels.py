@@ -1,4 +1,4 @@
-"""What rays show without lights, and their interactions with surfaces. One item is one ray."""
+"""Radiance of rays before direct light is added, and their interactions with surfaces. One item is one ray."""
 
 import warp as wp
 
@@ -34,16 +34,16 @@ LIT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
 
 
 @wp.func
-def far_radiance(direction: wp.vec3, scene: wp.array(dtype=ShadingScene)) -> wp.vec3:
-    """What a ray that is not followed sees, linear."""
+def far_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Linear radiance of a ray that is not traced further: the environment's, else the background's."""
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
     return decode_srgb_color(scene[0].settings[0].background)
 
 
 @wp.func
-def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array(dtype=WaveData)) -> wp.vec2i:
-    """Which of the reflected and the refracted ray are worth following, 0 or 1 each."""
+def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
+    """Whether the reflected and the refracted ray are worth tracing, 0 or 1 each."""
     if wave[0].may_branch == 0:
         return wp.vec2i(0, 0)
     weight = transmittance * wave[0].path_weights[i]
@@ -53,7 +53,7 @@ def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.arr
 
 
 @wp.func
-def store_branches(i: int, branches: wp.vec2i, wave: wp.array(dtype=WaveData)):
+def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
     """Writes which branches of a ray go on, if the wave may branch."""
     if wave[0].may_branch != 0:
         wave[0].branches[i] = branches[0]
@@ -61,8 +61,8 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array(dtype=WaveData)):
 
 
 @wp.func
-def store_no_ray(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)):
-    """The background where a pixel has no ray; nothing elsewhere."""
+def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Writes what an inactive ray sees: the background if it is a camera's, else black."""
     from_camera = wave[0].from_camera != 0
     shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
     wave[0].radiance.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
@@ -74,8 +74,11 @@ def store_no_ray(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dty
 
 
 @wp.func
-def shade_unlit(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)):
-    """Surfaces emit their own colour, and what is not followed sees the background: all of it display-referred."""
+def shade_unlit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Writes the display-referred colour of an unlit ray.
+
+    Surfaces emit their own colour, and branches that are not traced see the background.
+    """
     background = scene[0].settings[0].background
     transmittance = wave[0].gaussians.transmittance[i]
     color = wave[0].gaussians.color[i]
@@ -101,10 +104,10 @@ def store_layers(
     i: int,
     surface: SplatSurface,
     over_light: bool,
-    scene: wp.array(dtype=ShadingScene),
-    wave: wp.array(dtype=WaveData),
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
 ):
-    """The surfaces without light: their own colour, and what they emit."""
+    """Writes the albedo and the emission of the surfaces on a ray."""
     own = (1.0 - surface.transmittance) * surface.albedo
     if surface.instance >= 0 and scene[0].materials[surface.instance].emits_capture_only != 0:
         own = captured_color(surface.captured, surface.weight)
@@ -127,10 +130,8 @@ def store_layers(
 
 
 @wp.func
-def store_interactions(
-    i: int, surface: SplatSurface, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)
-):
-    """The interactions of a ray with its Gaussians' surface and with the mesh behind it."""
+def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Writes the interactions of a ray with the surface of its Gaussians and with the mesh behind it."""
     j = wave[0].interactions.exists.shape[0] // 2 + i
     splats = Interaction()
     if reflects_light(surface, scene):
@@ -150,8 +151,11 @@ def store_interactions(
 
 
 @wp.func
-def shade_lit(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)):
-    """Captured colours that are kept, emission, and what is seen beyond smooth meshes where nothing is followed."""
+def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Writes the radiance of a lit ray before direct light, and its interactions.
+
+    That is captured colours that are kept, emission, and the far radiance in branches that are not traced.
+    """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)
     from_camera = wave[0].from_camera != 0
@@ -194,8 +198,8 @@ def shade_lit(i: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=
 
 
 @wp.kernel
-def shade_surfaces(start: int, scene: wp.array(dtype=ShadingScene), wave: wp.array(dtype=WaveData)):
-    """What rays show without lights and without their branches, and their interactions, which a lit wave has."""
+def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Radiance of rays before direct light and branches are added, and, in a lit wave, their interactions."""
     i = start + wp.tid()
     store_branches(i, wp.vec2i(0, 0), wave)
     if wave[0].radiance.capture_factor:

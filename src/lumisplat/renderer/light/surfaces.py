@@ -1,8 +1,6 @@
-"""Host pass: what a wave shows without lights, and its interactions, written once for all that lights it."""
+"""Host pass: the radiance of a wave before direct light, and its interactions, written once and read by all lights."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import warp as wp
 
@@ -12,13 +10,13 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import upload_structs
 
 
 class Surfaces:
-    """Makes waves of hits.
+    """Makes a wave of rays from their hits.
 
     Args:
         launcher: Runs the kernels.
@@ -35,18 +33,18 @@ class Surfaces:
         hits: PrimaryHits,
         number: int,
         *,
-        weights: Any = None,
+        weights: DeviceArray | None = None,
         may_branch: bool,
     ) -> RayWave:
-        """A wave of rays with what they see but for lights and branches.
+        """A wave of rays, with its radiance before direct light and branches are added.
 
         Args:
-            scene: What there is.
-            plan: Of the frame.
+            scene: The scene on the device.
+            plan: The plan of the frame.
             hits: What the rays hit.
-            number: Of the wave.
-            weights: Of its rays, as `RayWave` has them; None in the first wave.
-            may_branch: Smooth meshes send rays on where these are worth following.
+            number: How many specular bounces the rays have behind them.
+            weights: Weights of the rays, as `RayWave` has them; None in the primary wave.
+            may_branch: Whether smooth meshes reflect and refract rays that are worth tracing.
         """
         with self._launcher.stage("shade"):
             wave = self._wave(plan, hits, number, weights, may_branch)
@@ -55,7 +53,9 @@ class Surfaces:
             self._launcher.run_banded(kernels.shade_surfaces, wave.count, scene.shading, wave.data)
         return wave
 
-    def _wave(self, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any, may_branch: bool) -> RayWave:
+    def _wave(
+        self, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None, may_branch: bool
+    ) -> RayWave:
         count, get = hits.count, self._buffers.get
         row = WaveData()
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
@@ -75,8 +75,8 @@ class Surfaces:
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
-        """Layers are those of the first wave; only what shadows leave of captured colours is part of all."""
-        without = set() if plan.has_shadow_only else {"capture_factor"}
+        """The arrays that the frame needs: layers in the primary wave only."""
+        without: set[str] = set() if plan.has_shadow_only else {"capture_factor"}
         if number > 0 or "reflection" not in plan.aovs:
             without |= {"reflection"}
         if number > 0 or not {"albedo", "emission"} & plan.aovs:
