@@ -13,7 +13,7 @@ import warp as wp
 
 from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
 from lumisplat.constants import PACKET_RAYS, RAY_BATCH
-from lumisplat.device.structs.film import FilmShape, LitPixels
+from lumisplat.device.structs.film import FilmData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray
@@ -27,6 +27,7 @@ from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, grown_capacity
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import upload_structs
 
 _log = logging.getLogger("lumisplat")
 _GIVEN = ("origins", "directions", "distances")
@@ -123,25 +124,20 @@ class RayQueries:
         samples = self._config.samples if is_random else 1
         count, rays = len(given[0]), self._rays(len(given[0]))
         uploaded = self._uploaded(given)
-        shape = FilmShape()
         pixels = PixelBuffers.of(self._buffers, (rays.t_max.shape[0], 1))
         nonfinite = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
         nonfinite.zero_()
+        row = FilmData()
+        row.pixels, row.nonfinite = pixels.data, nonfinite
+        film = upload_structs([row], FilmData, self._launcher.device)
         for sample in range(samples):
             scene.begin_sample(sample, is_last=sample == samples - 1)
             self._load(scene, first, count, uploaded, rays)
             hits = self._tracer.find_hits(scene, rays, "rays")
-            radiance = self._integrator.radiance(scene, plan, hits, sample)
+            wave = self._integrator.shade(scene, plan, hits, sample)
             if plan.is_lit:
-                self._launcher.run_banded(
-                    film_kernels.merge_captured, hits.count, hits.meshes, hits.gaussians, radiance
-                )
-            self._launcher.run_banded(
-                film_kernels.add_samples,
-                hits.count,
-                *(shape, scene.shading, hits.rays, hits.meshes, hits.gaussians, radiance),
-                *(pixels.data, LitPixels(), None, nonfinite),
-            )
+                self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
+            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, film)
         images = {name: image[0, :count] for name, image in pixels.download().items()}
         return images, int(nonfinite.numpy()[:count].sum())
 

@@ -109,9 +109,9 @@ class Renderer:
         for sample in range(first, end):
             self._scene.begin_sample(sample, is_last=sample == end - 1)
             hits = self._find_hits(plan)
-            radiance = self._integrator.radiance(self._scene, plan, hits, sample)
+            wave = self._integrator.shade(self._scene, plan, hits, sample)
             lights = self._integrator.light_images(self._scene, plan, hits)
-            self._film.add(self._scene, hits, radiance, lights)
+            self._film.add(self._scene, wave, lights)
             if progress:
                 progress("tracing", (sample - first + 1) / self.config.samples)
         with self._launcher.stage("download"):

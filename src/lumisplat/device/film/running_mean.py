@@ -6,7 +6,7 @@ What is captured and what is light stay apart: docs/method/lighting.md#captured-
 import warp as wp
 
 from lumisplat.device.math.color import captured_color
-from lumisplat.device.structs.film import LitPixels, PixelData
+from lumisplat.device.structs.film import FilmData
 from lumisplat.device.structs.rays import FirstSurface
 
 wp.set_module_options({"enable_backward": False})
@@ -25,8 +25,7 @@ def add_sample(
     color: wp.vec3,
     alpha: float,
     surface: FirstSurface,
-    pixels: PixelData,
-    nonfinite: wp.array[int],
+    film: wp.array[FilmData],
 ):
     """Adds a sample's display-referred colour and alpha to a pixel; the surface of the first sample stays.
 
@@ -34,30 +33,30 @@ def add_sample(
     """
     if not is_finite(color):
         color = wp.vec3(0.0)
-        nonfinite[pixel] = nonfinite[pixel] + 1
+        film[0].nonfinite[pixel] = film[0].nonfinite[pixel] + 1
     if sample == 0:
-        pixels.color[pixel] = color
-        pixels.alpha[pixel] = alpha
-        pixels.depth[pixel] = surface.depth
-        pixels.normal[pixel] = surface.normal
-        pixels.gaussian[pixel] = surface.gaussian
-        pixels.instance[pixel] = surface.instance
+        film[0].pixels.color[pixel] = color
+        film[0].pixels.alpha[pixel] = alpha
+        film[0].pixels.depth[pixel] = surface.depth
+        film[0].pixels.normal[pixel] = surface.normal
+        film[0].pixels.gaussian[pixel] = surface.gaussian
+        film[0].pixels.instance[pixel] = surface.instance
     else:
         share = 1.0 / float(sample + 1)
-        pixels.color[pixel] += share * (color - pixels.color[pixel])
-        pixels.alpha[pixel] += share * (alpha - pixels.alpha[pixel])
+        film[0].pixels.color[pixel] += share * (color - film[0].pixels.color[pixel])
+        film[0].pixels.alpha[pixel] += share * (alpha - film[0].pixels.alpha[pixel])
 
 
 @wp.func
-def add_light(pixel: int, sample: int, captured_weight: float, light: wp.vec3, lit: LitPixels):
+def add_light(pixel: int, sample: int, captured_weight: float, light: wp.vec3, film: wp.array[FilmData]):
     """Adds a sample's light, and its share of what was captured, to a lit pixel."""
     if sample == 0:
-        lit.captured_weight[pixel] = captured_weight
-        lit.light[pixel] = light
+        film[0].lit.captured_weight[pixel] = captured_weight
+        film[0].lit.light[pixel] = light
     else:
         share = 1.0 / float(sample + 1)
-        lit.captured_weight[pixel] += share * (captured_weight - lit.captured_weight[pixel])
-        lit.light[pixel] += share * (light - lit.light[pixel])
+        film[0].lit.captured_weight[pixel] += share * (captured_weight - film[0].lit.captured_weight[pixel])
+        film[0].lit.light[pixel] += share * (light - film[0].lit.light[pixel])
 
 
 @wp.func
@@ -70,13 +69,13 @@ def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3])
 
 
 @wp.func
-def develop(pixel: int, pixels: PixelData, lit: LitPixels, capture_factor: wp.array[wp.vec3]):
+def develop(pixel: int, film: wp.array[FilmData]):
     """Makes the linear colour of a lit pixel after its last sample, from what was captured and light.
 
     What shadows take from the captured goes to the light. It is a share of the mean, with a mean of its own: means of
-    display-referred colours and of linear ones do not subtract. ``capture_factor`` may have no elements.
+    display-referred colours and of linear ones do not subtract.
     """
-    captured = captured_color(pixels.color[pixel], lit.captured_weight[pixel])
-    if capture_factor:
-        lit.light[pixel] += wp.cw_mul(captured, capture_factor[pixel] - wp.vec3(1.0))
-    lit.color[pixel] = wp.max(captured + lit.light[pixel], wp.vec3(0.0))
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    if film[0].capture_factor:
+        film[0].lit.light[pixel] += wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
+    film[0].lit.color[pixel] = wp.max(captured + film[0].lit.light[pixel], wp.vec3(0.0))

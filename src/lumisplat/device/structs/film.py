@@ -36,10 +36,16 @@ class LitPixels:
 
 
 @struct
-class FilmShape:
-    """How rays lie on the film."""
+class FilmData:
+    """The film, in a 1-element array: kernels take it by reference, for the reason that `WaveData` gives."""
 
     width: int
     height: int
     in_blocks: int
-    """1: in square blocks of pixels, as a camera's; 0: one after the other."""
+    """1: rays lie in square blocks of pixels, as a camera's; 0: one after the other."""
+    pixels: PixelData
+    lit: LitPixels
+    capture_factor: wp.array(dtype=wp.vec3)
+    """Share of the captured colour that shadows leave; without elements where no set is only darkened."""
+    nonfinite: wp.array(dtype=int)
+    """Samples of each pixel that were not finite."""

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.device.structs.film import FilmShape, LitPixels, PixelData
-from lumisplat.device.structs.shading import RayRadiance
+from lumisplat.device.structs.film import FilmData, LitPixels, PixelData
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import film_kernels
@@ -16,9 +15,10 @@ from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import upload_structs
 
 
 class Film:
@@ -31,29 +31,31 @@ class Film:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._shape = FilmShape()
+        self._size = (0, 0)
 
     def begin(self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None) -> None:
         """Starts a frame, or resumes one to add more samples to it."""
         self._plan = plan
-        self._shape.width, self._shape.height = scene.image_size
-        self._shape.in_blocks = 1
+        self._size = scene.image_size
+        row = FilmData()
+        row.width, row.height, row.in_blocks = *self._size, 1
+        row.pixels, row.nonfinite = self._pixels.data, self._nonfinite
+        if plan.is_lit:
+            row.lit = self._lit.data
+        if plan.has_shadow_only:
+            row.capture_factor = self._image("capture_factor")
+        self._data = upload_structs([row], FilmData, self._launcher.device)
         self._nonfinite.zero_()
         if resume is not None:
             self._restore(resume)
 
-    def add(self, scene: DeviceScene, hits: PrimaryHits, radiance: RayRadiance, lights: LightImages) -> None:
-        """Adds the scene's current sample: one ray a pixel."""
+    def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
+        """Adds the scene's current sample: the first wave, with one ray a pixel."""
         with self._launcher.stage("store"):
-            self._launcher.run_banded(
-                film_kernels.add_samples,
-                hits.count,
-                *(self._shape, scene.shading, hits.rays, hits.meshes, hits.gaussians, radiance),
-                *(self._pixels.data, self._lit_pixels, self._capture_factor, self._nonfinite),
-            )
-            for name, values in self._sampled_images(hits, radiance, lights).items():
+            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
+            for name, values in self._sampled_images(wave, lights).items():
                 self._launcher.run_banded(
-                    film_kernels.add_image, hits.count, self._shape, scene.shading, values, self._image(name)
+                    film_kernels.add_image, wave.count, scene.shading, self._data, values, self._image(name)
                 )
 
     def images(self, light_count: int) -> dict[str, Any]:
@@ -77,19 +79,21 @@ class Film:
         """Samples since ``begin`` whose colour was NaN or infinite."""
         return int(self._nonfinite.numpy().sum())
 
-    def _sampled_images(self, hits: PrimaryHits, radiance: RayRadiance, lights: LightImages) -> dict[str, DeviceArray]:
+    def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
         """The layers of the sample, an array of wp.vec3 each."""
         images: dict[str, DeviceArray] = {
-            name: getattr(radiance, name) for name in ("albedo", "emission", "reflection") if name in self._plan.aovs
+            name: getattr(wave.row.radiance, name)
+            for name in ("albedo", "emission", "reflection")
+            if name in self._plan.aovs
         }
         if "hits" in self._plan.aovs:
-            images["hits"] = self._buffers.get("film.hit_counts", wp.vec3, hits.count)
-            self._launcher.run_banded(film_kernels.count_hits, hits.count, hits.rays, hits.gaussians, images["hits"])
+            images["hits"] = self._buffers.get("film.hit_counts", wp.vec3, wave.count)
+            self._launcher.run_banded(film_kernels.count_hits, wave.count, wave.data, images["hits"])
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
 
     def _light_images(self, count: int) -> dict[str, FloatArray]:
-        shape = (0, self._shape.height, self._shape.width, 3)
+        shape = (0, *reversed(self._size), 3)
         direct = [self._download(f"direct{n}") for n in range(count)]
         arrived = [self._download(f"arrived{n}") for n in range(count)]
         shares = [np.divide(a, d, out=np.ones_like(a), where=d > 0.0) for a, d in zip(arrived, direct, strict=True)]
@@ -115,30 +119,22 @@ class Film:
             self._lit.upload(lit)
 
     def _download(self, name: str) -> FloatArray:
-        return self._image(name).numpy().reshape(self._shape.height, self._shape.width, 3).copy()
+        return self._image(name).numpy().reshape(*reversed(self._size), 3).copy()
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)
 
     @property
     def _pixel_count(self) -> int:
-        return self._shape.width * self._shape.height
+        return self._size[0] * self._size[1]
 
     @property
     def _pixels(self) -> PixelBuffers[PixelData]:
-        return PixelBuffers.of(self._buffers, (self._shape.width, self._shape.height))
+        return PixelBuffers.of(self._buffers, self._size)
 
     @property
     def _lit(self) -> PixelBuffers[LitPixels]:
-        return PixelBuffers.of_light(self._buffers, (self._shape.width, self._shape.height))
-
-    @property
-    def _lit_pixels(self) -> LitPixels:
-        return self._lit.data if self._plan.is_lit else LitPixels()
-
-    @property
-    def _capture_factor(self) -> DeviceArray | None:
-        return self._image("capture_factor") if self._plan.has_shadow_only else None
+        return PixelBuffers.of_light(self._buffers, self._size)
 
     @property
     def _nonfinite(self) -> DeviceArray:

@@ -6,45 +6,37 @@ from lumisplat.device.camera.ray_blocks import pixel_of_ray
 from lumisplat.device.film.running_mean import add_color, add_light, add_sample, develop, is_finite
 from lumisplat.device.math.color import captured_color
 from lumisplat.device.mesh.first_surface import first_surface
-from lumisplat.device.structs.film import FilmShape, LitPixels, PixelData
-from lumisplat.device.structs.rays import FirstSurface, GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.shading import RayRadiance, ShadingScene
+from lumisplat.device.structs.film import FilmData
+from lumisplat.device.structs.rays import FirstSurface
+from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def pixel_index(shape: FilmShape, ray: int) -> int:
+def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
     """The pixel of a ray; -1 beyond the image."""
-    if shape.in_blocks == 0:
+    if film[0].in_blocks == 0:
         return ray
-    position = pixel_of_ray(shape.width, ray)
-    if position[0] >= shape.width or position[1] >= shape.height:
+    position = pixel_of_ray(film[0].width, ray)
+    if position[0] >= film[0].width or position[1] >= film[0].height:
         return -1
-    return position[1] * shape.width + position[0]
+    return position[1] * film[0].width + position[0]
 
 
 @wp.kernel
 def add_samples(
     start: int,
-    shape: FilmShape,
     scene: wp.array[ShadingScene],
-    rays: RayData,
-    meshes: MeshHits,
-    gaussians: GaussianHits,
-    radiance: RayRadiance,
-    pixels_inout: PixelData,
-    lit_inout: LitPixels,
-    capture_factor_inout: wp.array[wp.vec3],
-    nonfinite_inout: wp.array[int],
+    wave: wp.array[WaveData],
+    film_inout: wp.array[FilmData],
 ):
     """Adds a sample to the means, and stores the surface that the first sample hits.
 
-    Light that is not finite becomes 0, and is counted. The arrays of ``lit_inout`` and ``capture_factor_inout`` have no
-    elements in frames that do not need them.
+    Light that is not finite becomes 0, and is counted.
     """
     i = start + wp.tid()
-    pixel = pixel_index(shape, i)
+    pixel = pixel_index(i, film_inout)
     if pixel < 0:
         return
     sample = scene[0].sample[0].index
@@ -52,49 +44,51 @@ def add_samples(
     surface.depth = wp.inf
     surface.gaussian = -1
     surface.instance = -1
-    if sample == 0 and rays.is_active[i]:
-        surface = first_surface(i, rays, meshes, gaussians, scene[0].splats, scene[0].mesh_instances, scene[0].meshes)
-    add_sample(pixel, sample, radiance.captured[i], radiance.alpha[i], surface, pixels_inout, nonfinite_inout)
-    if lit_inout.light:
-        light = radiance.light[i]
+    if sample == 0 and wave[0].rays.is_active[i]:
+        surface = first_surface(i, scene, wave)
+    captured, alpha = wave[0].radiance.captured[i], wave[0].radiance.alpha[i]
+    add_sample(pixel, sample, captured, alpha, surface, film_inout)
+    if film_inout[0].lit.light:
+        light = wave[0].radiance.light[i]
         if not is_finite(light):
             light = wp.vec3(0.0)
-            nonfinite_inout[pixel] = nonfinite_inout[pixel] + 1
-        add_light(pixel, sample, radiance.captured_weight[i], light, lit_inout)
-        if capture_factor_inout:
-            add_color(pixel, sample, radiance.capture_factor[i], capture_factor_inout)
+            film_inout[0].nonfinite[pixel] = film_inout[0].nonfinite[pixel] + 1
+        add_light(pixel, sample, wave[0].radiance.captured_weight[i], light, film_inout)
+        if film_inout[0].capture_factor:
+            add_color(pixel, sample, wave[0].radiance.capture_factor[i], film_inout[0].capture_factor)
         if scene[0].sample[0].is_last != 0:
-            develop(pixel, pixels_inout, lit_inout, capture_factor_inout)
+            develop(pixel, film_inout)
 
 
 @wp.kernel
 def add_image(
     start: int,
-    shape: FilmShape,
     scene: wp.array[ShadingScene],
+    film: wp.array[FilmData],
     values: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
 ):
     """Adds a sample of any colour to the means of an image."""
     i = start + wp.tid()
-    pixel = pixel_index(shape, i)
+    pixel = pixel_index(i, film)
     if pixel >= 0:
         add_color(pixel, scene[0].sample[0].index, values[i], image_inout)
 
 
 @wp.kernel
-def count_hits(start: int, rays: RayData, gaussians: GaussianHits, count_out: wp.array[wp.vec3]):
+def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3]):
     """Number of Gaussians that each ray blended, the same in all channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
-    if rays.is_active[i]:
-        count_out[i] = wp.vec3(float(gaussians.hits[i]))
+    if wave[0].rays.is_active[i]:
+        count_out[i] = wp.vec3(float(wave[0].gaussians.hits[i]))
 
 
 @wp.kernel
-def merge_captured(start: int, meshes: MeshHits, gaussians: GaussianHits, radiance_inout: RayRadiance):
+def merge_captured(start: int, wave_inout: wp.array[WaveData]):
     """Makes ``captured`` the whole linear radiance of lit rays, for queries that do not ask for its parts."""
     i = start + wp.tid()
-    captured = captured_color(radiance_inout.captured[i], radiance_inout.captured_weight[i])
-    radiance_inout.captured[i] = captured + radiance_inout.light[i]
-    radiance_inout.alpha[i] = wp.where(meshes.face[i] >= 0, 1.0, 1.0 - gaussians.transmittance[i])
+    captured = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
+    wave_inout[0].radiance.captured[i] = captured + wave_inout[0].radiance.light[i]
+    hits_mesh = wave_inout[0].meshes.face[i] >= 0
+    wave_inout[0].radiance.alpha[i] = wp.where(hits_mesh, 1.0, 1.0 - wave_inout[0].gaussians.transmittance[i])

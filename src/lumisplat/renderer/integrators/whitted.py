@@ -6,7 +6,6 @@ import itertools
 from typing import Any
 
 from lumisplat.config import RenderConfig
-from lumisplat.device.structs.shading import RayRadiance
 from lumisplat.renderer.integrators.specular_waves import SpecularWaves
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.light.light_images import LightImages
@@ -36,8 +35,8 @@ class WhittedIntegrator:
         self._direct_light = DirectLight(launcher, buffers, config)
         self._specular = SpecularWaves(launcher, buffers)
 
-    def radiance(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayRadiance:
-        """What rays see.
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
+        """The first wave, with the radiance of its rays over all bounces.
 
         Args:
             scene: Up to date.
@@ -47,20 +46,20 @@ class WhittedIntegrator:
         """
         self._direct_light.begin_sample(sample)
         with self._launcher.stage("light" if plan.is_lit else "bounce"):
-            waves = [self._shade(scene, plan, hits, 0)]
+            waves = [self._shade_wave(scene, plan, hits, 0)]
             while count := self._branch_count(waves[-1]):
                 rays, weights = self._specular.spawn(scene, waves[-1], count)
                 hits = self._tracer.find_hits(scene, rays, "wave")
-                waves.append(self._shade(scene, plan, hits, len(waves), weights))
+                waves.append(self._shade_wave(scene, plan, hits, len(waves), weights))
             for near, far in reversed(list(itertools.pairwise(waves))):
                 self._specular.gather(scene, near, far)
-        return waves[0].row.radiance
+        return waves[0]
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """What each light gave the rays of these hits, if the frame asks for it."""
         return self._direct_light.images(scene, plan, hits.count)
 
-    def _shade(
+    def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any = None
     ) -> RayWave:
         """A wave with emission and direct light."""
