@@ -85,7 +85,7 @@ class RayRig:
         hits = self.find_hits(self.scene, self._rays(origins, directions, **limits), "test")
         tracer: Any = self
         integrator = WhittedIntegrator(self._launcher, self.buffers, config, tracer)
-        return integrator.radiance(self.scene, plan, hits, 0).captured.numpy().copy()
+        return integrator.shade(self.scene, plan, hits, 0).row.radiance.captured.numpy().copy()
 
     def find_hits(self, scene: DeviceScene, rays: RayData, name: str) -> PrimaryHits:
         """Stands in for the ray tracer's: meshes, and the same Gaussians before all of them."""
