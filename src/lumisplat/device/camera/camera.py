@@ -13,9 +13,9 @@ from lumisplat.device.structs.rays import Ray
 
 wp.set_module_options({"enable_backward": False})
 
-PINHOLE = wp.constant(0)
-FISHEYE = wp.constant(1)
-ORTHOGRAPHIC = wp.constant(2)
+PINHOLE: int = wp.constant(0)
+FISHEYE: int = wp.constant(1)
+ORTHOGRAPHIC: int = wp.constant(2)
 
 PI = wp.constant(wp.float32(math.pi))
 
@@ -29,7 +29,7 @@ def disk_point(u: float, v: float) -> wp.vec2:
 
 @wp.func
 def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
-    """A vector turned about a unit axis by an angle in radians (Rodrigues), exactly itself for none."""
+    """A vector rotated about a unit axis by an angle in radians (Rodrigues); exactly the vector for an angle of 0."""
     across = wp.cross(axis, vector)
     half = wp.sin(0.5 * angle)
     return vector + wp.sin(angle) * across + 2.0 * half * half * wp.cross(axis, across)
@@ -39,8 +39,9 @@ def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     """The ray of a sample through a pixel; its direction is zero where a fisheye sees nothing.
 
-    With an aperture it starts on the lens and meets the ray through the lens's centre where that is in focus: on a
-    plane across the axis; for a fisheye, which may see behind itself, on a sphere, and its lens is square to that ray.
+    With an aperture it starts on the lens and crosses the ray through the lens's centre where that is in focus: on a
+    plane perpendicular to the axis; for a fisheye, which may see behind itself, on a sphere, with the lens
+    perpendicular to that ray.
     """
     ray = Ray()
     u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]

@@ -1,4 +1,4 @@
-"""Tiles of the image: their size, the values of one, and which pixel an item is."""
+"""Tiles of the image: their size, vectors of a tile's values, and the pixels of items."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Front-to-back blending of a pixel, and where its result goes: to its ray, or straight to the image.
+"""Front-to-back blending of a pixel, and its result stored as the hits of a ray or straight in the image.
 
 The equations are in docs/method/rasterisation.md#compositing.
 """
@@ -23,7 +23,7 @@ NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
 @wp.func
 def empty_pixel() -> BlendState:
-    """Nothing blended yet."""
+    """A pixel before anything is blended."""
     pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.surface = -1
@@ -43,7 +43,7 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
-    """Adds what lies behind all that is there already."""
+    """Blends a Gaussian behind all that are blended already."""
     before = pixel.transmittance
     weight = before * alpha
     after = before - weight
@@ -62,7 +62,7 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
 def blend(
     pixel: BlendState, splat: Splat, splat_index: int, alpha: float, transmittance_min: float, iso: float
 ) -> BlendState:
-    """Adds one splat behind those already there; finishes the pixel instead where T would fall to its minimum."""
+    """Blends a splat behind the others; if T would fall to its minimum, drops it and finishes the pixel."""
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
         return lay_behind(pixel, splat.color, splat.normal, splat_index, alpha, iso)
@@ -71,7 +71,7 @@ def blend(
 
 
 @wp.func
-def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
+def instance_of(instances: wp.array[Any], item: int) -> int:
     """The instance that holds a Gaussian or triangle: the last one that starts at or before it."""
     low = int(0)
     high = instances.shape[0]
@@ -86,9 +86,9 @@ def instance_of(instances: wp.array(dtype=Any), item: int) -> int:
 
 @wp.func
 def store_gaussian_hits(
-    camera: CameraData, splats: wp.array(dtype=Splat), pixel: BlendState, x: int, y: int, out: GaussianHits
+    camera: CameraData, splats: wp.array[Splat], pixel: BlendState, x: int, y: int, out: GaussianHits
 ):
-    """Writes what a pixel's splats give its ray: primary hits, as rays find them too."""
+    """Writes the blended splats of a pixel as the Gaussian hits of its ray."""
     ray = ray_of_pixel(camera.width, x, y)
     out.color[ray] = pixel.color
     out.normal[ray] = pixel.normal
@@ -105,15 +105,15 @@ def store_gaussian_hits(
 def store_pixel(
     camera: CameraData,
     raster: RasterData,
-    instances: wp.array(dtype=SplatInstanceData),
-    splats: wp.array(dtype=Splat),
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
     meshes: MeshPixels,
     pixel: BlendState,
     x: int,
     y: int,
-    surface: PixelData,
+    out: PixelData,
 ):
-    """Ends an unlit pixel on the mesh or the background, and writes its images."""
+    """Composites an unlit pixel over the mesh or the background, and writes its images."""
     i = y * camera.width + x
     ray = pixel_ray(camera, x, y)
     transmittance = wp.abs(pixel.transmittance)
@@ -144,9 +144,9 @@ def store_pixel(
             normal = wp.normalize(normal)
         else:
             normal = -(camera.world_from_camera * wp.normalize(ray))
-    surface.color[i] = over(color, transmittance, raster.background)
-    surface.alpha[i] = 1.0 - transmittance
-    surface.depth[i] = depth_z * wp.length(ray)
-    surface.normal[i] = normal
-    surface.gaussian[i] = gaussian
-    surface.instance[i] = instance
+    out.color[i] = over(color, transmittance, raster.background)
+    out.alpha[i] = 1.0 - transmittance
+    out.depth[i] = depth_z * wp.length(ray)
+    out.normal[i] = normal
+    out.gaussian[i] = gaussian
+    out.instance[i] = instance

@@ -1,4 +1,4 @@
-"""A Gaussian as rays meet it: its canonical space, its response by degree, and where it ends.
+"""A Gaussian as rays hit it: its canonical space, its response by degree, and where it ends.
 
 Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4.
 
@@ -7,22 +7,21 @@ The equations are in docs/method/gaussians.md.
 
 import warp as wp
 
-from lumisplat.constants import ALPHA_MIN, BOX_MARGIN
-from lumisplat.device.gaussian.projection import ALPHA_LIMIT, alpha_from_log, gaussian_normal
+from lumisplat.constants import BOX_MARGIN
+from lumisplat.device.gaussian.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.bvh import FAR, Box, Particle
 from lumisplat.device.structs.scene import GaussianData, KernelData
 
 wp.set_module_options({"enable_backward": False})
 
-OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
 MARGIN = wp.constant(wp.float32(BOX_MARGIN))
 TINY = wp.constant(wp.float32(1.0e-30))
 
 
 @wp.func
 def distance_squared(kernel: KernelData, log_response: float) -> float:
-    """Squared canonical distance at which the logarithm of a Gaussian's response is this, at most 0."""
+    """Squared canonical distance at which a Gaussian's response has this logarithm, which is at most 0."""
     if kernel.degree == 0:
         distance = (1.0 - wp.exp(log_response)) / kernel.falloff
         return distance * distance
@@ -34,7 +33,7 @@ def distance_squared(kernel: KernelData, log_response: float) -> float:
 
 @wp.func
 def reach_squared(kernel: KernelData, opacity: float) -> float:
-    """Squared canonical distance beyond which a Gaussian is ignored; negative where it never counts.
+    """Squared canonical distance beyond which a Gaussian is ignored; negative: it is ignored everywhere.
 
     It ends where its alpha falls to 1/255, or its response to the minimum if that is nearer.
     """
@@ -69,7 +68,7 @@ def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
 
 @wp.func
 def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle:
-    """What a ray needs of Gaussian ``i``."""
+    """The record of Gaussian ``i`` in a BVH."""
     particle = Particle()
     particle.canonical_from_object = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     particle.mean = gaussians.means[i]
@@ -81,9 +80,9 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 
 @wp.func
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
-    """The tightest axis-aligned box of where Gaussian ``i`` counts; inverted if it never does.
+    """The tightest axis-aligned box of the ellipsoid at which Gaussian ``i`` ends; inverted if it is always ignored.
 
-    Grown by a few units in the last place of its longest side: rotation, box and the ray's own arithmetic are rounded.
+    Grown by a few units in the last place of its longest side, as rotation, box and ray are rounded.
     """
     box = Box()
     box.low = wp.vec3(FAR)
@@ -103,7 +102,7 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 def ellipsoid_normal(
     kernel: KernelData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3
 ) -> wp.vec3:
-    """Unit normal, against the ray, where it enters the ellipsoid in which Gaussian ``i`` counts; object space."""
+    """Unit normal, against the ray, where it enters the ellipsoid at which Gaussian ``i`` ends; object space."""
     canonical = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     start = canonical * (origin - gaussians.means[i])
     along = wp.normalize(canonical * direction)

@@ -1,12 +1,10 @@
-"""What a material does with light: how much of it goes which way, and directions to look for it in.
+"""BSDFs: evaluated, sampled, and the densities of samples.
 
-Directions are unit vectors away from the surface, ``normal`` is on their side: below it, nothing is reflected. The two
-models are reciprocal, and no more light leaves than comes.
+Directions are unit vectors away from the surface, on the side of ``normal``: below it, nothing is reflected. The two
+models are reciprocal, and no more light leaves than arrives.
 
 The equations are in docs/method/materials.md.
 """
-
-import math
 
 import warp as wp
 
@@ -21,20 +19,18 @@ from lumisplat.device.material.ggx import (
     sample_ggx_vndf,
     smith_g1,
 )
-from lumisplat.device.math.directions import around
+from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, around
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, BsdfSample
 
 wp.set_module_options({"enable_backward": False})
 
-INV_PI = wp.constant(wp.float32(1.0 / math.pi))
-INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 EXPONENT_MIN = wp.constant(wp.float32(-30.0))
 """Natural logarithm below which a highlight is dark."""
 
 
 @wp.func
 def mean_of(color: wp.vec3) -> float:
-    """Of the three channels."""
+    """The mean of the three channels."""
     return (color[0] + color[1] + color[2]) / 3.0
 
 
@@ -43,7 +39,7 @@ def mean_of(color: wp.vec3) -> float:
 
 @wp.func
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
-    """Factor, per channel, by which parts that reflect more than all light together are scaled down."""
+    """Factor, per channel, that limits the sum of diffuse part and highlight to the light that arrives."""
     total = bsdf.diffuse + bsdf.specular
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
@@ -71,7 +67,7 @@ def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> w
 
 @wp.func
 def simple_share(bsdf: Bsdf) -> float:
-    """Probability of the highlight."""
+    """Probability with which the highlight is sampled."""
     specular = mean_of(bsdf.specular)
     if specular <= 0.0:
         return 0.0
@@ -83,7 +79,7 @@ def simple_share(bsdf: Bsdf) -> float:
 
 @wp.func
 def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Of a microfacet that light meets at that cosine (Schlick 1994)."""
+    """Fresnel reflectance of a microfacet, by the cosine of incidence (Schlick 1994)."""
     x = wp.max(1.0 - cosine, 0.0)
     x2 = x * x
     return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
@@ -97,13 +93,13 @@ def directional_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
 
 @wp.func
 def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """The same for a view at that cosine."""
+    """``directional_albedo`` for a view at that cosine."""
     return directional_albedo(bsdf, rising_share(cosine, bsdf.alpha), lost_share(cosine, bsdf.alpha))
 
 
 @wp.func
 def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
-    """The diffuse part: what the highlight leaves of the light, and of the view (Kelemen and Szirmay-Kalos 2001)."""
+    """The diffuse part: what the highlight leaves on the way in and on the way out (Kelemen and Szirmay-Kalos 2001)."""
     if bsdf.grazing <= 0.0:
         return INV_PI * bsdf.diffuse
     white = wp.vec3(1.0)
@@ -134,7 +130,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Probability of the highlight: its share of what all of the material would reflect of a white sky."""
+    """Probability with which the highlight is sampled: its share of the material's directional albedo."""
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
     mirrored = view_albedo(bsdf, cos_view)
@@ -160,9 +156,9 @@ def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density with which ``bsdf_sample`` gives the direction ``light``, per steradian.
+    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
 
-    What it would give below the horizon is missing: the integral is below 1 by so much.
+    It integrates to less than 1, by the share of samples below the horizon.
     """
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
@@ -186,7 +182,7 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
-    """A direction to look for light in, more often where the material reflects more of it.
+    """A direction from which light may come, sampled by how much of it the material reflects.
 
     Args:
         bsdf: The material.
@@ -213,7 +209,7 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
         sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
         sample.direction = around(wp.normalize(mirrored), cosine, sine, u[1])
     else:
-        # In the plane of view and normal: x is the view's way along the surface.
+        # In the plane of view and normal: x is the view, projected onto the surface.
         along = view - cos_view * normal
         sine = wp.length(along)
         if sine > 1e-6:

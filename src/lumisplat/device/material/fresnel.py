@@ -1,4 +1,4 @@
-"""Smooth surfaces: mirror directions, Snell's law, and what share of the light goes which way.
+"""Smooth surfaces: reflected and refracted directions, and Fresnel reflectances.
 
 Directions are unit vectors, normals unit vectors on the side that the light comes from: ``cosine`` is
 ``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
@@ -13,13 +13,13 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def reflect(direction: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """The direction, mirrored."""
+    """The reflected direction."""
     return wp.normalize(direction - 2.0 * wp.dot(direction, normal) * normal)
 
 
 @wp.func
 def cosine2_beyond(cosine: float, eta: float) -> float:
-    """Squared cosine of the angle at which light goes on; not above zero: total internal reflection.
+    """Squared cosine of the angle of refraction; not above zero: total internal reflection.
 
     ``1 - eta^2 (1 - cosine^2)``, without cancellation where the indices are nearly equal.
     """
@@ -28,7 +28,7 @@ def cosine2_beyond(cosine: float, eta: float) -> float:
 
 @wp.func
 def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
-    """The direction behind the surface, where there is no total internal reflection."""
+    """The refracted direction, if there is no total internal reflection."""
     cosine = -wp.dot(direction, normal)
     beyond = wp.sqrt(wp.max(cosine2_beyond(cosine, eta), 0.0))
     return wp.normalize(eta * direction + (eta * cosine - beyond) * normal)

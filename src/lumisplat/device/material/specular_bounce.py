@@ -1,8 +1,8 @@
-"""What a mesh does with a ray that meets it: what it shows of itself, and the rays that go on from it.
+"""Specular bounces at meshes: the surface's own share of a ray's colour, and those of the rays that it spawns.
 
-In unlit frames, weights apply to display-referred colours, as captures hold them, else to linear light. Shares of
-energy (Fresnel's) are plain numbers there, so that what is reflected and what is let through add up to one; there,
-tints are encoded like any other colour.
+In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours, as captures hold
+them: Fresnel's shares stay as they are, so that reflection and transmission add up to one, and tints are encoded like
+any other colour.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -43,16 +43,16 @@ def bounce_of(
     direction: wp.vec3,
     lit: bool,
 ) -> Bounce:
-    """How a material splits the light that a ray brings.
+    """Splits the colour of a ray among the surface, the reflected and the refracted ray.
 
-    A metal reflects as Schlick says, a dielectric as Fresnel does. What the dielectric does not reflect goes through
-    it, as far as it transmits, and shows the base colour otherwise.
+    Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. What a dielectric does not reflect is
+    divided by its transmission between the refracted ray and the base colour.
 
     Args:
         material: What the surface is made of.
         base_color: Linear.
-        face_normal: Unit, out of the mesh: a ray along it comes from inside. What transmits nothing has no inside.
-        shading_normal: Unit; not used where it would send light through the triangle that it should mirror, or back.
+        face_normal: Unit, out of the mesh: a ray along it comes from inside. Opaque materials have no inside.
+        shading_normal: Unit; not used if it would reflect through the triangle, or refract back.
         direction: Of the ray, unit.
         lit: Weights are for linear light instead of display-referred colours.
     """
@@ -79,21 +79,21 @@ def bounce_of(
     if cosine2_beyond(cosine, bounce.eta) > 0.0:
         mirrored *= material.specular
     dielectric = 1.0 - material.metallic
-    let_through = dielectric * (1.0 - mirrored) * bounce.color
+    transmitted = dielectric * (1.0 - mirrored) * bounce.color
     bounce.reflected = wp.vec3(dielectric * mirrored)
     if material.metallic > 0.0:
         metal = schlick(base_color, cosine)
         if not lit:
             metal = encode_srgb_color(metal)
         bounce.reflected += material.metallic * metal
-    bounce.refracted = material.transmission * let_through
-    bounce.color = (1.0 - material.transmission) * let_through
+    bounce.refracted = material.transmission * transmitted
+    bounce.color = (1.0 - material.transmission) * transmitted
     return bounce
 
 
 @wp.func
 def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """What the mesh that a ray met does with it."""
+    """The bounce of ray ``i`` at the mesh that it hits."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
@@ -110,7 +110,7 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
 
 @wp.func
 def magnitudes(m: wp.mat33) -> wp.mat33:
-    """Entry by entry."""
+    """The absolute values of all entries."""
     result = wp.mat33(0.0)
     for i in range(3):
         for j in range(3):
@@ -122,12 +122,12 @@ def magnitudes(m: wp.mat33) -> wp.mat33:
 def spawn_point(
     instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> wp.vec3:
-    """A point of a triangle, moved along ``normal`` so far that a ray from there does not meet the triangle again.
+    """A point of a triangle, moved along ``normal`` so far that a ray from there does not hit the triangle again.
 
-    How far that is follows from the sizes of the numbers that rounding acts on, there and in the next intersection, as
-    far as they bear on the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
+    The offset follows from the sizes of the numbers that are rounded, for this point and in the next intersection, as
+    far as they affect the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
     Avoiding Self-Intersection). A point at an edge also moves away from it, by twice as much: in a corner, the ray
-    would start behind the other wall.
+    would otherwise start behind the other wall.
 
     Args:
         instance: Of the mesh.
@@ -151,13 +151,13 @@ def spawn_point(
         wp.abs(v0) + wp.abs(local_edge1) + wp.abs(local_edge2) + magnitudes(instance.object_from_world) * wp.abs(offset)
     )
     error = ERROR * (wp.dot(wp.abs(normal), sizes) + wp.dot(across, local_sizes))
-    # A hit's distance is a mean of the corners', weighted by areas: its rounding, half of 2^-24 by measurement, is all
-    # there is where the plane goes through the origin along two axes.
+    # A hit's distance is a mean of the corners', weighted by areas. Its rounding, half of 2^-24 by measurement, is the
+    # only error if the plane goes through the origin along two axes.
     area = wp.length(wp.cross(edge1, edge2))
     longest = wp.max(wp.length(edge2 - edge1), wp.max(wp.length(edge1), wp.length(edge2)))
     error += ERROR / 16.0 * longest * wp.min(longest * longest / area, SLENDER)
 
-    # Heights over the edges are the doubled area over their lengths.
+    # A corner's height over the opposite edge is twice the area over the edge's length.
     share = 2.0 * error / area
     inner = wp.vec3(
         wp.max(weights[0], wp.min(share * wp.length(edge2 - edge1), 0.25)),

@@ -45,7 +45,7 @@ def decode_srgb_color(display: wp.vec3) -> wp.vec3:
 
 @wp.func
 def is_black(color: wp.vec3) -> bool:
-    """Whether nothing is left."""
+    """Whether all channels are 0."""
     return color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0
 
 
@@ -70,27 +70,27 @@ def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def texel_linear(texels: wp.array(dtype=wp.uint32), linear_from_byte: wp.array(dtype=float), index: int) -> wp.vec3:
-    """Linear colour of one RGBA8 texel, red in the low byte."""
+def texel_color(texels: wp.array[wp.uint32], value_of_byte: wp.array[float], index: int) -> wp.vec3:
+    """Colour of one RGBA8 texel, red in the low byte; ``value_of_byte`` decodes its channels."""
     rgba = texels[index]
     mask = wp.uint32(255)
     return wp.vec3(
-        linear_from_byte[int(rgba & mask)],
-        linear_from_byte[int((rgba >> wp.uint32(8)) & mask)],
-        linear_from_byte[int((rgba >> wp.uint32(16)) & mask)],
+        value_of_byte[int(rgba & mask)],
+        value_of_byte[int((rgba >> wp.uint32(8)) & mask)],
+        value_of_byte[int((rgba >> wp.uint32(16)) & mask)],
     )
 
 
 @wp.func
 def sample_texture(
-    texels: wp.array(dtype=wp.uint32),
-    linear_from_byte: wp.array(dtype=float),
+    texels: wp.array[wp.uint32],
+    value_of_byte: wp.array[float],
     first: int,
     width: int,
     height: int,
     uv: wp.vec2,
 ) -> wp.vec3:
-    """Bilinear lookup with repeat wrap, in linear light; (0, 0) is the texture's top left corner."""
+    """Bilinear texture lookup with repeat wrap, of decoded texels; (0, 0) is the texture's top left corner."""
     x = (uv[0] - wp.floor(uv[0])) * float(width) - 0.5
     y = (uv[1] - wp.floor(uv[1])) * float(height) - 0.5
     x_floor = wp.floor(x)
@@ -102,13 +102,13 @@ def sample_texture(
     row0 = first + y0 * width
     row1 = first + y1 * width
     top = wp.lerp(
-        texel_linear(texels, linear_from_byte, row0 + x0),
-        texel_linear(texels, linear_from_byte, row0 + x1),
+        texel_color(texels, value_of_byte, row0 + x0),
+        texel_color(texels, value_of_byte, row0 + x1),
         x - x_floor,
     )
     bottom = wp.lerp(
-        texel_linear(texels, linear_from_byte, row1 + x0),
-        texel_linear(texels, linear_from_byte, row1 + x1),
+        texel_color(texels, value_of_byte, row1 + x0),
+        texel_color(texels, value_of_byte, row1 + x1),
         x - x_floor,
     )
     return wp.lerp(top, bottom, y - y_floor)

@@ -9,6 +9,8 @@ wp.set_module_options({"enable_backward": False})
 HALF_PI = wp.constant(wp.float32(0.5 * math.pi))
 PI = wp.constant(wp.float32(math.pi))
 TWO_PI = wp.constant(wp.float32(2.0 * math.pi))
+INV_PI = wp.constant(wp.float32(1.0 / math.pi))
+INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 
 @wp.func
@@ -34,9 +36,9 @@ def angle_of(y: float, x: float) -> float:
 
 @wp.func
 def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
-    """The unit direction off a unit axis by the angle of that cosine and sine, ``turn`` (0..1) of the way round it.
+    """The unit direction at the angle of this cosine and sine from a unit axis, ``turn`` (0..1) of the way around it.
 
-    The two directions square to the axis are those of Duff et al. 2017, Building an Orthonormal Basis, Revisited.
+    The two tangents of the axis are those of Duff et al. 2017, Building an Orthonormal Basis, Revisited.
     """
     sign = float(1.0)
     if axis[2] < 0.0:

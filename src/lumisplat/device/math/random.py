@@ -2,7 +2,7 @@
 
 Each step mixes a counter, adds it to what came before, and mixes the sum, with the two-round permutation of 32 bits
 that the hash prospector finds least biased (https://github.com/skeeto/hash-prospector, [16 21f0aaad 15 d35a2d97 15]).
-A step is one-to-one in its counter: the samples of a pixel, the pixels of a sample and the dimensions of a stream never
+A step is one-to-one in its counter: the samples of a pixel, the pixels of a sample and the dimensions of a key never
 share a word. Adding the counter without mixing it first would be cheaper, but counters that differ in high bits only
 would then give related words.
 
@@ -18,7 +18,7 @@ wp.set_module_options({"enable_backward": False})
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
-"""Where streams start: any number but 0, of which the permutation makes 0."""
+"""The first state: any number but 0, which the permutation leaves at 0."""
 
 BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
@@ -42,7 +42,7 @@ LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
 LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
 """Dimension of the direction from it."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
-"""Dimension of the first stream that ``branch_key`` starts; the others follow downwards."""
+"""Dimension of branch 0 of a key; those of the other branches count down from it."""
 
 
 @wp.func
@@ -55,7 +55,7 @@ def mix(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def pixel_key_of(pixel: int, seed: wp.uint32) -> wp.uint32:
-    """Key of what the samples of a pixel share, with ``pixel = y * width + x``."""
+    """Key of the random numbers that the samples of a pixel share, with ``pixel = y * width + x``."""
     return mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
 
 
@@ -67,28 +67,25 @@ def sample_key_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
-    """Key of the random numbers of the ray that continues another one, by ``branch`` (0: reflected, 1: refracted).
-
-    The numbers that decided what the first ray met must not decide it again.
-    """
+    """Key of the random numbers of a branch of a ray (0: reflected, 1: refracted), independent of the ray's own."""
     return mix(sample_key + mix(BRANCH_LAST - wp.uint32(branch)))
 
 
 @wp.func
 def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
-    """As ``draw``, of a dimension that went through ``mix`` already: for many streams that share it."""
+    """As ``draw``, of a dimension that is mixed already: for many keys that share it."""
     return float(int(wp.rshift(mix(sample_key + mixed), BITS_8))) * UNIT
 
 
 @wp.func
 def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
-    """A number of a stream, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
+    """A random number of a key, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
     return draw_mixed(sample_key, mix(dimension))
 
 
 @wp.func
 def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
-    """Where one of many permutations of the numbers below 16, picked by ``word``, puts ``k``.
+    """Where one of many permutations of the numbers below 16, selected by ``word``, puts ``k``.
 
     Each step is one-to-one modulo 16.
     """
@@ -101,7 +98,7 @@ def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
-    """A number of a sample, in [0, 1), a multiple of 2^-24: of 16 samples in a row, one is in each sixteenth.
+    """A stratified random number in [0, 1), a multiple of 2^-24: of 16 consecutive samples, one is in each sixteenth.
 
     Args:
         key: The same for these 16 samples, which begin with a multiple of 16.
@@ -116,13 +113,13 @@ def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
 
 @wp.func
 def swapped_bits(word: wp.uint32, mask: wp.uint32, shift: wp.uint32) -> wp.uint32:
-    """The bits of ``mask`` change places with those ``shift`` above."""
+    """Exchanges the bits of ``mask`` with those ``shift`` above them."""
     return wp.bit_or(wp.lshift(wp.bit_and(word, mask), shift), wp.bit_and(wp.rshift(word, shift), mask))
 
 
 @wp.func
 def reversed_bits(word: wp.uint32) -> wp.uint32:
-    """The word, read from the other end."""
+    """The bits of the word in reverse order."""
     word = swapped_bits(word, wp.uint32(0x0000FFFF), BITS_16)
     word = swapped_bits(word, wp.uint32(0x00FF00FF), BITS_8)
     word = swapped_bits(word, wp.uint32(0x0F0F0F0F), wp.uint32(4))
@@ -143,11 +140,11 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 
 @wp.func
 def sobol_2d(key: wp.uint32, sample: int) -> wp.vec2:
-    """Point ``sample`` of a sequence that fills the unit square evenly, another one for each key, 0..1 each.
+    """Point ``sample`` of a low-discrepancy sequence in the unit square, a different one for each key.
 
     The first two dimensions of Sobol's, shuffled and scrambled (Burley 2020, Practical Hash-based Owen Scrambling):
-    any 2^n points in a row that start at a multiple of 2^n are stratified, and sequences of different keys are as good
-    as independent.
+    any 2^n consecutive points from a multiple of 2^n on are stratified, and sequences of different keys are practically
+    independent.
     """
     key = mix(key)
     index = scrambled(wp.uint32(sample), key)

@@ -22,7 +22,7 @@ C3_5 = wp.constant(wp.float32(1.445305721320277))  # sqrt(105 / (16 pi))
 
 
 @wp.func
-def sh_color(sh: wp.array(dtype=wp.vec3), first: int, degree: int, direction: wp.vec3) -> wp.vec3:
+def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3) -> wp.vec3:
     """Colour of a Gaussian seen along the unit ``direction`` (eye to mean, object space): max(sum + 0.5, 0)."""
     color = C0 * sh[first] + wp.vec3(0.5)
     if degree > 0:

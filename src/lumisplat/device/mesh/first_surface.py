@@ -1,21 +1,18 @@
-"""The first surface on a ray, as depth, normal and indices of a frame show it."""
+"""The first surface on a ray: depth, normal and indices of a frame."""
 
 import warp as wp
 
-from lumisplat.constants import NORMAL_DEGENERATE
-from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.compositing import NORMAL_MIN, instance_of
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_normal
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
-NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
-
 
 @wp.func
 def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """The Gaussians' surface where they reach one, that of the mesh behind them otherwise; normals blend."""
+    """The iso-opacity surface of the Gaussians or, if it is not reached, the mesh behind them; normals blend."""
     surface = FirstSurface()
     surface.depth = wave[0].gaussians.depth[i]
     surface.gaussian = -1

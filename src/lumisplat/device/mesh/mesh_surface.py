@@ -1,4 +1,4 @@
-"""From a point of a triangle to the surface there: base colour and normals."""
+"""Base colour and normals at a point of a triangle."""
 
 import warp as wp
 
@@ -55,7 +55,7 @@ def face_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i)
 
 @wp.func
 def surface_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec3:
-    """World-space unit shading normal: interpolated, or of the triangle where the mesh has no normals."""
+    """World-space unit shading normal: interpolated, or that of the triangle if the mesh has no normals."""
     if instance.has_normals == 0:
         return face_normal(instance, meshes, corners)
     normal = (

@@ -14,7 +14,7 @@ BACK = wp.constant(wp.float32(RAY_START_BACK))
 
 @wp.func
 def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
-    """Where a ray's line enters and leaves a box; ``inverse`` of zero components is any large number."""
+    """Distances at which a ray's line enters and leaves a box; ``inverse`` is that of the direction, finite."""
     a = wp.cw_mul(low - origin, inverse)
     b = wp.cw_mul(high - origin, inverse)
     return wp.vec2(wp.max(wp.min(a, b)), wp.min(wp.max(a, b)))
@@ -32,9 +32,9 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
-    """The part of a ray that begins at ``t_min``, or shortly before it enters the instance's box, object space.
+    """The ray in object space, begun at ``t_min`` or shortly before it enters the instance's box.
 
-    From close by: rounding then acts on numbers of the box's size, not of the distance to it.
+    So close to the box, rounding errors are relative to its size, not to the distance from it.
     """
     ray = MeshRay()
     ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)

@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
-    """The vector's components, rotated until those of ``axis`` come last."""
+    """The vector's components, permuted cyclically so that ``axis`` comes last."""
     if axis == 0:
         return wp.vec3(v[1], v[2], v[0])
     if axis == 1:
@@ -42,7 +42,7 @@ def ray_shear(direction: wp.vec3) -> RayShear:
 
 @wp.func
 def edge_side(a: wp.vec2, b: wp.vec2) -> float:
-    """On which side of an edge the ray passes; its two triangles see the same number, but for the sign."""
+    """On which side of an edge the ray passes; the two triangles of the edge get exactly opposite numbers."""
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -50,9 +50,9 @@ def edge_side(a: wp.vec2, b: wp.vec2) -> float:
 def meet_triangle(
     origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
 ) -> TriangleHit:
-    """Where the ray's line meets a triangle, from either side; at infinity where it does not.
+    """The hit of the ray's line on a triangle, from either side.
 
-    The distance is a mean of those of the corners: bounded by them, however flat the triangle is seen.
+    Its distance is a weighted mean of those of the corners: bounded by them, at grazing angles, too.
     """
     hit = TriangleHit()
     hit.t = wp.inf
@@ -77,16 +77,16 @@ def meet_triangle(
 
 @wp.func
 def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
-    """A corner, sheared and seen along the ray."""
+    """A corner, sheared and projected along the ray."""
     turned = axis_last(corner - origin, shear.axis)
     return wp.vec2(turned[0] - shear.slope[0] * turned[2], turned[1] - shear.slope[1] * turned[2])
 
 
 @wp.func
 def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
-    """Whether a triangle that runs ``around`` counter-clockwise (or clockwise: negative) owns what lies on an edge.
+    """Whether a triangle owns the points on its edge; ``around`` is positive if it is counter-clockwise, else negative.
 
-    Of two triangles side by side, one does: as if the ray passed a little to the left of the edge.
+    Of the two triangles at an edge, one does: as if the ray passed slightly to the left of the edge.
     """
     if edge_side(start, end) != 0.0:
         return True
@@ -96,9 +96,9 @@ def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
 
 @wp.func
 def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
-    """Whether a triangle that a ray meets counts where it is met exactly on an edge or a corner.
+    """Whether a triangle counts that a ray hits exactly on an edge or a corner.
 
-    Those who count every crossing would count the triangles of that edge, or all around that corner.
+    Otherwise, those who count crossings would count each triangle at the edge, or all around the corner.
     """
     flat_a = flat_corner(v0, origin, shear)
     flat_b = flat_corner(v1, origin, shear)

@@ -23,8 +23,8 @@ def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
 def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
     """The cross product of two corners, to the accuracy of their difference.
 
-    ``cross(a, b)`` itself cancels for corners that are close to each other and far from the eye. Whichever of two
-    triangles asks, the same end comes first, so that a shared edge is the exact negative of itself.
+    ``cross(a, b)`` itself cancels for corners that are close to each other and far from the eye. The same end comes
+    first for both triangles of an edge, so that their edge functions are exact negatives.
     """
     if comes_first(a, b):
         return wp.cross(a, b - a)
@@ -45,13 +45,13 @@ def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
 
 @wp.func
 def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
-    """Perspective-correct coordinates of the point that a ray through the triangle meets."""
+    """Perspective-correct barycentric coordinates of the point where a ray hits the triangle."""
     weights = wp.vec3(wp.dot(triangle.edge0, ray), wp.dot(triangle.edge1, ray), wp.dot(triangle.edge2, ray))
     return weights / (weights[0] + weights[1] + weights[2])
 
 
 @wp.func
-def projected(camera: CameraData, point: wp.vec3) -> wp.vec2:
+def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
     """Pixel coordinates of a camera-space point in front of the eye."""
     return wp.vec2(
         camera.focal[0] * point[0] / point[2] + camera.raster_center[0],
@@ -63,18 +63,18 @@ def projected(camera: CameraData, point: wp.vec3) -> wp.vec2:
 def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
     """A pixel box (x0, y0, x1, y1) that also holds corner ``a``, and where its edge to ``b`` crosses the near plane."""
     if a[2] >= camera.near:
-        p = projected(camera, a)
+        p = project_point(camera, a)
         box = wp.vec4(wp.min(box[0], p[0]), wp.min(box[1], p[1]), wp.max(box[2], p[0]), wp.max(box[3], p[1]))
     if (a[2] < camera.near) != (b[2] < camera.near):
         cut = wp.lerp(a, b, (camera.near - a[2]) / (b[2] - a[2]))
-        p = projected(camera, wp.vec3(cut[0], cut[1], camera.near))
+        p = project_point(camera, wp.vec3(cut[0], cut[1], camera.near))
         box = wp.vec4(wp.min(box[0], p[0]), wp.min(box[1], p[1]), wp.max(box[2], p[0]), wp.max(box[3], p[1]))
     return box
 
 
 @wp.func
 def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> wp.vec4:
-    """Pixel box of the part of a triangle beyond the near plane; inverted where there is none."""
+    """Pixel box of the part of a triangle beyond the near plane; inverted if there is none."""
     box = wp.vec4(wp.inf, wp.inf, -wp.inf, -wp.inf)
     box = grow_box(box, camera, v0, v1)
     box = grow_box(box, camera, v1, v2)

@@ -1,20 +1,20 @@
-"""Data of light: lights, materials where they meet a ray, and samples of both. One struct is one noun of the method."""
+"""Data of light: lights, BSDFs, and samples of both. One struct is one noun of the method."""
 
 import warp as wp
 
 from lumisplat.device.structs.declare import struct
 
-LIGHT_POINT = wp.constant(0)
+LIGHT_POINT: int = wp.constant(0)
 """Also a sphere."""
-LIGHT_SPOT = wp.constant(1)
-LIGHT_DIRECTIONAL = wp.constant(2)
-LIGHT_RECT = wp.constant(3)
-LIGHT_ENVIRONMENT = wp.constant(4)
-LIGHT_HEADLIGHT = wp.constant(5)
+LIGHT_SPOT: int = wp.constant(1)
+LIGHT_DIRECTIONAL: int = wp.constant(2)
+LIGHT_RECT: int = wp.constant(3)
+LIGHT_ENVIRONMENT: int = wp.constant(4)
+LIGHT_HEADLIGHT: int = wp.constant(5)
 """At the eye of the camera, without falloff or shadow: a white surface that faces it looks white."""
 
-BSDF_SIMPLE = wp.constant(0)
-BSDF_PBR = wp.constant(1)
+BSDF_SIMPLE: int = wp.constant(0)
+BSDF_PBR: int = wp.constant(1)
 
 
 @struct
@@ -25,7 +25,7 @@ class LightData:
     """LIGHT_POINT and so on."""
     position: wp.vec3
     direction: wp.vec3
-    """Unit: axis of a spot, the way that directional light travels, normal of a rectangle."""
+    """Unit: axis of a spot, direction in which directional light travels, normal of a rectangle."""
     power: wp.vec3
     """Linear Rec.709: candela of points and spots, lux of directional light, radiance of rectangles, factor of the
     environment's image."""
@@ -35,50 +35,50 @@ class LightData:
     radius: float
     """Of a point or spot, scene units; of directional light, radians."""
     inner: float
-    """1 - cosine of the angle from its axis within which a spot is as bright."""
+    """1 - cosine of the angle from the axis of a spot up to which it has its full intensity."""
     outer: float
-    """The same of the angle at which it is dark: small cones need the digits that a cosine near 1 loses."""
+    """The same of the angle from which on it is dark. Cosines near 1 would lose the digits of small cones."""
     casts_shadow: int
 
 
 @struct
 class EnvironmentData:
-    """The environment's image, and how to pick directions by its brightness."""
+    """The environment's image, and the tables that sample directions by its brightness."""
 
     exists: int
-    """0: there is none."""
+    """0: there is no environment."""
     visible: int
     """1: rays from the camera see it."""
     world_from_environment: wp.mat33
     """Rotation."""
     power: wp.vec3
     """Factor of the image."""
-    texels: wp.array(dtype=wp.vec3)
+    texels: wp.array[wp.vec3]
     width: int
     height: int
-    row_ends: wp.array(dtype=float)
-    """Cumulative share of the light of the rows above the end of each."""
-    column_ends: wp.array(dtype=float)
-    """The same within each row, of the texels left of the end of each."""
+    row_ends: wp.array[float]
+    """Cumulative share of the light up to the end of each row."""
+    column_ends: wp.array[float]
+    """The same within each row, up to the end of each texel."""
 
 
 @struct
 class LightSample:
-    """A direction in which a surface looks for a light, and what comes from there."""
+    """A direction from a surface towards a light, and the light that comes from there."""
 
     direction: wp.vec3
     """Unit, away from the surface."""
     distance: float
     """inf: infinitely far."""
     irradiance: wp.vec3
-    """Of a surface that faces it, if nothing is in the way; an estimate where the sample is random."""
+    """Unshadowed, of a surface that faces it; an estimate if the sample is random."""
     density: float
-    """Of the direction, per steradian; 0 where it is the only one."""
+    """Probability density of the direction, per steradian; 0 if it is the only one."""
 
 
 @struct
 class Bsdf:
-    """A material at a point of a surface: what it does with light."""
+    """The reflection of light by a material at a point of a surface."""
 
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
@@ -89,18 +89,18 @@ class Bsdf:
     grazing: float
     """BSDF_PBR: reflectance at grazing incidence."""
     alpha: float
-    """BSDF_PBR: alpha of the GGX distribution, roughness squared; 0: smooth, the highlight is left to mirrors."""
+    """BSDF_PBR: alpha of the GGX distribution, roughness squared; 0: smooth, with specular bounces for a highlight."""
     shininess: float
     """BSDF_SIMPLE: exponent of the highlight."""
 
 
 @struct
 class BsdfSample:
-    """A direction picked by a material."""
+    """A direction sampled from a BSDF."""
 
     direction: wp.vec3
     """Unit, away from the surface."""
     weight: wp.vec3
-    """BSDF times cosine over density; zero: there is no such direction."""
+    """BSDF times cosine over density; zero: no direction was found."""
     density: float
     """Per steradian."""

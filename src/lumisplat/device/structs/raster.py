@@ -62,7 +62,7 @@ class TileRect:
 
 @struct
 class ChunkData:
-    """What one chunk of depth keys holds."""
+    """Range and counts of one chunk of depth keys."""
 
     key_min: wp.uint32
     key_max: wp.uint32
@@ -72,15 +72,15 @@ class ChunkData:
 
 @struct
 class MeshPixels:
-    """The nearest mesh surface of each pixel. Where meshes meet rays, only the depth is there."""
+    """The nearest mesh surface of each pixel. For primary hits, only the depth is written."""
 
-    depth_z: wp.array(dtype=float)
+    depth_z: wp.array[float]
     """View depth; inf: none."""
-    color: wp.array(dtype=wp.vec3)
+    color: wp.array[wp.vec3]
     """Display-referred sRGB."""
-    normal: wp.array(dtype=wp.vec3)
+    normal: wp.array[wp.vec3]
     """World space, unit, towards the viewer."""
-    instance: wp.array(dtype=int)
+    instance: wp.array[int]
     """Among all instances of the scene."""
 
 

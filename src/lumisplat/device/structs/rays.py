@@ -13,57 +13,57 @@ class Ray:
     direction: wp.vec3
     """Unit."""
     t_min: float
-    """What is hit no farther than this does not count."""
+    """Distance up to which hits do not count."""
     path_length: float
-    """Length of the path before the origin: the eye, unfolded, is this far behind it."""
+    """Length of the path from the eye to the origin, over all bounces."""
 
 
 @struct
 class RayData:
     """Rays, one element each, as ``Ray``."""
 
-    is_active: wp.array(dtype=wp.bool)
-    """Whether there is a ray; where there is none, the other fields are undefined."""
-    origin: wp.array(dtype=wp.vec3)
-    direction: wp.array(dtype=wp.vec3)
-    t_min: wp.array(dtype=float)
-    t_max: wp.array(dtype=float)
+    is_active: wp.array[wp.bool]
+    """Whether there is a ray; if not, the other fields are undefined."""
+    origin: wp.array[wp.vec3]
+    direction: wp.array[wp.vec3]
+    t_min: wp.array[float]
+    t_max: wp.array[float]
     """Where the ray ends; inf: nowhere. Shadow rays end at their light."""
-    path_length: wp.array(dtype=float)
-    sample_key: wp.array(dtype=wp.uint32)
+    path_length: wp.array[float]
+    sample_key: wp.array[wp.uint32]
     """Key of the ray's random numbers."""
-    pixel_key: wp.array(dtype=wp.uint32)
-    """The same for what is spread evenly over the samples of a pixel, which share it."""
+    pixel_key: wp.array[wp.uint32]
+    """Key of the low-discrepancy sequences that the samples of a pixel share."""
 
 
 @struct
 class MeshHits:
     """The nearest triangle on each ray."""
 
-    t: wp.array(dtype=float)
-    """Its distance; where there is none, where the ray ends. Not above ``t_min`` where there is no ray."""
-    face: wp.array(dtype=int)
+    t: wp.array[float]
+    """Its distance; without a hit, the ray's ``t_max``. At most ``t_min`` if there is no ray."""
+    face: wp.array[int]
     """First triangle of the mesh in MeshData plus the triangle's own number; -1: none."""
-    instance: wp.array(dtype=int)
+    instance: wp.array[int]
     """Among the mesh instances."""
-    weights: wp.array(dtype=wp.vec2)
+    weights: wp.array[wp.vec2]
     """Barycentric weights of the second and third corner."""
 
 
 @struct
 class GaussianHits:
-    """What the Gaussians before the nearest mesh give each ray."""
+    """The Gaussians before the nearest mesh on each ray, blended."""
 
-    color: wp.array(dtype=wp.vec3)
+    color: wp.array[wp.vec3]
     """Premultiplied, display-referred sRGB."""
-    normal: wp.array(dtype=wp.vec3)
+    normal: wp.array[wp.vec3]
     """Sum of unit normals, weighted as the colours are; world space."""
-    transmittance: wp.array(dtype=float)
-    depth: wp.array(dtype=float)
+    transmittance: wp.array[float]
+    depth: wp.array[float]
     """Distance of the iso-opacity surface; inf: it is not reached."""
-    gaussian: wp.array(dtype=int)
-    """Gaussian of the surface, among all of the scene's; where it is not reached, the first one blended; -1: none."""
-    hits: wp.array(dtype=int)
+    gaussian: wp.array[int]
+    """Gaussian of the surface or, if it is not reached, the first one blended, among all of the scene's; -1: none."""
+    hits: wp.array[int]
     """How many were blended."""
 
 
@@ -93,27 +93,28 @@ class MeshRay:
 
 @struct
 class TriangleHit:
-    """Where a ray meets a triangle."""
+    """Where a ray hits a triangle."""
 
     t: float
-    """inf: nowhere."""
+    """inf: it does not."""
     weights: wp.vec2
     """Barycentric weights of the second and third corner."""
 
 
 @struct
 class Bounce:
-    """What a surface does with a ray that meets it."""
+    """Specular reflection and refraction of a ray at a surface."""
 
     color: wp.vec3
-    """What it shows of itself, display-referred sRGB."""
+    """The surface's own share: display-referred sRGB, or linear in lit frames."""
     reflected: wp.vec3
-    """Weight of what the reflected ray sees; zero: there is none."""
+    """Weight of the reflected ray; zero: there is none."""
     refracted: wp.vec3
+    """Weight of the refracted ray; zero: there is none."""
     normal: wp.vec3
-    """Unit, on the side of the ray; what reflection and refraction go by."""
+    """Shading normal, by which rays are reflected and refracted; unit, on the side of the ray."""
     side: wp.vec3
-    """The same of the triangle itself."""
+    """Geometric normal; unit, on the side of the ray."""
     eta: float
     """Index of refraction on the side of the ray over that behind the surface."""
 

@@ -9,24 +9,24 @@ from lumisplat.device.structs.declare import struct
 class GaussianData:
     """A Gaussian asset on the device, in its own space."""
 
-    means: wp.array(dtype=wp.vec3)
-    rotations: wp.array(dtype=wp.quat)
+    means: wp.array[wp.vec3]
+    rotations: wp.array[wp.quat]
     """Object from Gaussian."""
-    scales: wp.array(dtype=wp.vec3)
+    scales: wp.array[wp.vec3]
     """Standard deviations."""
-    opacities: wp.array(dtype=float)
-    sh: wp.array(dtype=wp.vec3)
+    opacities: wp.array[float]
+    sh: wp.array[wp.vec3]
     """Coefficients, ``sh_count`` consecutive ones a Gaussian."""
     sh_count: int
-    normals: wp.array(dtype=wp.vec3)
-    """That the asset carries; without elements: none."""
-    albedo: wp.array(dtype=wp.vec3)
+    normals: wp.array[wp.vec3]
+    """Stored in the asset; without elements: it has none."""
+    albedo: wp.array[wp.vec3]
     """Display-referred; without elements: none."""
 
 
 @struct
 class KernelData:
-    """How Gaussians respond: what their bounds depend on."""
+    """The response of Gaussians by distance, on which their bounds depend."""
 
     degree: int
     """Exponent of the distance, 0 (linear) to 5."""
@@ -34,7 +34,7 @@ class KernelData:
     """a of the response exp(-a d^degree); the slope of the linear one."""
     min_response: float
     adaptive: int
-    """1: ``min_response`` is meant of the response times the opacity."""
+    """1: ``min_response`` limits the response times the opacity."""
 
 
 @struct
@@ -61,11 +61,11 @@ class SplatInstanceData:
     antialiased: int
     """1: compensate opacity for the dilation (Mip-Splatting)."""
     sh_degree: int
-    """Highest that the instance shows."""
+    """Highest that is evaluated."""
     own_colors: int
     """1: Gaussians show their albedo."""
     own_normals: int
-    """1: normals are those that the asset carries."""
+    """1: normals are those stored in the asset."""
     shadow_only: int
     """1: shadow rays that skip such instances pass through it."""
 
@@ -74,27 +74,27 @@ class SplatInstanceData:
 class MeshData:
     """All meshes of a scene, end to end, each in its own space."""
 
-    positions: wp.array(dtype=wp.vec3)
-    normals: wp.array(dtype=wp.vec3)
-    uvs: wp.array(dtype=wp.vec2)
-    colors: wp.array(dtype=wp.vec3)
+    positions: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+    uvs: wp.array[wp.vec2]
+    colors: wp.array[wp.vec3]
     """Linear."""
-    indices: wp.array(dtype=wp.vec3i)
+    indices: wp.array[wp.vec3i]
     """Into the arrays above, over all meshes."""
-    texels: wp.array(dtype=wp.uint32)
+    texels: wp.array[wp.uint32]
     """RGBA8, sRGB-encoded, all textures end to end."""
-    linear_from_byte: wp.array(dtype=float)
+    linear_from_byte: wp.array[float]
     """sRGB decoding table, 256 entries."""
-    unit_from_byte: wp.array(dtype=float)
+    unit_from_byte: wp.array[float]
     """Bytes over 255."""
 
 
 @struct
 class SmoothData:
-    """How a material passes light on where it is smooth."""
+    """Specular reflection and transmission of a material."""
 
     smooth: int
-    """0: it does not, and shows its base colour."""
+    """0: neither, the surface shows its base colour."""
     metallic: float
     specular: float
     ior: float

@@ -1,4 +1,4 @@
-"""Data of shading: materials, interactions of rays, and what rays see. One struct is one noun of the method."""
+"""Data of shading: materials, interactions and radiance of rays. One struct is one noun of the method."""
 
 import warp as wp
 
@@ -8,9 +8,9 @@ from lumisplat.device.structs.light import Bsdf, EnvironmentData, LightData
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
 
-SEES_BACKGROUND = wp.constant(0)
-SEES_ENVIRONMENT = wp.constant(1)
-SEES_NOTHING = wp.constant(2)
+SEES_BACKGROUND: int = wp.constant(0)
+SEES_ENVIRONMENT: int = wp.constant(1)
+SEES_NOTHING: int = wp.constant(2)
 
 
 @struct
@@ -19,7 +19,7 @@ class TextureData:
 
     first: int
     width: int
-    """0: there is none."""
+    """0: there is no texture."""
     height: int
 
 
@@ -30,11 +30,11 @@ class MaterialData:
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
     emits_capture_only: int
-    """1: of splats that shine as captured and reflect nothing."""
+    """1: splats emit their captured colours, and reflect nothing."""
     keeps_capture: int
-    """1: of splats that show all that was captured of them, and more where light adds to it."""
+    """1: splats keep all of their captured colours, and add the light that they reflect."""
     shadow_only: int
-    """1: of splats that are darkened where something blocks a light, and that is all."""
+    """1: splats keep their captured colours, darkened where lights are blocked."""
     emissive: wp.vec3
     ambient: wp.vec3
     diffuse: wp.vec3
@@ -56,11 +56,11 @@ class MaterialData:
 
 @struct
 class SplatAttributes:
-    """What the Gaussians of an asset carry for light; arrays without elements: nothing."""
+    """Attributes of an asset's Gaussians that shading reads; arrays without elements: the asset has none."""
 
-    scales: wp.array(dtype=wp.vec3)
-    roughness: wp.array(dtype=float)
-    metallic: wp.array(dtype=float)
+    scales: wp.array[wp.vec3]
+    roughness: wp.array[float]
+    metallic: wp.array[float]
 
 
 @struct
@@ -68,14 +68,14 @@ class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
     is_lit: int
-    """0: all surfaces show their own colour, display-referred, and nothing is lit."""
+    """0: all surfaces show their own display-referred colour."""
     background: wp.vec3
     """Display-referred sRGB behind everything; black where there is none."""
     camera_sees: int
-    """SEES_BACKGROUND, SEES_ENVIRONMENT in its place, or SEES_NOTHING: of the rays that are not reflected."""
+    """What camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
     light_count: int
     has_shadow_only: int
-    """1: there are sets that are only darkened."""
+    """1: some splat sets are shadow-only."""
     soft: int
     """1: lights are sampled over their extent."""
     shadow_offset: float
@@ -88,30 +88,30 @@ class ShadingSettings:
 class ShadingScene:
     """All that shading reads of a scene."""
 
-    settings: wp.array(dtype=ShadingSettings)
-    sample: wp.array(dtype=SampleData)
-    splats: wp.array(dtype=SplatInstanceData)
-    attributes: wp.array(dtype=SplatAttributes)
+    settings: wp.array[ShadingSettings]
+    sample: wp.array[SampleData]
+    splats: wp.array[SplatInstanceData]
+    attributes: wp.array[SplatAttributes]
     """Of the Gaussian assets."""
-    mesh_instances: wp.array(dtype=MeshInstanceData)
+    mesh_instances: wp.array[MeshInstanceData]
     meshes: MeshData
-    materials: wp.array(dtype=MaterialData)
+    materials: wp.array[MaterialData]
     """Of the splat instances, then of the mesh instances."""
-    lights: wp.array(dtype=LightData)
+    lights: wp.array[LightData]
     environment: EnvironmentData
 
 
 @struct
 class SplatSurface:
-    """What the Gaussians before the nearest mesh show a ray."""
+    """The surface of the Gaussians before the nearest mesh on a ray, and their captured colours."""
 
     instance: int
-    """Of their surface, or of the first of them where they reach none; -1: there is nothing."""
+    """Instance of the surface or, without a surface, of the first Gaussian; -1: there is none."""
     gaussian: int
-    """Of the surface, in its asset; -1: there is none."""
+    """Gaussian of the surface, in its asset; -1: there is no surface."""
     transmittance: float
     captured: wp.vec3
-    """Display-referred sRGB, premultiplied by ``weight``; over the background where only that is behind."""
+    """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""
     weight: float
     """Share of the ray's colour that was captured."""
     albedo: wp.vec3
@@ -120,7 +120,7 @@ class SplatSurface:
 
 @struct
 class Interaction:
-    """A ray's interaction with a surface: all that light needs to know of both."""
+    """A ray's interaction with a surface: all that lighting reads of both."""
 
     exists: bool
     """Whether there is a surface that reflects."""
@@ -138,66 +138,66 @@ class Interaction:
     occlusion: float
     """Share of the environment's light that arrives."""
     shadow_only: bool
-    """Light that arrives is only compared, not reflected."""
+    """Whether the surface reflects no light, and is only darkened by the share that is blocked."""
 
 
 @struct
 class Interactions:
-    """The interactions of a wave of rays, two a ray, as ``Interaction``: written once, read by all that lights.
+    """The interactions of a wave of rays, two a ray, as ``Interaction``: written once, read by every light.
 
     Element ``ray`` is the surface of the Gaussians, element ``stride + ray`` the mesh behind them.
     """
 
-    exists: wp.array(dtype=wp.bool)
-    position: wp.array(dtype=wp.vec3)
-    normal: wp.array(dtype=wp.vec3)
-    geometric_normal: wp.array(dtype=wp.vec3)
-    wo: wp.array(dtype=wp.vec3)
-    model: wp.array(dtype=int)
-    diffuse: wp.array(dtype=wp.vec3)
-    specular: wp.array(dtype=wp.vec3)
-    grazing: wp.array(dtype=float)
-    alpha: wp.array(dtype=float)
-    shininess: wp.array(dtype=float)
-    weight: wp.array(dtype=float)
-    occlusion: wp.array(dtype=float)
-    shadow_only: wp.array(dtype=wp.bool)
-    spawn_point: wp.array(dtype=wp.vec3)
-    """Where rays start that leave the surface; without elements where none do."""
-    spawn_t_min: wp.array(dtype=float)
-    """Distance along them within which Gaussians do not count."""
+    exists: wp.array[wp.bool]
+    position: wp.array[wp.vec3]
+    normal: wp.array[wp.vec3]
+    geometric_normal: wp.array[wp.vec3]
+    wo: wp.array[wp.vec3]
+    model: wp.array[int]
+    diffuse: wp.array[wp.vec3]
+    specular: wp.array[wp.vec3]
+    grazing: wp.array[float]
+    alpha: wp.array[float]
+    shininess: wp.array[float]
+    weight: wp.array[float]
+    occlusion: wp.array[float]
+    shadow_only: wp.array[wp.bool]
+    spawn_point: wp.array[wp.vec3]
+    """Origin of the shadow rays; without elements in frames without shadow rays."""
+    spawn_t_min: wp.array[float]
+    """Distance along them within which Gaussians do not block, scene units."""
 
 
 @struct
 class Contribution:
-    """What a light adds to a ray's colour if nothing is in the way."""
+    """The unshadowed contribution of a light to the radiance of a ray."""
 
     direction: wp.vec3
     """From the surface, unit."""
     distance: float
     color: wp.vec3
-    """Linear; zero: not worth a shadow ray."""
+    """Linear; zero: no shadow ray is needed."""
 
 
 @struct
 class RayRadiance:
-    """What rays see. Display-referred colours that were captured stay apart from linear light."""
+    """The radiance of rays: captured display-referred colours, and linear light apart from them."""
 
-    captured: wp.array(dtype=wp.vec3)
-    """Display-referred sRGB, premultiplied by the next; of an unlit wave all that rays see."""
-    captured_weight: wp.array(dtype=float)
-    light: wp.array(dtype=wp.vec3)
-    """Linear: what light adds or shadows take, and all that meshes and the environment give; may be negative."""
-    alpha: wp.array(dtype=float)
-    """What is not background."""
-    capture_factor: wp.array(dtype=wp.vec3)
-    """Share of what was captured that shadows leave; without elements where no set is only darkened."""
-    reflection: wp.array(dtype=wp.vec3)
-    """The part of ``light`` that mirrors and glass bring; like the next two without elements where nobody asked."""
-    albedo: wp.array(dtype=wp.vec3)
+    captured: wp.array[wp.vec3]
+    """Display-referred sRGB, premultiplied by ``captured_weight``; of an unlit wave the whole radiance."""
+    captured_weight: wp.array[float]
+    light: wp.array[wp.vec3]
+    """Linear: light added to captured colours, or taken if negative, and all light of meshes and environment."""
+    alpha: wp.array[float]
+    """1 - share of the background."""
+    capture_factor: wp.array[wp.vec3]
+    """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
+    reflection: wp.array[wp.vec3]
+    """The part of ``light`` from specular bounces; like the next two without elements if the frame has no such image."""
+    albedo: wp.array[wp.vec3]
     """Linear: the surfaces' own colour."""
-    emission: wp.array(dtype=wp.vec3)
-    """Linear: what they emit without lights."""
+    emission: wp.array[wp.vec3]
+    """Linear: emission and reflected ambient light."""
 
 
 @struct
@@ -228,8 +228,9 @@ class WaveData:
 
 @struct
 class Arrivals:
-    """Irradiance of surfaces that are only darkened; without elements where there are none."""
+    """Irradiance of shadow-only surfaces; without elements in frames without them."""
 
-    sent: wp.array(dtype=wp.vec3)
-    """If nothing were in the way."""
-    arrived: wp.array(dtype=wp.vec3)
+    sent: wp.array[wp.vec3]
+    """Unshadowed."""
+    arrived: wp.array[wp.vec3]
+    """Shadowed."""

@@ -1,8 +1,8 @@
 """Reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
 
 A ray has two branches, numbered ``ray`` (reflected) and ``stride + ray`` (refracted); most are empty. An inclusive sum
-over how many there are in each, 0 or 1, numbers the rays of the next wave. The mirror image comes first in it, then
-what is seen through glass, each in the order of the wave before: neighbours stay neighbours.
+over how many there are in each, 0 or 1, numbers the rays of the next wave. Reflected rays come first in it, then
+refracted ones, each in the order of the wave before: neighbours stay neighbours.
 """
 
 import warp as wp
@@ -24,10 +24,10 @@ def spawn_rays(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     rays_out: RayData,
-    weights_out: wp.array(dtype=wp.vec3),
-    path_weights_out: wp.array(dtype=float),
+    weights_out: wp.array[wp.vec3],
+    path_weights_out: wp.array[float],
 ):
-    """Item = branch: starts its ray on the surface, on the side on which it goes on."""
+    """Item = branch: starts its ray at the surface, on the side to which it leaves."""
     j = start + wp.tid()
     if wave[0].branches[j] == 0:
         return
@@ -68,7 +68,7 @@ def gather_branches(
     far: wp.array[WaveData],
     near_inout: wp.array[WaveData],
 ):
-    """Adds what a ray's branches see to what it sees itself: display-referred colours if unlit, else linear light."""
+    """Adds the radiance of a ray's branches to its own: display-referred colours if unlit, else linear light."""
     i = start + wp.tid()
     stride = near_inout[0].branches.shape[0] // 2
     is_lit = scene[0].settings[0].is_lit != 0

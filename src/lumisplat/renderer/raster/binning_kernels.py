@@ -29,7 +29,7 @@ def chunk_edge(chunk: int, chunks: int, count: int) -> int:
 
 
 @wp.func
-def first_not_below(values: wp.array(dtype=Any), count: int, limit: Any) -> int:
+def first_not_below(values: wp.array[Any], count: int, limit: Any) -> int:
     """Index of the first of ``count`` ascending values that is at least ``limit``; ``count`` if none is.
 
     The library's ``lower_bound`` never returns its end.
@@ -52,7 +52,7 @@ def rect_area(rect: TileRect) -> int:
 
 
 @wp.kernel
-def measure_keys(start: int, chunks: int, keys: wp.array(dtype=wp.uint32), chunk_out: wp.array(dtype=ChunkData)):
+def measure_keys(start: int, chunks: int, keys: wp.array[wp.uint32], chunk_out: wp.array[ChunkData]):
     """Range of the visible keys of a chunk, and how many there are."""
     chunk = start + wp.tid()
     data = ChunkData()
@@ -76,8 +76,8 @@ def count_digits(
     key_min: wp.uint32,
     shift: wp.uint32,
     mask: wp.uint32,
-    keys: wp.array(dtype=wp.uint32),
-    counts_out: wp.array2d(dtype=int),
+    keys: wp.array[wp.uint32],
+    counts_out: wp.array2d[int],
 ):
     """Histogram of one digit over a chunk; culled keys are not counted."""
     chunk = start + wp.tid()
@@ -99,11 +99,11 @@ def scatter_digits(
     shift: wp.uint32,
     mask: wp.uint32,
     first_pass: bool,
-    keys: wp.array(dtype=wp.uint32),
-    indices: wp.array(dtype=int),
-    positions: wp.array2d(dtype=int),
-    keys_out: wp.array(dtype=wp.uint32),
-    indices_out: wp.array(dtype=int),
+    keys: wp.array[wp.uint32],
+    indices: wp.array[int],
+    positions: wp.array2d[int],
+    keys_out: wp.array[wp.uint32],
+    indices_out: wp.array[int],
 ):
     """Moves a chunk's keys to their digit's positions; the first pass drops the culled ones."""
     chunk = start + wp.tid()
@@ -121,7 +121,7 @@ def scatter_digits(
 
 
 @wp.kernel
-def scan_counts(chunks: int, counts: wp.array2d(dtype=int), starts_out: wp.array(dtype=int)):
+def scan_counts(chunks: int, counts: wp.array2d[int], starts_out: wp.array[int]):
     """Exclusive scan over (column, chunk), in place; ``starts_out`` gets the columns' starts and, last, the total."""
     total = int(0)
     for column in range(counts.shape[1]):
@@ -139,15 +139,15 @@ def count_tiles(
     chunks: int,
     count: int,
     tiles_x: int,
-    order: wp.array(dtype=int),
-    rects: wp.array(dtype=TileRect),
-    counts_out: wp.array2d(dtype=int),
-    ordered_rects_out: wp.array(dtype=TileRect),
-    pairs_out: wp.array(dtype=wp.int64),
+    order: wp.array[int],
+    rects: wp.array[TileRect],
+    counts_out: wp.array2d[int],
+    ordered_rects_out: wp.array[TileRect],
+    pairs_out: wp.array[wp.int64],
 ):
-    """How many of a chunk's items touch each tile, and their sum, which may be more than 32 bits hold.
+    """How many of a chunk's items touch each tile, and their sum, which may exceed 32 bits.
 
-    Also lays the rectangles out in order, for ``scatter_tiles``.
+    Also writes the rectangles in order, for ``scatter_tiles``.
     """
     chunk = start + wp.tid()
     pairs = wp.int64(0)
@@ -170,10 +170,10 @@ def scatter_tiles(
     chunks: int,
     count: int,
     tiles_x: int,
-    order: wp.array(dtype=int),
-    ordered_rects: wp.array(dtype=TileRect),
-    positions: wp.array2d(dtype=int),
-    items_out: wp.array(dtype=int),
+    order: wp.array[int],
+    ordered_rects: wp.array[TileRect],
+    positions: wp.array2d[int],
+    items_out: wp.array[int],
 ):
     """Appends a chunk's items to the lists of their tiles, keeping the order."""
     chunk = start + wp.tid()
@@ -189,14 +189,14 @@ def scatter_tiles(
 
 
 @wp.kernel
-def fill_identity(start: int, order_out: wp.array(dtype=int)):
+def fill_identity(start: int, order_out: wp.array[int]):
     """The order 0, 1, 2, ..."""
     i = start + wp.tid()
     order_out[i] = i
 
 
 @wp.kernel
-def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), totals_out: wp.array(dtype=wp.int64)):
+def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: wp.array[wp.int64]):
     """Visible and non-finite items among sorted keys."""
     visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
     totals_out[0] = wp.int64(visible)
@@ -204,8 +204,8 @@ def count_sorted_keys(count: int, sorted_keys: wp.array(dtype=wp.uint32), totals
 
 
 @wp.kernel
-def sum_pairs(start: int, counts: wp.array(dtype=int), slot: int, totals_inout: wp.array(dtype=wp.int64)):
-    """Adds up the pairs of all items in 64 bits; one item takes every 4096th count. Not to be banded: atomic."""
+def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.array[wp.int64]):
+    """Sums the pairs of all items in 64 bits; one item sums every 4096th count. Not to be banded: atomic."""
     total = wp.int64(0)
     i = start + wp.tid()
     while i < counts.shape[0]:
@@ -215,9 +215,7 @@ def sum_pairs(start: int, counts: wp.array(dtype=int), slot: int, totals_inout: 
 
 
 @wp.kernel
-def count_pairs(
-    start: int, order: wp.array(dtype=int), rects: wp.array(dtype=TileRect), counts_out: wp.array(dtype=int)
-):
+def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
     """Tiles that the i-th item in order touches; one more element than items, so that the scan ends on the total."""
     i = start + wp.tid()
     counts_out[i] = 0
@@ -227,8 +225,8 @@ def count_pairs(
 
 
 @wp.kernel
-def clear_pairs(start: int, tile_count: int, tiles_out: wp.array(dtype=int)):
-    """Unused pairs sort behind every tile."""
+def clear_pairs(start: int, tile_count: int, tiles_out: wp.array[int]):
+    """Marks all pairs as unused: they sort behind every tile."""
     tiles_out[start + wp.tid()] = tile_count
 
 
@@ -237,15 +235,15 @@ def emit_pairs(
     start: int,
     tiles_x: int,
     capacity: int,
-    order: wp.array(dtype=int),
-    rects: wp.array(dtype=TileRect),
-    offsets: wp.array(dtype=int),
-    tiles_out: wp.array(dtype=int),
-    items_out: wp.array(dtype=int),
+    order: wp.array[int],
+    rects: wp.array[TileRect],
+    offsets: wp.array[int],
+    tiles_out: wp.array[int],
+    items_out: wp.array[int],
 ):
-    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, and the total tells.
+    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, which the total shows.
 
-    Where the offsets overflowed, positions may be negative.
+    If the offsets overflow, positions may be negative.
     """
     i = start + wp.tid()
     item = order[i]
@@ -260,7 +258,7 @@ def emit_pairs(
 
 
 @wp.kernel
-def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array(dtype=int), starts_out: wp.array(dtype=int)):
+def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array[int], starts_out: wp.array[int]):
     """First pair of each tile by binary search; one more element than tiles."""
     tile = start + wp.tid()
     starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

@@ -25,17 +25,17 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": Fal
 def project_triangles(
     start: int,
     splat_instance_count: int,
-    camera: wp.array(dtype=CameraData),
-    instances: wp.array(dtype=MeshInstanceData),
+    camera: wp.array[CameraData],
+    instances: wp.array[MeshInstanceData],
     meshes: MeshData,
-    triangles_out: wp.array(dtype=Triangle),
-    rects_out: wp.array(dtype=TileRect),
+    triangles_out: wp.array[Triangle],
+    rects_out: wp.array[TileRect],
 ):
-    """Sets up the triangles of all mesh instances, which the scene counts after its splat instances."""
+    """Sets up the triangles of all mesh instances, which are numbered after the splat instances."""
     i = start + wp.tid()
     view = camera[0]
-    which = instance_of(instances, i)
-    instance = instances[which]
+    number = instance_of(instances, i)
+    instance = instances[number]
     face = i - instance.first
     corners = meshes.indices[instance.face_first + face]
     v0 = instance.camera_from_object * meshes.positions[corners[0]] + instance.camera_from_object_offset
@@ -43,7 +43,7 @@ def project_triangles(
     v2 = instance.camera_from_object * meshes.positions[corners[2]] + instance.camera_from_object_offset
     triangle = setup_triangle(v0, v1, v2)
     triangle.face = instance.face_first + face
-    triangle.instance = splat_instance_count + which
+    triangle.instance = splat_instance_count + number
     rect = TileRect()
     area = wp.length_sq(triangle.normal)
     if area > 0.0 and area < wp.inf:
@@ -67,14 +67,14 @@ def project_triangles(
 @wp.kernel
 def raster_tiles(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    triangles: wp.array(dtype=Triangle),
-    tile_starts: wp.array(dtype=int),
-    tile_triangles: wp.array(dtype=int),
-    depth_out: wp.array(dtype=float),
-    triangle_out: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    triangles: wp.array[Triangle],
+    tile_starts: wp.array[int],
+    tile_triangles: wp.array[int],
+    depth_out: wp.array[float],
+    triangle_out: wp.array[int],
 ):
-    """Depth test of a tile's triangles, in order, so that the first of equally near ones stays."""
+    """Depth test of a tile's triangles, in order: of equally near ones, the first is kept."""
     tile = start + wp.tid()
     view = camera[0]
     corner = tile_corner(view, tile)
@@ -116,12 +116,12 @@ def raster_tiles(
 @wp.kernel
 def raster_pixels(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    triangles: wp.array(dtype=Triangle),
-    tile_starts: wp.array(dtype=int),
-    tile_triangles: wp.array(dtype=int),
-    depth_out: wp.array(dtype=float),
-    triangle_out: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    triangles: wp.array[Triangle],
+    tile_starts: wp.array[int],
+    tile_triangles: wp.array[int],
+    depth_out: wp.array[float],
+    triangle_out: wp.array[int],
 ):
     """Item = tile * 256 + pixel of the tile; the arithmetic of ``raster_tiles``."""
     i = start + wp.tid()
@@ -153,15 +153,15 @@ def raster_pixels(
 @wp.kernel
 def find_ray_hits(
     start: int,
-    camera: wp.array(dtype=CameraData),
+    camera: wp.array[CameraData],
     splat_instance_count: int,
-    triangles: wp.array(dtype=Triangle),
-    triangle_of_pixel: wp.array(dtype=int),
-    depth_z: wp.array(dtype=float),
+    triangles: wp.array[Triangle],
+    triangle_of_pixel: wp.array[int],
+    depth_z: wp.array[float],
     rays: RayData,
     hits_out: MeshHits,
 ):
-    """Item = ray: what its pixel's triangle is to it."""
+    """Item = ray: its hit on the nearest triangle of its pixel."""
     i = start + wp.tid()
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]
@@ -187,12 +187,12 @@ def find_ray_hits(
 @wp.kernel
 def shade_pixels(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    instances: wp.array(dtype=MeshInstanceData),
+    camera: wp.array[CameraData],
+    instances: wp.array[MeshInstanceData],
     splat_instance_count: int,
     meshes: MeshData,
-    triangles: wp.array(dtype=Triangle),
-    triangle_of_pixel: wp.array(dtype=int),
+    triangles: wp.array[Triangle],
+    triangle_of_pixel: wp.array[int],
     pixels_out: MeshPixels,
 ):
     """Unlit base colour, encoded for display, and the shading normal towards the viewer."""

@@ -70,14 +70,14 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 @wp.kernel
 def project_splats(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    settings: wp.array(dtype=RasterData),
-    instances: wp.array(dtype=SplatInstanceData),
-    instance_ids: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
     gaussians: GaussianData,
-    splats_out: wp.array(dtype=Splat),
-    keys_out: wp.array(dtype=wp.uint32),
-    rects_out: wp.array(dtype=TileRect),
+    splats_out: wp.array[Splat],
+    keys_out: wp.array[wp.uint32],
+    rects_out: wp.array[TileRect],
 ):
     """Projects the instances of one asset; the bits of a positive float sort as the float does."""
     i = start + wp.tid()
@@ -94,7 +94,7 @@ def project_splats(
         else:
             key = KEY_NONFINITE
     if key < KEY_NONFINITE:
-        splats_out[splat.index] = splat  # nobody reads a culled one
+        splats_out[splat.index] = splat  # culled ones are never read
     keys_out[splat.index] = key
     rects_out[splat.index] = rect
 
@@ -108,7 +108,43 @@ def log_alpha_at(splat: Splat, x: int, y: int) -> float:
 
 
 @wp.func
-def opaque_pixel(splats: wp.array(dtype=Splat), index: int) -> BlendState:
+def visible_alpha(log_alpha: float) -> float:
+    """Alpha of a logarithm, 0 below 1/255; a selection, so that rows of pixels vectorise."""
+    return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
+
+
+@wp.func
+def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
+    """The first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
+    center_y = splat.center[1] - float(top)
+    first = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
+    last = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1))))
+    return wp.vec2i(first, last + 1)
+
+
+@wp.func
+def store_result(
+    camera: CameraData,
+    raster: RasterData,
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    meshes: MeshPixels,
+    pixel: BlendState,
+    x: int,
+    y: int,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
+):
+    """Writes a blended pixel to the image or, ``for_rays``, to the hits of its ray."""
+    if for_rays:
+        store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
+    else:
+        store_pixel(camera, raster, instances, splats, meshes, pixel, x, y, pixels_out)
+
+
+@wp.func
+def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
     """A pixel that shows one splat, as if it were opaque; index -1: none."""
     pixel = empty_pixel()
     if index >= 0:
@@ -122,10 +158,8 @@ def opaque_pixel(splats: wp.array(dtype=Splat), index: int) -> BlendState:
 
 
 @wp.func
-def first_touching(
-    splats: wp.array(dtype=Splat), tile_splats: wp.array(dtype=int), begin: int, end: int, x: int, y: int
-) -> int:
-    """The first splat of a pixel; -1: it has none."""
+def first_touching(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, x: int, y: int) -> int:
+    """The first splat that touches a pixel; -1: none does."""
     for j in range(begin, end):
         index = tile_splats[j]
         if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
@@ -136,12 +170,12 @@ def first_touching(
 @wp.kernel
 def composite_pixels(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    settings: wp.array(dtype=RasterData),
-    instances: wp.array(dtype=SplatInstanceData),
-    splats: wp.array(dtype=Splat),
-    tile_starts: wp.array(dtype=int),
-    tile_splats: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
     meshes: MeshPixels,
     for_rays: bool,
     pixels_out: PixelData,
@@ -174,27 +208,36 @@ def composite_pixels(
             if pixel.transmittance <= 0.0:
                 break
         j += 1
-    if for_rays:
-        store_gaussian_hits(view, splats, pixel, x, y, hits_out)
-    else:
-        store_pixel(view, raster, instances, splats, meshes, pixel, x, y, pixels_out)
+    store_result(view, raster, instances, splats, meshes, pixel, x, y, for_rays, pixels_out, hits_out)
+
+
+@wp.func
+def farthest_unfinished(transmittance: TileFloats, mesh_z: TileFloats) -> float:
+    """View depth of the farthest mesh behind any unfinished pixel: splats from there on are hidden."""
+    farthest = float(0.0)
+    for i in range(TILE_PIXELS):
+        farthest = wp.max(farthest, wp.where(transmittance[i] > 0.0, mesh_z[i], 0.0))
+    return farthest
 
 
 @wp.kernel
 def composite_tiles(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    settings: wp.array(dtype=RasterData),
-    instances: wp.array(dtype=SplatInstanceData),
-    splats: wp.array(dtype=Splat),
-    tile_starts: wp.array(dtype=int),
-    tile_splats: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
     meshes: MeshPixels,
     for_rays: bool,
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """The arithmetic of ``blend``, written as selections over rows of pixels."""
+    """The arithmetic of ``blend``, written as selections over rows of pixels.
+
+    Left whole: its loops share the tile's values, which a function would copy.
+    """
     tile = start + wp.tid()
     view = camera[0]
     corner = tile_corner(view, tile)
@@ -214,13 +257,12 @@ def composite_tiles(
     normal_z = TileFloats(0.0)
     mesh_z = TileFloats(0.0)
     surface = TileInts(-1)
-    farthest = float(0.0)  # mesh behind any unfinished pixel: splats from here on are hidden
     for y in range(rows):
         for x in range(columns):
             transmittance[y * TILE + x] = 1.0
             mesh_z[y * TILE + x] = meshes.depth_z[(top + y) * view.width + left + x]
-            farthest = wp.max(farthest, mesh_z[y * TILE + x])
 
+    farthest = farthest_unfinished(transmittance, mesh_z)
     j = int(tile_starts[tile])
     end = int(tile_starts[tile + 1])
     while j < end:
@@ -228,21 +270,16 @@ def composite_tiles(
         splat = splats[index]
         if splat.depth >= farthest:
             break
-        center_x = splat.center[0] - float(left)
-        center_y = splat.center[1] - float(top)
-        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
-        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
-        for y in range(y0, y1):
-            dy = float(y) + 0.5 - center_y
+        covered = rows_of(splat, top, rows)
+        for y in range(covered[0], covered[1]):
+            dy = float(y) + 0.5 - (splat.center[1] - float(top))
             row_log_alpha = splat.log_opacity - splat.across * dy * dy
-            row_center = center_x + splat.shear * dy
+            row_center = splat.center[0] - float(left) + splat.shear * dy
             first = y * TILE
             for x in range(TILE):
                 i = first + x
                 dx = float(x) + 0.5 - row_center
-                log_alpha = row_log_alpha - splat.along * dx * dx
-                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
-                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
                 alpha = wp.where(splat.depth < mesh_z[i], alpha, 0.0)
                 before = transmittance[i]
                 weight = before * alpha
@@ -260,9 +297,7 @@ def composite_tiles(
                 transmittance[i] = after
         j += 1
         if j % CHECK_INTERVAL == 0:
-            farthest = float(0.0)
-            for i in range(TILE_PIXELS):
-                farthest = wp.max(farthest, wp.where(transmittance[i] > 0.0, mesh_z[i], 0.0))
+            farthest = farthest_unfinished(transmittance, mesh_z)
 
     for y in range(rows):
         for x in range(columns):
@@ -272,27 +307,26 @@ def composite_tiles(
             pixel.normal = wp.vec3(normal_x[i], normal_y[i], normal_z[i])
             pixel.transmittance = transmittance[i]
             pixel.surface = surface[i]
-            if for_rays:
-                pixel.first = -1
-                if pixel.surface < 0 and pixel.transmittance != 1.0:
-                    pixel.first = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
-                store_gaussian_hits(view, splats, pixel, left + x, top + y, hits_out)
-            else:
-                store_pixel(view, raster, instances, splats, meshes, pixel, left + x, top + y, pixels_out)
+            pixel.first = -1
+            if for_rays and pixel.surface < 0 and pixel.transmittance != 1.0:
+                pixel.first = first_touching(splats, tile_splats, tile_starts[tile], end, left + x, top + y)
+            store_result(
+                view, raster, instances, splats, meshes, pixel, left + x, top + y, for_rays, pixels_out, hits_out
+            )
 
 
 @wp.kernel
 def sample_pixels(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    samples: wp.array(dtype=SampleData),
-    splats: wp.array(dtype=Splat),
-    tile_starts: wp.array(dtype=int),
-    tile_splats: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    samples: wp.array[SampleData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: the nearest of the splats that are drawn, in any order."""
+    """Item = tile * 256 + pixel of the tile: the nearest splat that a random number below its alpha selects."""
     i = start + wp.tid()
     view = camera[0]
     sample = samples[0]
@@ -319,15 +353,15 @@ def sample_pixels(
 @wp.kernel
 def sample_tiles(
     start: int,
-    camera: wp.array(dtype=CameraData),
-    samples: wp.array(dtype=SampleData),
-    splats: wp.array(dtype=Splat),
-    tile_starts: wp.array(dtype=int),
-    tile_splats: wp.array(dtype=int),
+    camera: wp.array[CameraData],
+    samples: wp.array[SampleData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """The same, written as selections over rows of pixels."""
+    """The arithmetic of ``sample_pixels``, written as selections over rows of pixels."""
     tile = start + wp.tid()
     view = camera[0]
     sample = samples[0]
@@ -336,7 +370,7 @@ def sample_tiles(
     top = corner[1]
     rows = wp.min(TILE, view.height - top)
     columns = wp.min(TILE, view.width - left)
-    nearest = TileFloats(-1.0)  # nothing is nearer than what is outside the image
+    nearest = TileFloats(-1.0)  # no splat is nearer: pixels outside the image stay empty
     winner = TileInts(-1)
     sample_keys = TileWords()
     for y in range(rows):
@@ -348,22 +382,17 @@ def sample_tiles(
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_splats[j]
         splat = splats[index]
-        center_x = splat.center[0] - float(left)
-        center_y = splat.center[1] - float(top)
         dimension = mix(wp.uint32(index))
-        y0 = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
-        y1 = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1)))) + 1
-        for y in range(y0, y1):
-            dy = float(y) + 0.5 - center_y
+        covered = rows_of(splat, top, rows)
+        for y in range(covered[0], covered[1]):
+            dy = float(y) + 0.5 - (splat.center[1] - float(top))
             row_log_alpha = splat.log_opacity - splat.across * dy * dy
-            row_center = center_x + splat.shear * dy
+            row_center = splat.center[0] - float(left) + splat.shear * dy
             first = y * TILE
             for x in range(TILE):
                 i = first + x
                 dx = float(x) + 0.5 - row_center
-                log_alpha = row_log_alpha - splat.along * dx * dx
-                alpha = alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN))
-                alpha = wp.where(log_alpha >= LOG_ALPHA_MIN, alpha, 0.0)
+                alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
                 alpha = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, 1.0, 0.0)
                 ahead = wp.where(splat.depth < nearest[i], 1, 0) | (
                     wp.where(splat.depth == nearest[i], 1, 0) & wp.where(index < winner[i], 1, 0)

@@ -1,9 +1,9 @@
 """Bounding volume hierarchies over the boxes of Gaussians, level by level from the root, and the refit of their boxes.
 
 ``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU), ``split_by_code`` (CUDA): one
-item is one node of a level, whose items come to lie child by child. ``link_nodes``, ``refit_nodes``: one item is one
-node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order of
-the tree.
+item is one node of a level, whose Gaussians are ordered child by child. ``link_nodes``, ``refit_nodes``: one item is
+one node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order
+of the BVH.
 """
 
 import warp as wp
@@ -25,7 +25,7 @@ Edges = wp.types.vector(length=NODE_WIDTH + 1, dtype=wp.int32)
 
 @wp.func
 def empty_box() -> Box:
-    """Contains nothing."""
+    """An inverted box, which contains nothing."""
     box = Box()
     box.low = wp.vec3(FAR)
     box.high = wp.vec3(-FAR)
@@ -49,17 +49,15 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
 
 
 @wp.kernel
-def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array(dtype=Box)):
+def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
     """Tight boxes of the Gaussians of an asset."""
     i = start + wp.tid()
     boxes_out[i] = particle_box(kernel, gaussians, i)
 
 
 @wp.func
-def partition_range(
-    boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: int, end: int, axis: int, middle2: float
-) -> int:
-    """Moves the items whose doubled centre lies below ``middle2`` to the front, and returns how far they reach."""
+def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
+    """Moves the items whose doubled centre lies below ``middle2`` to the front, and returns where they end."""
     low = int(begin)
     high = int(end)
     while low < high:
@@ -77,10 +75,10 @@ def partition_range(
 
 
 @wp.func
-def split_range(boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: int, end: int) -> int:
-    """Splits items in two where the surface area heuristic costs least (Wald 2007), and returns where.
+def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int) -> int:
+    """Splits items in two at the lowest cost of the surface area heuristic (Wald 2007), and returns where.
 
-    In the middle if all centres coincide.
+    In the middle if all centres coincide. Left whole: its three loops share the bins, which a function would copy.
     """
     center_low = wp.vec3(wp.inf)
     center_high = wp.vec3(-wp.inf)
@@ -152,7 +150,7 @@ def split_range(boxes: wp.array(dtype=Box), items: wp.array(dtype=int), begin: i
 
 
 @wp.func
-def range_area(boxes: wp.array(dtype=Box), begin: int, end: int) -> float:
+def range_area(boxes: wp.array[Box], begin: int, end: int) -> float:
     """Half the surface of the box around a range of boxes."""
     low = wp.vec3(FAR)
     high = wp.vec3(-FAR)
@@ -167,12 +165,12 @@ def split_by_area(
     start: int,
     node_first: int,
     by_area: int,
-    begins: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    boxes_inout: wp.array(dtype=Box),
-    items_inout: wp.array(dtype=int),
-    edges_out: wp.array(dtype=Edges),
-    inner_counts_out: wp.array(dtype=int),
+    begins: wp.array[int],
+    ends: wp.array[int],
+    boxes_inout: wp.array[Box],
+    items_inout: wp.array[int],
+    edges_out: wp.array[Edges],
+    inner_counts_out: wp.array[int],
 ):
     """The child with the largest surface is split by the surface area heuristic until all children are in use.
 
@@ -228,10 +226,10 @@ def code_gaussians(
     low: wp.vec3,
     per_cell: wp.vec3,
     gaussians: GaussianData,
-    codes_out: wp.array(dtype=int),
-    items_out: wp.array(dtype=int),
+    codes_out: wp.array[int],
+    items_out: wp.array[int],
 ):
-    """Morton codes of the means on a grid of 1024^3 cells; what lies outside counts to the nearest cell."""
+    """Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
     i = start + wp.tid()
     cell = wp.cw_mul(gaussians.means[i] - low, per_cell)
     code = int(0)
@@ -251,7 +249,7 @@ def spread_bits(x: int) -> int:
 
 
 @wp.func
-def first_with_digit(codes: wp.array(dtype=int), begin: int, end: int, shift: int, digit: int) -> int:
+def first_with_digit(codes: wp.array[int], begin: int, end: int, shift: int, digit: int) -> int:
     """The first of sorted codes, equal above the digit at ``shift``, whose digit there is at least ``digit``."""
     low = int(begin)
     high = int(end)
@@ -268,15 +266,15 @@ def first_with_digit(codes: wp.array(dtype=int), begin: int, end: int, shift: in
 def split_by_code(
     start: int,
     node_first: int,
-    begins: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    codes: wp.array(dtype=int),
-    edges_out: wp.array(dtype=Edges),
-    inner_counts_out: wp.array(dtype=int),
+    begins: wp.array[int],
+    ends: wp.array[int],
+    codes: wp.array[int],
+    edges_out: wp.array[Edges],
+    inner_counts_out: wp.array[int],
 ):
     """Three levels of the binary radix tree at once (Karras 2012): children by the first octal digit that differs.
 
-    Items of one code are dealt out evenly.
+    Items of one code are distributed evenly.
     """
     node = start + wp.tid()
     begin = begins[node_first + node]
@@ -307,14 +305,14 @@ def link_nodes(
     start: int,
     node_first: int,
     child_first: int,
-    edges: wp.array(dtype=Edges),
-    inner_ends: wp.array(dtype=int),
-    inner_counts: wp.array(dtype=int),
-    begins_out: wp.array(dtype=int),
-    ends_out: wp.array(dtype=int),
-    links_out: wp.array(dtype=ChildLinks),
+    edges: wp.array[Edges],
+    inner_ends: wp.array[int],
+    inner_counts: wp.array[int],
+    begins_out: wp.array[int],
+    ends_out: wp.array[int],
+    links_out: wp.array[ChildLinks],
 ):
-    """Numbers the child nodes of a level, and hands them their items."""
+    """Numbers the child nodes of a level, and writes their ranges of items."""
     n = start + wp.tid()
     ranges = edges[n]
     child = child_first + inner_ends[n] - inner_counts[n]
@@ -337,19 +335,19 @@ def gather_particles(
     start: int,
     kernel: KernelData,
     gaussians: GaussianData,
-    items: wp.array(dtype=int),
-    particles_out: wp.array(dtype=Particle),
-    boxes_out: wp.array(dtype=Box),
+    items: wp.array[int],
+    particles_out: wp.array[Particle],
+    boxes_out: wp.array[Box],
 ):
-    """Particles and their boxes in the order of the tree."""
+    """Particles and their boxes in the order of the BVH."""
     i = start + wp.tid()
     particles_out[i] = particle_of(kernel, gaussians, items[i])
     boxes_out[i] = particle_box(kernel, gaussians, items[i])
 
 
 @wp.kernel
-def place_links(start: int, links: wp.array(dtype=ChildLinks), nodes_out: wp.array(dtype=Node)):
-    """Nodes without boxes yet."""
+def place_links(start: int, links: wp.array[ChildLinks], nodes_out: wp.array[Node]):
+    """Writes nodes with their links; ``refit_nodes`` adds the boxes."""
     n = start + wp.tid()
     node = Node()
     node.link = links[n]
@@ -360,11 +358,11 @@ def place_links(start: int, links: wp.array(dtype=ChildLinks), nodes_out: wp.arr
 def refit_nodes(
     start: int,
     node_first: int,
-    boxes: wp.array(dtype=Box),
-    nodes_inout: wp.array(dtype=Node),
-    areas_out: wp.array(dtype=float),
+    boxes: wp.array[Box],
+    nodes_inout: wp.array[Node],
+    areas_out: wp.array[float],
 ):
-    """Boxes of the children of a level's nodes, whose own nodes are refitted already."""
+    """Writes the boxes of the children of a level's nodes; deeper levels are refitted already."""
     n = node_first + start + wp.tid()
     node = nodes_inout[n]
     whole = empty_box()
