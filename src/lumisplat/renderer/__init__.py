@@ -1,1 +1,1 @@
-"""From a scene and a camera to a frame: the passes, each as a host module beside its kernels."""
+"""From a scene and a camera to a frame: the passes, each a host module beside its kernels."""

@@ -1,4 +1,4 @@
-"""What a renderer is given, checked at the door."""
+"""Checks of what callers give a renderer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 
-def check_scene(scene: Scene) -> None:
+def check_scene(scene: object) -> None:
     """Raises SceneError unless this is a scene whose items 32-bit indices can count."""
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
@@ -24,7 +24,7 @@ def check_scene(scene: Scene) -> None:
         raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
 
 
-def check_camera(camera: Camera) -> None:
+def check_camera(camera: object) -> None:
     """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
     if not isinstance(camera, Camera):
         raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
@@ -38,7 +38,7 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
     """The settings, or the defaults.
 
     Raises:
-        ConfigError: They are something else.
+        ConfigError: ``config`` is no RenderConfig.
     """
     config = RenderConfig() if config is None else config
     check_kind("config", config, RenderConfig)
@@ -49,10 +49,10 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
     """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
 
     Args:
-        frame: What is to be resumed.
-        camera: Of the new samples.
-        config: Their settings.
-        plan: Of the frame that adds them.
+        frame: The frame to resume.
+        camera: Camera of the new samples.
+        config: Settings of the new samples.
+        plan: Plan of the frame that adds them.
     """
     check_kind("resume", frame, Frame)
     if not plan.is_sampled:
@@ -83,12 +83,12 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
-    """Names of the fields in which two dataclasses of one kind differ; of those within, as ``trace.strategy``."""
-    names = []
+    """Names of the fields in which two dataclasses of one type differ; of nested ones as ``trace.strategy``."""
+    names: list[str] = []
     for field in fields(one):
-        here, there = getattr(one, field.name), getattr(other, field.name)
-        if is_dataclass(here):
-            names += differing(here, there, f"{prefix}{field.name}.")
-        elif not np.array_equal(here, there):
+        value, other_value = getattr(one, field.name), getattr(other, field.name)
+        if is_dataclass(value):
+            names += differing(value, other_value, f"{prefix}{field.name}.")
+        elif not np.array_equal(value, other_value):
             names.append(prefix + field.name)
     return names

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from lumisplat.config import RenderConfig, Shadows
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
@@ -15,12 +13,12 @@ from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernel
 from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
 from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
-def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[Any]:
+def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of a frame."""
-    modules: list[Any] = []
+    modules: list[KernelModule] = []
     if plan.rasterises:
         modules += [splat_raster_kernels, binning_kernels, mesh_raster_kernels]
     if plan.is_sampled:
@@ -36,11 +34,11 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     return modules
 
 
-def transmittance_modules(launcher: Launcher) -> list[Any]:
+def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of transmittance along rays."""
     return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules(launcher, RenderConfig())]
 
 
-def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[Any]:
+def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of shadow rays."""
     return [mesh_shadow_kernels, stochastic_bvh_kernels, shadow_kernel_of(launcher, config).module]

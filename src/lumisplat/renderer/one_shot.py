@@ -1,4 +1,4 @@
-"""One call, one result: renderers that are made, used once and dropped."""
+"""Functions of one call: each creates a renderer, uses it once and drops it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lumisplat.scene.scene import Scene
 
 
 def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
-    """Renders one frame with a renderer of its own; for several, ``create_renderer`` keeps what they share.
+    """Renders one frame with a renderer of its own; for several frames, ``create_renderer`` keeps what they share.
 
     Args:
         scene: What to draw.
@@ -41,14 +41,14 @@ def trace_rays(
     *,
     device: str = "auto",
 ) -> RayHits:
-    """Follows any rays through a scene, mirrors and glass included.
+    """Traces any rays through a scene, mirrors and glass included.
 
-    Rays are worked on in batches, so that memory does not grow with their number; neighbours in the arrays that are
+    Rays are traced in batches, so that memory does not grow with their number; neighbours in the arrays that are
     neighbours in space are traced together, and faster. For many calls on one scene, ``create_renderer`` with
     ``Pipeline.TRACE`` and its ``trace_rays`` keep what they share.
 
     Args:
-        scene: What they meet.
+        scene: What they hit.
         origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
         config: Settings; None: the defaults. ``background`` is seen in mirrors only.
@@ -71,13 +71,13 @@ def transmittance(
     config: RenderConfig | None = None,
     device: str = "auto",
 ) -> FloatArray:
-    """How much of the light from as far as ``max_distance`` reaches the origins of rays.
+    """Transmittance along rays, from their origins to ``max_distance``.
 
-    The product of what all Gaussians on the way let through, exact but for what is below
-    ``config.trace.transmittance_min``; 0 where a mesh stands in between, whatever it is made of.
+    The product of 1 - alpha over all Gaussians on the way, 0 if below ``config.trace.transmittance_min``, or if a mesh
+    of any material is on the way.
 
     Args:
-        scene: What is in between.
+        scene: What blocks them.
         origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
         max_distance: Scene units, one number or one a ray, shape (N,).

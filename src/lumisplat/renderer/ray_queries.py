@@ -1,4 +1,4 @@
-"""Any rays through a scene: what they see, and how much light comes through."""
+"""Any rays through a scene: their radiance and hits, and their transmittance."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.runtime.buffers import Buffers, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import upload_structs
 
 _log = logging.getLogger("lumisplat")
-_GIVEN = ("origins", "directions", "distances")
+_INPUTS = ("origins", "directions", "distances")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayHits:
-    """What N rays see."""
+    """Radiance and hits of N rays."""
 
     radiance: FloatArray
-    """Of all that the ray meets, in ``color_space``, without a background or an environment behind it, (N, 3)."""
+    """Of all that the ray hits, in ``color_space``, without a background or an environment behind it, (N, 3)."""
     transmittance: FloatArray
-    """What is left for a background, 0..1, (N,); 0 where the ray meets a mesh, also one of clear glass: what is seen
+    """Share of a background behind the ray, 0..1, (N,); 0 if the ray hits a mesh, also one of clear glass: what is seen
     through it is in ``radiance``."""
     depth: FloatArray
-    """Distance to the iso-opacity surface, scene units, (N,); inf where there is none."""
+    """Distance to the iso-opacity surface, scene units, (N,); inf: there is none."""
     normal: FloatArray
-    """World space, unit, against the ray, (N, 3); zero where there is nothing."""
+    """World space, unit, against the ray, (N, 3); zero: nothing is hit."""
     gaussian_index: IntArray
     """Gaussian at the surface, within its own instance, (N,); -1: none."""
     instance_index: IntArray
@@ -58,14 +58,14 @@ class RayHits:
 
 
 class RayQueries:
-    """Follows rays in batches, so that memory does not grow with their number.
+    """Traces rays in batches, so that memory does not grow with their number.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        config: Its settings.
+        config: Settings.
         tracer: Finds the hits of the rays.
-        integrator: Computes what they see.
+        integrator: Computes their radiance.
     """
 
     def __init__(
@@ -82,11 +82,12 @@ class RayQueries:
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
     def query(self, scene: DeviceScene, plan: FramePlan, origins: FloatArray, directions: FloatArray) -> RayHits:
-        """What rays see; ``directions`` are unit vectors."""
-        parts, nonfinite = [], 0
+        """Radiance and hits of rays; ``directions`` are unit vectors."""
+        parts: list[dict[str, npt.NDArray[Any]]] = []
+        nonfinite = 0
         distances = np.full(len(origins), np.inf, np.float32)
-        for first, given in _batches(origins, directions, distances):
-            images, count = self._query_batch(scene, plan, first, given)
+        for first, batch in _batches(origins, directions, distances):
+            images, count = self._query_batch(scene, plan, first, batch)
             parts.append(images)
             nonfinite += count
         if nonfinite:
@@ -105,34 +106,34 @@ class RayQueries:
     def transmittance(
         self, scene: DeviceScene, origins: FloatArray, directions: FloatArray, distances: FloatArray
     ) -> FloatArray:
-        """How much light arrives from as far as ``distances``, (N,); 0 where below the least transmittance."""
-        parts = []
+        """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts."""
+        parts: list[FloatArray] = []
         scene.begin_sample(0, is_last=True)
-        for first, given in _batches(origins, directions, distances):
-            count, rays = len(given[0]), self._rays(len(given[0]))
-            self._load(scene, first, count, self._uploaded(given), rays)
+        for first, batch in _batches(origins, directions, distances):
+            count, rays = len(batch[0]), self._rays(len(batch[0]))
+            self._load(scene, first, count, self._upload(batch), rays)
             light = self._transmittance.trace(scene, rays, None, "rays.transmittance", opaque=True)
             parts.append(light.numpy()[:count, 0].copy())
         return np.concatenate(parts)
 
     def _query_batch(
-        self, scene: DeviceScene, plan: FramePlan, first: int, given: list[FloatArray]
-    ) -> tuple[dict[str, np.ndarray], int]:
+        self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray]
+    ) -> tuple[dict[str, npt.NDArray[Any]], int]:
         """Images of one row of rays, and how many samples were not finite."""
-        # Given rays do not spread over a pixel: without chance, all samples are the first.
+        # Given rays are not jittered: without random numbers, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
         samples = self._config.samples if is_random else 1
-        count, rays = len(given[0]), self._rays(len(given[0]))
-        uploaded = self._uploaded(given)
-        pixels = PixelBuffers.of(self._buffers, (rays.t_max.shape[0], 1))
-        nonfinite = self._buffers.get("rays.nonfinite", wp.int32, rays.t_max.shape[0])
+        count, rays = len(batch[0]), self._rays(len(batch[0]))
+        inputs = self._upload(batch)
+        pixels = PixelBuffers.of(self._buffers, (len(rays.t_max), 1))
+        nonfinite = self._buffers.get("rays.nonfinite", wp.int32, len(rays.t_max))
         nonfinite.zero_()
         row = FilmData()
         row.pixels, row.nonfinite = pixels.data, nonfinite
         film = upload_structs([row], FilmData, self._launcher.device)
         for sample in range(samples):
             scene.begin_sample(sample, is_last=sample == samples - 1)
-            self._load(scene, first, count, uploaded, rays)
+            self._load(scene, first, count, inputs, rays)
             hits = self._tracer.find_hits(scene, rays, "rays")
             wave = self._integrator.shade(scene, plan, hits, sample)
             if plan.is_lit:
@@ -142,26 +143,26 @@ class RayQueries:
         return images, int(nonfinite.numpy()[:count].sum())
 
     def _rays(self, count: int) -> RayData:
-        # A few sizes of arrays instead of one a call.
+        # A few array sizes instead of one per call.
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
-    def _uploaded(self, given: list[FloatArray]) -> list[Any]:
-        arrays = []
-        for name, dtype, values in zip(_GIVEN, (wp.vec3, wp.vec3, wp.float32), given, strict=True):
+    def _upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
+        arrays: list[DeviceArray] = []
+        for name, dtype, values in zip(_INPUTS, (wp.vec3, wp.vec3, wp.float32), batch, strict=True):
             array = self._buffers.get(f"rays.{name}", dtype, grown_capacity(len(values)))
             if len(values):
                 array[: len(values)].assign(values)
             arrays.append(array)
         return arrays
 
-    def _load(self, scene: DeviceScene, first: int, count: int, uploaded: list[Any], rays: RayData) -> None:
+    def _load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
         self._launcher.run_banded(
-            camera_ray_kernels.load_rays, rays.t_max.shape[0], first, count, scene.sample, *uploaded, rays
+            camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
         )
 
 
 def _batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
-    """Consecutive rows of all arrays, and the number of the first."""
+    """Consecutive rows of all arrays, and the index of the first."""
     for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
         yield first, [array[first : first + RAY_BATCH] for array in arrays]
 
@@ -186,7 +187,7 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Flo
         bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
         if bad:
             raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
-    # In two steps, as the squares of large and of small components leave the range of numbers.
+    # In two steps, as the squares of large and small components overflow and underflow.
     largest = np.abs(along).max(axis=1, keepdims=True, initial=0.0)
     empty = int(np.count_nonzero(largest == 0.0))
     if empty:

@@ -30,7 +30,7 @@ from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher, Progress
+from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -49,14 +49,11 @@ class Renderer:
         self._launcher = launcher
         self._buffers = buffers = Buffers(launcher.device)
         self._scene = DeviceScene(launcher, buffers, config)
-        self._binning = binning_of(launcher, buffers)
-        rasters: dict[str, Any] = {
-            "binning": self._binning,
-            "meshes": MeshRaster(launcher, buffers, self._binning),
-            "splats": SplatRaster(launcher, buffers, config, self._binning),
-        }
-        self._unlit_raster = UnlitRaster(launcher, buffers, **rasters)
-        self._raster = RasterHits(launcher, buffers, config, **rasters)
+        self._binning = binning = binning_of(launcher, buffers)
+        meshes = MeshRaster(launcher, buffers, binning)
+        splats = SplatRaster(launcher, buffers, config, binning)
+        self._unlit_raster = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
+        self._raster = RasterHits(launcher, buffers, config, binning=binning, meshes=meshes, splats=splats)
         self._camera_rays = CameraRays(launcher, buffers)
         self._tracer = RayTracer(launcher, buffers, config)
         self._integrator = WhittedIntegrator(launcher, buffers, config, self._tracer)
@@ -77,8 +74,8 @@ class Renderer:
         """Renders one frame.
 
         Args:
-            scene: What to draw. Assets already seen by this renderer are not uploaded again; where one of as many
-                Gaussians takes the place of another, the ray tracer follows it as if it had moved.
+            scene: What to draw. Assets of the last frame are not uploaded again. If a capture replaces another one with
+                as many Gaussians, the ray tracer refits the hierarchy instead of building a new one.
             camera: From where.
             resume: A ray-traced frame of the same scene, view and settings: ``config.samples`` more are added to its
                 mean, as if all had been rendered at once.
@@ -123,7 +120,7 @@ class Renderer:
             return self._frame(scene, camera, images, counts, samples=end)
 
     def trace_rays(self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike) -> RayHits:
-        """As the function ``trace_rays``; of a renderer with ``Pipeline.TRACE``, which keeps the scene's trees."""
+        """As the function ``trace_rays``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
         self._load(frame_modules(plan, self._launcher, self.config))
@@ -132,7 +129,7 @@ class Renderer:
     def transmittance(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
     ) -> FloatArray:
-        """As the function ``transmittance``; of a renderer with ``Pipeline.TRACE``, which keeps the scene's trees."""
+        """As the function ``transmittance``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
         start, along = checked_rays(origins, directions)
         distances = checked_distances(max_distance, len(start))
         self._sync_rays(scene)
@@ -140,7 +137,7 @@ class Renderer:
         return self._queries.transmittance(self._scene, start, along, distances)
 
     def _sync_rays(self, scene: Scene) -> FramePlan:
-        """Brings the device up to date for rays that a caller gives."""
+        """Syncs the scene for rays that a caller gives."""
         if self.config.pipeline is not Pipeline.TRACE:
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
         check_scene(scene)
@@ -150,7 +147,7 @@ class Renderer:
         return plan
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
-        """Refuses what cannot be drawn, and logs what is drawn otherwise."""
+        """Refuses what cannot be drawn, and logs what is drawn differently."""
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
         if plan.rasterises:
@@ -160,13 +157,13 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan) -> PrimaryHits:
-        """What the camera's rays of the current sample hit, rasterised or traced."""
+        """The hits of the camera's rays of the current sample, rasterised or traced."""
         rays = self._camera_rays.start(self._scene)
         if plan.rasterises:
             return self._raster.find_hits(self._scene, rays)
         return self._tracer.find_hits(self._scene, rays, "camera")
 
-    def _load(self, modules: list[Any], progress: Progress | None = None) -> None:
+    def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         missing = [module for module in modules if id(module) not in self._loaded]
         if missing:
             self._launcher.load(missing, progress)

@@ -1,4 +1,4 @@
-"""Named device arrays that only grow: the one place where a frame allocates."""
+"""Named device arrays that only grow: the only allocations of a frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy.typing as npt
 import warp as wp
@@ -51,8 +51,18 @@ else:
     DeviceArray = wp.array
 
 
+def device_array(array: wp.array[Any]) -> DeviceArray:
+    """The array itself: for type checkers, the field of a struct as host code uses it."""
+    return cast(DeviceArray, array)
+
+
+def bytes_of(*arrays: wp.array[Any]) -> int:
+    """Memory of arrays, bytes."""
+    return sum(device_array(array).capacity for array in arrays)
+
+
 def physical_memory() -> int:
-    """Memory that this process may have, bytes: the machine's or its container's; boundless where neither says."""
+    """Memory that this process may use, bytes: the machine's or its container's; unbounded if neither is known."""
     limits = [sys.maxsize]
     if hasattr(os, "sysconf"):
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
@@ -83,7 +93,7 @@ class Buffers:
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
         self.allocations = 0
-        """How often memory was allocated, for tests and for invalidating captured graphs."""
+        """How often memory was allocated: captured graphs are stale after a change."""
 
     def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
         """An array of ``shape`` with undefined contents.
@@ -104,7 +114,7 @@ class Buffers:
         return view
 
     def upload(self, name: str, dtype: type[object], values: npt.NDArray[Any]) -> DeviceArray:
-        """An array with an element for each row of ``values``, which are copied into it.
+        """An array with a copy of ``values``, one element a row.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -119,9 +129,9 @@ class Buffers:
         """Several arrays of ``count`` elements in one block of memory, so that one copy downloads them all.
 
         Args:
-            name: Of the block.
+            name: Name of the block.
             fields: Name, dtype and size in 32-bit words of each array's elements.
-            count: Elements of each array.
+            count: Number of elements of each array.
 
         Returns:
             The block as float32, field after field, and the arrays by name.
@@ -139,7 +149,7 @@ class Buffers:
     def struct(self, name: str, noun: type[Noun], count: int, without: Collection[str] = ()) -> Noun:
         """A struct whose fields are arrays of ``count`` elements with undefined contents, named ``name.field``.
 
-        Fields ``without`` an array are false in kernels.
+        Fields named in ``without`` get no array, and are false in kernels.
         """
         struct: Any = noun
         filled = noun()
@@ -154,11 +164,11 @@ class Buffers:
         return sum(array.capacity for array in self._arrays.values())
 
     def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:
-        self._arrays.pop(name, None)  # freed before its successor is made: the peak is one of them, not both
+        self._arrays.pop(name, None)  # freed before its successor is allocated: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         needed = size * wp.types.type_size_in_bytes(dtype)
         if self._device == "cpu" and self.bytes + needed > physical_memory():
-            # The system would promise the memory, and end the process once it is written.
+            # The system would overcommit the memory, and kill the process once it is written.
             raise DeviceError(
                 f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
             )

@@ -1,4 +1,4 @@
-"""Where work runs: device choice, kernel launches, CPU bands, CUDA graphs, stage timers. The only launch site.
+"""Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers. The only launch site.
 
 A Warp CPU launch is single-threaded but releases the GIL, so one launch is cut into bands over a thread pool. CPU
 atomics are not atomic across threads: a banded kernel writes each output element from one item only. Every kernel that
@@ -10,10 +10,10 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
-from typing import Any
+from types import ModuleType
 
 import warp as wp
 
@@ -21,14 +21,20 @@ from lumisplat.constants import BLOCK_THREADS
 from lumisplat.errors import ConfigError, DeviceError
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction done, 0..1."""
+"""Called with a label of the work and the fraction done, 0..1."""
+
+Kernel = wp.Kernel | Callable[..., None]
+"""A Warp kernel, which type checkers take for the function that it is made of."""
+
+KernelModule = ModuleType | wp.Module
+"""A Python module of kernels, or the module that Warp has made of a single kernel."""
 
 
 def resolve_device(name: str = "auto") -> str:
     """The Warp device that ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` means on this machine.
 
     Raises:
-        DeviceError: There is no such device; the message lists those there are.
+        DeviceError: There is no such device; the message lists the available ones.
     """
     available = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
     if name == "auto":
@@ -45,8 +51,8 @@ def usable_cores() -> int:
 
 
 @contextmanager
-def _finished(jobs: list[Future[None]]) -> Iterator[None]:
-    """Leaves none of the jobs at work, also after an error or an interrupt; those not yet started are cancelled."""
+def _joined(jobs: list[Future[None]]) -> Generator[None]:
+    """Ends when no job is running, also after an error or an interrupt; jobs not yet started are cancelled."""
     try:
         yield
     finally:
@@ -61,7 +67,7 @@ class Launcher:
     Args:
         device: As for ``resolve_device``.
         threads: CPU threads; None: as many as this process may use.
-        profile: Time each stage on CUDA too, at the price of a synchronisation per stage and no graph.
+        profile: Time each stage on CUDA too, which costs a synchronisation per stage and disables graphs.
         parallel: Schedule work as for CUDA, an item a pixel or a pair, instead of an item a tile or a chunk; None: on
             CUDA only. The results are the same, so the CPU can check what CUDA runs.
     """
@@ -80,12 +86,12 @@ class Launcher:
         self.stage_ms: dict[str, float] = {}
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
         self._pool = ThreadPoolExecutor(cores)
-        self._graphs: dict[str, tuple[object, Any]] = {}
+        self._graphs: dict[str, tuple[object, wp.Graph | None]] = {}
 
-    def load(self, modules: list[Any], progress: Progress | None = None) -> None:
+    def load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.
 
-        Seconds at their first use on a machine, then cached on disk. Warp's compilers run without the GIL.
+        Takes seconds at their first use on a machine; they are then cached on disk. Warp's compilers release the GIL.
         """
         label = "compiling kernels (once)"
         if progress:
@@ -93,25 +99,27 @@ class Launcher:
         jobs = [
             self._pool.submit(wp.load_module, module, device=self.device, block_dim=BLOCK_THREADS) for module in modules
         ]
-        with _finished(jobs):
+        with _joined(jobs):
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
                 if progress:
                     progress(label, done / len(modules))
 
-    def run(self, kernel: Any, count: int, *inputs: Any) -> None:
+    def run(self, kernel: Kernel, count: int, *inputs: object) -> None:
         """Runs ``count`` items of ``kernel`` in one launch."""
         if count:
-            wp.launch(kernel, dim=count, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
+            wp.launch(  # pyright: ignore[reportUnknownMemberType]
+                kernel, dim=count, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS
+            )
 
-    def run_banded(self, kernel: Any, count: int, *inputs: Any, bands: int | None = None) -> None:
+    def run_banded(self, kernel: Kernel, count: int, *inputs: object, bands: int | None = None) -> None:
         """Runs ``count`` items of ``kernel(start, *inputs)``, on the CPU in bands over all threads.
 
         Args:
             kernel: Write-once kernel whose first parameter is the first item of the band.
             count: Number of items.
             *inputs: The kernel's other parameters.
-            bands: How many bands; more balance uneven work better. None: one a thread.
+            bands: Number of bands; more of them balance uneven work better. None: one a thread.
         """
         bands = min(bands or self.threads, count)
         if self.threads == 1 or bands < 2:
@@ -122,15 +130,15 @@ class Launcher:
             self._pool.submit(self.run, kernel, end - start, start, *inputs) for start, end in itertools.pairwise(edges)
         ]
         # After an interrupt, the arrays that bands still write to must outlive them.
-        with _finished(jobs):
+        with _joined(jobs):
             for job in jobs:
                 job.result()
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Times what runs inside under ``name``; on CUDA only when profiling, as it has to wait for the device.
+    def stage(self, name: str) -> Generator[None]:
+        """Times a block of work under ``name``; on CUDA only when profiling, as it has to wait for the device.
 
-        Stages within a stage are not counted twice: the outer one has what is left.
+        The time of inner stages is not part of the outer one's.
         """
         timed = not self.is_cuda or self.profile
         started, before = time.perf_counter(), sum(self.stage_ms.values())
@@ -146,8 +154,8 @@ class Launcher:
     def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
         """Runs ``work``; on CUDA as a graph, captured anew when ``key`` changes.
 
-        ``work`` must only launch: no allocation, no readback, values that change from call to call in arrays. The
-        first call with a key runs it directly, which warms everything up; the second captures.
+        ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
+        The first call with a key runs it directly, which allocates and compiles; the second captures.
         """
         if not self.is_cuda or self.profile:
             work()

@@ -1,25 +1,31 @@
-"""Tables of structs: filled row by row in NumPy, or uploaded where fields are arrays themselves."""
+"""Tables of structs: filled in NumPy, or uploaded if their fields are arrays themselves."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
+
+from lumisplat.runtime.buffers import DeviceArray
 
 
-def table_dtype(struct: Any) -> np.dtype[np.void]:
-    """NumPy's view of a Warp struct, to fill tables of it row by row."""
-    return np.dtype(struct.numpy_dtype())
+def table_dtype(struct: type[object]) -> np.dtype[np.void]:
+    """The NumPy dtype of a Warp struct's rows."""
+    noun: Any = struct
+    return np.dtype(noun.numpy_dtype())
 
 
-def upload_structs(rows: list[Any], struct: Any, device: str) -> Any:
+def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
     """An array of structs, some of whose fields may be arrays, which the caller must keep.
 
     Bytes are copied as they are: Warp's own conversion of such structs takes milliseconds.
     """
-    kind = type(rows[0].__ctype__())
-    packed = (kind * len(rows))(*(row.__ctype__() for row in rows))
-    host = wp.array(ptr=ctypes.addressof(packed), dtype=struct, shape=len(rows), device="cpu", copy=False)
-    return wp.clone(host, device=device)
+    instances: Any = rows
+    values: list[Any] = [row.__ctype__() for row in instances]
+    packed: Any = (values[0].__class__ * len(values))(*values)
+    address = ctypes.addressof(packed)
+    table = DeviceArray(shape=len(rows), dtype=struct, device=device)
+    table.assign(DeviceArray(ptr=address, dtype=struct, shape=len(rows), device="cpu", copy=False))
+    return table

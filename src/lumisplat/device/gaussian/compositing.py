@@ -32,6 +32,20 @@ def empty_pixel() -> BlendState:
 
 
 @wp.func
+def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
+    """A pixel that shows one splat, as if it were opaque; index -1: none."""
+    pixel = empty_pixel()
+    if index >= 0:
+        pixel.surface = index
+        pixel.first = index
+        pixel.transmittance = 0.0
+        pixel.color = splats[index].color
+        pixel.normal = splats[index].normal
+        pixel.hits = 1
+    return pixel
+
+
+@wp.func
 def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
     """Camera-space direction through a pixel's centre, with z = 1."""
     return wp.vec3(

@@ -41,8 +41,8 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 def blend_hit(
     pixel: BlendState,
     view: TraceData,
-    instances: wp.array(dtype=SplatInstanceData),
-    assets: wp.array(dtype=AssetBvh),
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[AssetBvh],
     ray: Ray,
     index: int,
     alpha: float,

@@ -9,10 +9,10 @@ from lumisplat.device.structs.scene import GaussianData
 Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
 
-NO_CHILD = wp.constant(2**31 - 1)
+NO_CHILD: int = wp.constant(2**31 - 1)
 """Link of an empty child."""
 
-FAR = wp.constant(wp.float32(1.0e30))
+FAR: float = wp.constant(wp.float32(1.0e30))
 """Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
 
 
@@ -59,9 +59,9 @@ class Node:
 class AssetBvh:
     """A Gaussian set as rays meet it."""
 
-    nodes: wp.array(dtype=Node)
+    nodes: wp.array[Node]
     """The root first."""
-    particles: wp.array(dtype=Particle)
+    particles: wp.array[Particle]
     """In the order of the tree."""
     gaussians: GaussianData
 

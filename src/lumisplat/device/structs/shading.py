@@ -193,7 +193,7 @@ class RayRadiance:
     capture_factor: wp.array[wp.vec3]
     """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
     reflection: wp.array[wp.vec3]
-    """The part of ``light`` from specular bounces; like the next two without elements if the frame has no such image."""
+    """The part of ``light`` from specular bounces; like the next two without elements if the frame lacks this image."""
     albedo: wp.array[wp.vec3]
     """Linear: the surfaces' own colour."""
     emission: wp.array[wp.vec3]
@@ -216,13 +216,13 @@ class WaveData:
     gaussians: GaussianHits
     interactions: Interactions
     radiance: RayRadiance
-    path_weights: wp.array(dtype=float)
+    path_weights: wp.array[float]
     """Largest share of a ray's colour in its pixel."""
-    weights: wp.array(dtype=wp.vec3)
+    weights: wp.array[wp.vec3]
     """Share of a ray's colour in that of the ray it branches off; without elements in the first wave."""
-    branches: wp.array(dtype=int)
+    branches: wp.array[int]
     """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one."""
-    branch_ends: wp.array(dtype=int)
+    branch_ends: wp.array[int]
     """Inclusive sum of these: one more than the place of the branch's ray in the next wave."""
 
 

@@ -1,1 +1,1 @@
-"""Light transport: what the rays of a frame see, over all bounces."""
+"""Light transport: the radiance of a frame's rays, over all bounces."""

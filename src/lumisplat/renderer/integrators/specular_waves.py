@@ -1,14 +1,14 @@
-"""Host pass: from wave to wave, by way of mirrors and glass.
+"""Host pass: waves of reflected and refracted rays.
 
-Rays go out in waves: those that leave the smooth surfaces of one wave are the next. Colours come back the other way,
-from the last wave to the first, so that every element is written by one item, whatever the number of threads.
+The rays that leave the smooth surfaces of one wave are the next wave. Radiance is gathered from the last wave to the
+first, so that one item writes each element, whatever the number of threads.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import cast
 
 import warp as wp
 
@@ -16,12 +16,13 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import specular_wave_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum
 
 
 class SpecularWaves:
-    """Spawns the rays of the next wave, and gathers what they see.
+    """Spawns the rays of the next wave, and gathers their radiance.
 
     Args:
         launcher: Runs the kernels.
@@ -32,25 +33,26 @@ class SpecularWaves:
         self._launcher, self._buffers = launcher, buffers
 
     def count(self, wave: RayWave) -> int:
-        """How many rays go on; the host waits for it, so that such a frame cannot be captured as a graph."""
-        wp.utils.array_scan(wave.row.branches, wave.row.branch_ends, inclusive=True)
-        return int(wave.row.branch_ends[-1:].numpy()[0])
+        """Number of rays of the next wave. The host waits for it, so such a frame cannot be captured as a graph."""
+        branches, ends = cast(DeviceArray, wave.row.branches), cast(DeviceArray, wave.row.branch_ends)
+        prefix_sum(branches, ends, inclusive=True)
+        return int(ends[-1:].numpy()[0])
 
-    def spawn(self, scene: DeviceScene, wave: RayWave, count: int) -> tuple[RayData, Any]:
-        """The ``count`` rays that go on from a wave, and their weights; writes the path weights of the next wave."""
+    def spawn(self, scene: DeviceScene, wave: RayWave, count: int) -> tuple[RayData, DeviceArray]:
+        """The ``count`` rays of the next wave, and their weights; also writes their path weights."""
         number = wave.number + 1
-        capacity = grown_capacity(count)  # a few sizes of arrays instead of one a frame
+        capacity = grown_capacity(count)  # a few array sizes instead of one per frame
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
-        rays.is_active.fill_(False)
+        rays.is_active.zero_()
         weights = self._buffers.get(f"wave.{number}.weights", wp.vec3, capacity)
         path_weights = self._buffers.get(f"wave.path_weights{number % 2}", wp.float32, capacity)
         self._launcher.run_banded(
             kernels.spawn_rays,
-            wave.row.branches.shape[0],
+            len(wave.row.branches),
             *(scene.shading, wave.data, rays, weights, path_weights),
         )
         return rays, weights
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
-        """Adds what the rays of a wave see to what those see that they branch off."""
+        """Adds the radiance of the ``far`` wave's rays to the rays of the ``near`` wave that they branch off."""
         self._launcher.run_banded(kernels.gather_branches, near.count, scene.shading, far.data, near.data)

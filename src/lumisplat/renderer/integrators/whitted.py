@@ -1,9 +1,8 @@
-"""Host pass: direct light and specular reflection and refraction (Whitted 1980), from primary hits on."""
+"""Host pass: radiance of primary hits by direct light, specular reflection and refraction (Whitted 1980)."""
 
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 from lumisplat.config import RenderConfig
 from lumisplat.renderer.integrators.specular_waves import SpecularWaves
@@ -15,18 +14,18 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 
 
 class WhittedIntegrator:
-    """Computes what rays see: lit or unlit, over all bounces.
+    """Computes the radiance of rays, lit or unlit, over all bounces.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        tracer: Finds the hits of the rays that go on.
+        tracer: Finds the hits of reflected and refracted rays.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
@@ -39,8 +38,8 @@ class WhittedIntegrator:
         """The first wave, with the radiance of its rays over all bounces.
 
         Args:
-            scene: Up to date.
-            plan: Of the frame.
+            scene: The scene on the device, synced.
+            plan: Plan of the frame.
             hits: The rays, and what they hit.
             sample: Number of the sample.
         """
@@ -56,11 +55,11 @@ class WhittedIntegrator:
         return waves[0]
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """What each light gave the rays of these hits, if the frame asks for it."""
+        """The light of each light that the rays of these hits see, if the frame asks for it."""
         return self._direct_light.images(scene, plan, hits.count)
 
     def _shade_wave(
-        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: Any = None
+        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None = None
     ) -> RayWave:
         """A wave with emission and direct light."""
         may_branch = number < plan.max_bounces and scene.has_smooth_meshes and hits.count > 0
@@ -70,5 +69,5 @@ class WhittedIntegrator:
         return wave
 
     def _branch_count(self, wave: RayWave) -> int:
-        """How many rays go on from a wave; 0 where they would exceed ``max_bounces``."""
+        """Number of rays of the next wave; 0 if they would exceed ``max_bounces``."""
         return self._specular.count(wave) if wave.row.may_branch else 0

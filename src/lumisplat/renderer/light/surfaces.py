@@ -48,8 +48,6 @@ class Surfaces:
         """
         with self._launcher.stage("shade"):
             wave = self._wave(plan, hits, number, weights, may_branch)
-            if wave.is_primary:
-                wave.row.path_weights.fill_(1.0)
             self._launcher.run_banded(kernels.shade_surfaces, wave.count, scene.shading, wave.data)
         return wave
 
@@ -62,8 +60,11 @@ class Surfaces:
         row.rays, row.meshes, row.gaussians = hits.rays, hits.meshes, hits.gaussians
         row.interactions = self._interactions(plan, count)
         row.radiance = self._radiance(plan, count, number)
-        row.path_weights = get(f"wave.path_weights{number % 2}", wp.float32, count)
-        row.weights = weights
+        row.path_weights = path_weights = get(f"wave.path_weights{number % 2}", wp.float32, count)
+        if weights is None:
+            path_weights.fill_(1.0)
+        else:
+            row.weights = weights
         row.branches = get(f"wave.{number}.branches", wp.int32, 2 * count)
         row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, 2 * count)
         return RayWave(number, hits, row, upload_structs([row], WaveData, self._launcher.device))

@@ -1,10 +1,10 @@
-"""Host passes that order items by depth and list them per tile; two schedules with the same result."""
+"""Host passes that sort items by depth and list them per tile; two schedules with the same result."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import warp as wp
 
@@ -12,23 +12,24 @@ from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
 from lumisplat.device.structs.raster import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
-from lumisplat.runtime.buffers import Buffers, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 
 @dataclass(frozen=True, slots=True)
 class DepthOrder:
     """Items front to back; ties keep their order."""
 
-    order: Any
+    order: DeviceArray
     """Item indices; those after ``count`` are not visible."""
     count: int
-    """Items to list; in the parallel schedule all of them, as the visible count stays on the device."""
+    """Number of items to list; in the parallel schedule all of them, as the visible count stays on the device."""
 
 
 @dataclass(frozen=True, slots=True)
 class BinningCounts:
-    """What the last frame's order held."""
+    """Counts of the last frame."""
 
     visible: int = 0
     """Gaussians that can touch the image."""
@@ -42,9 +43,10 @@ class BinningCounts:
 class TileLists:
     """Which items touch each tile, in depth order."""
 
-    starts: Any
-    """First entry of each tile, and last the total."""
-    items: Any
+    starts: DeviceArray
+    """First entry of each tile; the last element is the total."""
+    items: DeviceArray
+    """Item indices, tile after tile."""
 
 
 class Binning(ABC):
@@ -58,9 +60,9 @@ class Binning(ABC):
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self.counts = BinningCounts()
-        """Of the last finished frame."""
+        """Counts of the last finished frame."""
         self.growth = 0
-        """How often a list was cut and given more room: a graph captured before is stale."""
+        """How often a truncated list was enlarged: captured graphs are stale after a change."""
 
     @abstractmethod
     def begin(self) -> None:
@@ -68,18 +70,18 @@ class Binning(ABC):
 
     @abstractmethod
     def finish(self) -> bool:
-        """Ends a frame; False if a list was cut: there is room now, and the frame has to be drawn again."""
+        """Ends a frame; False if a list was truncated: it is enlarged now, and the frame has to be drawn again."""
 
     @abstractmethod
-    def sort(self, keys: Any) -> DepthOrder:
-        """Orders items by key; those that are culled come last or are dropped."""
+    def sort(self, keys: DeviceArray) -> DepthOrder:
+        """Sorts items by key; culled ones come last or are dropped."""
 
     @abstractmethod
     def unsorted(self, count: int) -> DepthOrder:
         """All items, in their own order."""
 
     @abstractmethod
-    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+    def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile; ``name`` is ``raster`` or ``mesh``."""
 
 
@@ -88,15 +90,16 @@ class BinningChunked(Binning):
 
     def begin(self) -> None:
         """Starts a frame."""
-        self._visible, self._nonfinite, self._pairs = 0, 0, {}
+        self._visible = self._nonfinite = 0
+        self._pairs: dict[str, int] = {}
 
     def finish(self) -> bool:
-        """Ends a frame; its lists are complete, as counts are known in time."""
+        """Ends a frame; its lists are complete, as counts are known before lists are written."""
         self.counts = BinningCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
         return True
 
-    def sort(self, keys: Any) -> DepthOrder:
-        """Orders the visible items by key: a radix sort whose first pass also drops the culled ones."""
+    def sort(self, keys: DeviceArray) -> DepthOrder:
+        """Sorts the visible items by key: a radix sort whose first pass also drops the culled ones."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         ranges = buffers.get("order.ranges", ChunkData, chunks)
         run(kernels.measure_keys, chunks, chunks, keys, ranges)
@@ -104,7 +107,7 @@ class BinningChunked(Binning):
         self._visible = visible = int(measured["visible"].sum())
         self._nonfinite = int(measured["nonfinite"].sum())
         capacity = keys.shape[0]
-        spare = [buffers.get(f"order.keys{i}", wp.uint32, capacity) for i in (0, 1)]
+        sorted_keys = [buffers.get(f"order.keys{i}", wp.uint32, capacity) for i in (0, 1)]
         order = [buffers.get(f"order.indices{i}", wp.int32, capacity) for i in (0, 1)]
         if visible == 0:
             return DepthOrder(order[0], 0)
@@ -117,7 +120,7 @@ class BinningChunked(Binning):
         keys_in, order_in, count = keys, order[1], capacity
         for number in range(passes):
             digit = (wp.uint32(key_min), wp.uint32(number * digit_bits), wp.uint32((1 << digit_bits) - 1))
-            keys_out, order_out = spare[number % 2], order[number % 2]
+            keys_out, order_out = sorted_keys[number % 2], order[number % 2]
             run(kernels.count_digits, chunks, chunks, count, *digit, keys_in, counts)
             self._launcher.run(kernels.scan_counts, 1, chunks, counts, starts)
             run(
@@ -134,7 +137,7 @@ class BinningChunked(Binning):
         self._launcher.run_banded(kernels.fill_identity, count, order)
         return DepthOrder(order, count)
 
-    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+    def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: a counting sort by tile."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         count = depth_order.count
@@ -154,7 +157,7 @@ class BinningParallel(Binning):
     """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
-    """Where a list's total stands, after the visible and non-finite counts."""
+    """Index of a list's total, after the visible and non-finite counts."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)
@@ -166,7 +169,7 @@ class BinningParallel(Binning):
         self._totals.zero_()
 
     def finish(self) -> bool:
-        """Waits for the frame; False if a list was cut: there is room now, and the frame has to be drawn again.
+        """Waits for the frame; False if a list was truncated: it is enlarged now, and the frame has to be drawn again.
 
         Raises:
             DeviceError: A list is longer than 32-bit indices reach.
@@ -181,14 +184,14 @@ class BinningParallel(Binning):
                 complete = False
         return complete
 
-    def sort(self, keys: Any) -> DepthOrder:
-        """Orders all items by key; the culled ones come last and have empty rectangles."""
+    def sort(self, keys: DeviceArray) -> DepthOrder:
+        """Sorts all items by key; culled ones come last and have empty rectangles."""
         count = keys.shape[0]
         sorted_keys = self._buffers.get("order.keys", wp.uint32, 2 * count)
         order = self._buffers.get("order.indices", wp.int32, 2 * count)
-        wp.copy(sorted_keys, keys, count=count)
+        copy_elements(keys, sorted_keys, count)
         self._launcher.run(kernels.fill_identity, count, 0, order)
-        wp.utils.radix_sort_pairs(sorted_keys, order, count)
+        sort_pairs(sorted_keys, order, count)
         self._launcher.run(kernels.count_sorted_keys, 1, count, sorted_keys, self._totals)
         return DepthOrder(order, count)
 
@@ -198,7 +201,7 @@ class BinningParallel(Binning):
         self._launcher.run(kernels.fill_identity, count, 0, order)
         return DepthOrder(order, count)
 
-    def bin(self, name: str, depth_order: DepthOrder, rects: Any, tiles_x: int, tile_count: int) -> TileLists:
+    def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
         """Lists the ordered items of each tile: (tile, item) pairs in depth order, sorted stably by tile."""
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
         capacity = self._capacity.setdefault(name, grown_capacity(2 * count))
@@ -208,11 +211,11 @@ class BinningParallel(Binning):
         items = buffers.get(f"{name}.items", wp.int32, 2 * capacity)
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
         run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, counts)
-        wp.utils.array_scan(counts, offsets, inclusive=False)
+        prefix_sum(counts, offsets, inclusive=False)
         run(kernels.sum_pairs, PAIR_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
         run(kernels.clear_pairs, capacity, 0, tile_count, tiles)
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
-        wp.utils.radix_sort_pairs(tiles, items, capacity, end_bit=tile_count.bit_length())
+        sort_pairs(tiles, items, capacity, bits=tile_count.bit_length())
         run(kernels.find_tile_starts, tile_count + 1, 0, capacity, tiles, starts)
         return TileLists(starts, items)
 

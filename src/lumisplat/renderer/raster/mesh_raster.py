@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import warp as wp
 
@@ -14,17 +13,20 @@ from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.raster import mesh_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
 
 
 @dataclass(frozen=True, slots=True)
 class _NearestTriangles:
-    """Which triangle is nearest at each pixel; there are no triangles where the scene has no meshes."""
+    """The nearest triangle at each pixel; no triangles if the scene has no meshes."""
 
-    depth: Any
-    triangles: Any = None
-    winners: Any = None
+    depth: DeviceArray
+    """View depth; inf: no triangle."""
+    triangles: DeviceArray | None = None
+    """``Triangle`` of all mesh instances."""
+    winners: DeviceArray | None = None
+    """Number of the triangle; -1: none."""
 
 
 class MeshRaster:
@@ -58,14 +60,14 @@ class MeshRaster:
         return pixels
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> tuple[MeshPixels, MeshHits]:
-        """Depth of the meshes at each pixel alone, and their hits on the rays of the pixels."""
+        """Only the depth of the meshes at each pixel, and their hits on the rays of the pixels."""
         nearest = self._find(scene)
-        count = rays.t_max.shape[0]
+        count = len(rays.t_max)
         pixels = MeshPixels()
         pixels.depth_z = nearest.depth
         hits = self._buffers.struct("raster.meshes", MeshHits, count)
         if nearest.triangles is None:
-            hits.face.fill_(-1)
+            device_array(hits.face).fill_(-1)
             hits.t = rays.t_max
         else:
             self._launcher.run_banded(
@@ -95,7 +97,8 @@ class MeshRaster:
             self._launcher.run_banded(kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
         return _NearestTriangles(depth, triangles, winners)
 
-    def _project(self, scene: DeviceScene) -> tuple[Any, Any]:
+    def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:
+        """The triangles of all mesh instances, and the tiles that each may touch."""
         triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)
         rects = self._buffers.get("mesh.rects", TileRect, scene.triangle_count)
         self._launcher.run_banded(

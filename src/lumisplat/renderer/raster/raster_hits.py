@@ -1,4 +1,4 @@
-"""Host pass: primary hits by rasterisation, as rays would find them."""
+"""Host pass: primary hits by rasterisation, as the ray tracer finds them."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class RasterHits:
         """What the rays of the scene's current sample hit.
 
         Args:
-            scene: Up to date, with a sharp pinhole camera at this sample.
-            rays: Those of its pixels.
+            scene: The scene on the device, at this sample, with a pinhole camera without aperture.
+            rays: The rays of its pixels.
         """
         hits = self._draw(scene, rays)
         while not self._binning.finish():
@@ -53,7 +53,7 @@ class RasterHits:
     def _draw(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
         stage = self._launcher.stage
         is_sorted = self._config.raster.strategy is RasterStrategy.SORTED
-        gaussians = self._buffers.struct("raster.gaussians", GaussianHits, rays.t_max.shape[0])
+        gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max))
         self._binning.begin()
         with stage("mesh"):
             pixels, meshes = self._meshes.find_hits(scene, rays)

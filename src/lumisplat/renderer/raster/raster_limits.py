@@ -1,4 +1,4 @@
-"""What the rasteriser cannot draw as it is: refused, or drawn otherwise and logged once."""
+"""Limits of the rasteriser: scenes and cameras that it refuses, or draws differently and logs once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _log = logging.getLogger("lumisplat")
 
 
 def refuse_lens(camera: Camera) -> None:
-    """Raises a `SceneError` for a camera that only rays can draw: the raster is one sharp pinhole image at one time."""
+    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
     problem = None
     if camera.model is not CameraModel.PINHOLE:
         problem = f"is {camera.model.value}"
@@ -34,7 +34,7 @@ class RasterWarnings:
         self._has_warned_of_mirrors = False
 
     def warn_of_mirrors(self, scene: Scene) -> None:
-        """Logs once that smooth meshes show no more than the environment, or the background, in lit frames."""
+        """Logs once that smooth meshes only reflect the environment, or the background, in lit frames."""
         count = sum(instance.mesh.material.is_smooth for instance in scene.meshes)
         if count and not self._has_warned_of_mirrors:
             self._has_warned_of_mirrors = True
@@ -45,7 +45,7 @@ class RasterWarnings:
             )
 
     def warn_of_degree(self, scene: Scene) -> None:
-        """Logs once for each kernel degree that is not the raster's own, which is Gaussian."""
+        """Logs once for each kernel degree other than the rasteriser's, which is Gaussian."""
         degrees = {instance.gaussians.kernel_degree for instance in scene.splats} - {KERNEL_DEGREE}
         for degree in sorted(degrees - self._warned_of_degrees):
             _log.warning(

@@ -1,9 +1,8 @@
-"""Host pass: splats, in front of meshes, into pixels or the hits of their rays (Kerbl et al. 2023, section 6)."""
+"""Host pass: composites splats before meshes into pixels, or into hits of their rays (Kerbl et al. 2023, section 6)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -16,20 +15,20 @@ from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.renderer.raster import splat_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Kernel, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectedSplats:
-    """All Gaussians of a scene as an image sees them, one element each."""
+    """All Gaussians of a scene, projected to the image, one element each."""
 
-    data: Any
-    """``Splat``; undefined where it is culled."""
-    keys: Any
-    """By which they are sorted by depth."""
-    rects: Any
+    data: DeviceArray
+    """``Splat``; undefined if culled."""
+    keys: DeviceArray
+    """Depth keys, by which they are sorted."""
+    rects: DeviceArray
     """Tiles that each may touch."""
 
     @property
@@ -42,11 +41,11 @@ class ProjectedSplats:
 class SplatTiles:
     """The splats of each tile, in the order in which they are blended."""
 
-    splats: Any
+    splats: DeviceArray
     """``Splat`` of all Gaussians of the scene."""
-    starts: Any
-    """First entry of each tile, and last the total."""
-    items: Any
+    starts: DeviceArray
+    """First entry of each tile; the last element is the total."""
+    items: DeviceArray
     """Numbers of splats, tile after tile."""
 
 
@@ -83,7 +82,7 @@ class SplatRaster:
         return splats
 
     def bin(self, scene: DeviceScene, order: DepthOrder, splats: ProjectedSplats) -> SplatTiles:
-        """The splats of each tile, in that order."""
+        """The splats of each tile, in this order."""
         tiles_x, tiles_y = scene.tile_grid
         lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
         return SplatTiles(splats.data, lists.starts, lists.items)
@@ -95,7 +94,7 @@ class SplatRaster:
         meshes: MeshPixels,
         pixels: PixelData,
     ) -> None:
-        """Blends each pixel's splats front to back down to the mesh, and the mesh or background behind them."""
+        """Blends each pixel's splats front to back over the mesh or the background."""
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
 
@@ -108,14 +107,14 @@ class SplatRaster:
         *,
         counts: bool,
     ) -> None:
-        """The same, but writes what the splats before the mesh give the rays of the pixels.
+        """Writes the blended splats before the mesh as the Gaussian hits of the pixels' rays.
 
-        Tiles do not count how many are blended: where it ``counts``, pixels are worked on one by one for that.
+        The kernel of tiles does not count blended splats: if ``counts``, the kernel of pixels runs as well.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
         if counts and not self._launcher.is_parallel:
-            counted = self._buffers.struct("raster.counted", GaussianHits, hits.hits.shape[0])
+            counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits))
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
 
@@ -126,18 +125,18 @@ class SplatRaster:
         meshes: MeshPixels,
         hits: GaussianHits,
     ) -> None:
-        """One splat a pixel, selected with its weight as probability; lists need no order."""
+        """Samples one splat a pixel, with its weight as probability; the lists need no order."""
         inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
         self._run_tiles(scene, kernels.sample_tiles, kernels.sample_pixels, inputs)
 
-    def _composite(self, scene: DeviceScene, arguments: tuple[Any, ...], *, by_pixel: bool = False) -> None:
+    def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)
         self._run_tiles(scene, kernels.composite_tiles, kernels.composite_pixels, inputs, by_pixel=by_pixel)
 
     def _run_tiles(
-        self, scene: DeviceScene, tiles: Any, pixels: Any, inputs: tuple[Any, ...], *, by_pixel: bool = False
+        self, scene: DeviceScene, tiles: Kernel, pixels: Kernel, inputs: tuple[object, ...], *, by_pixel: bool = False
     ) -> None:
-        """Runs the kernel of ``tiles``, or that of ``pixels``, which does the same: one block of pixels is a tile."""
+        """Runs the kernel of ``tiles`` or, with the same result, that of ``pixels``; one block of pixels is a tile."""
         tiles_x, tiles_y = scene.tile_grid
         if self._launcher.is_parallel or by_pixel:
             self._launcher.run_banded(pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, *inputs)

@@ -13,8 +13,16 @@ import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, TILE_PX
 from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
-from lumisplat.device.gaussian.compositing import blend, empty_pixel, store_gaussian_hits, store_pixel
+from lumisplat.device.gaussian.compositing import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_pixel
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
+from lumisplat.device.gaussian.splat_coverage import (
+    first_touching,
+    is_finite,
+    log_alpha_at,
+    rows_of,
+    tile_range,
+    visible_alpha,
+)
 from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.film import PixelData
@@ -37,34 +45,6 @@ TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
 CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
-
-
-@wp.func
-def is_finite(splat: Splat) -> bool:
-    """No NaN or infinity where it would reach a pixel or an index."""
-    total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
-    total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
-    return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
-
-
-@wp.func
-def tile_range(camera: CameraData, splat: Splat) -> TileRect:
-    """Tiles whose pixel centres the splat's box covers."""
-    rect = TileRect()
-    low = splat.center - splat.extent - wp.vec2(0.5)
-    high = splat.center + splat.extent - wp.vec2(0.5)
-    last_x = float(camera.width - 1)
-    last_y = float(camera.height - 1)
-    x0 = int(wp.ceil(wp.clamp(low[0], 0.0, last_x)))
-    y0 = int(wp.ceil(wp.clamp(low[1], 0.0, last_y)))
-    x1 = int(wp.floor(wp.clamp(high[0], 0.0, last_x)))
-    y1 = int(wp.floor(wp.clamp(high[1], 0.0, last_y)))
-    if x0 <= x1 and y0 <= y1:
-        rect.x0 = wp.int16(x0 // TILE)
-        rect.y0 = wp.int16(y0 // TILE)
-        rect.x1 = wp.int16(x1 // TILE + 1)
-        rect.y1 = wp.int16(y1 // TILE + 1)
-    return rect
 
 
 @wp.kernel
@@ -100,29 +80,6 @@ def project_splats(
 
 
 @wp.func
-def log_alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Logarithm of a splat's alpha at a pixel, before it is limited."""
-    dy = float(y) + 0.5 - splat.center[1]
-    dx = float(x) + 0.5 - splat.center[0] - splat.shear * dy
-    return splat.log_opacity - splat.across * dy * dy - splat.along * dx * dx
-
-
-@wp.func
-def visible_alpha(log_alpha: float) -> float:
-    """Alpha of a logarithm, 0 below 1/255; a selection, so that rows of pixels vectorise."""
-    return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
-
-
-@wp.func
-def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
-    """The first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
-    center_y = splat.center[1] - float(top)
-    first = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
-    last = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1))))
-    return wp.vec2i(first, last + 1)
-
-
-@wp.func
 def store_result(
     camera: CameraData,
     raster: RasterData,
@@ -141,30 +98,6 @@ def store_result(
         store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
     else:
         store_pixel(camera, raster, instances, splats, meshes, pixel, x, y, pixels_out)
-
-
-@wp.func
-def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
-    """A pixel that shows one splat, as if it were opaque; index -1: none."""
-    pixel = empty_pixel()
-    if index >= 0:
-        pixel.surface = index
-        pixel.first = index
-        pixel.transmittance = 0.0
-        pixel.color = splats[index].color
-        pixel.normal = splats[index].normal
-        pixel.hits = 1
-    return pixel
-
-
-@wp.func
-def first_touching(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, x: int, y: int) -> int:
-    """The first splat that touches a pixel; -1: none does."""
-    for j in range(begin, end):
-        index = tile_splats[j]
-        if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
-            return index
-    return -1
 
 
 @wp.kernel

@@ -1,11 +1,12 @@
-"""Host pass: the one fast path. An unlit, sorted raster frame goes to its pixels without rays and samples.
+"""Host pass: the one fast path. An unlit, sorted raster frame is composited straight into its pixels.
 
-Through primary hits, such a frame takes 12 to 24 % longer (docs/benchmarks.md): each pixel would start a ray, keep
-hits and shade them, only to show what the compositor has in its registers.
+Through primary hits, such a frame takes 12 to 24 % longer (docs/benchmarks.md): each pixel would start a ray, store
+its hits and shade them, only to show what the compositor has in its registers.
 """
 
 from __future__ import annotations
 
+from lumisplat.device.structs.film import PixelData
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
@@ -16,7 +17,7 @@ from lumisplat.runtime.launcher import Launcher
 
 
 class UnlitRaster:
-    """Draws frames in one go; on CUDA as a captured graph.
+    """Draws frames without samples; on CUDA as a captured graph.
 
     Args:
         launcher: Runs the kernels.
@@ -32,11 +33,11 @@ class UnlitRaster:
         self._launcher, self._buffers = launcher, buffers
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
-    def draw(self, scene: DeviceScene) -> PixelBuffers:
+    def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
         """The pixels of a frame.
 
         Args:
-            scene: Up to date, with a sharp pinhole camera.
+            scene: The scene on the device, synced, with a pinhole camera without aperture.
         """
         pixels = PixelBuffers.of(self._buffers, scene.image_size)
         self._replay(scene, pixels)
@@ -44,11 +45,11 @@ class UnlitRaster:
             self._replay(scene, pixels)
         return pixels
 
-    def _replay(self, scene: DeviceScene, pixels: PixelBuffers) -> None:
+    def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
         key = (*scene.image_size, scene.version, self._buffers.allocations, self._binning.growth)
         self._launcher.replay("frame", key, lambda: self._passes(scene, pixels))
 
-    def _passes(self, scene: DeviceScene, pixels: PixelBuffers) -> None:
+    def _passes(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
         stage = self._launcher.stage
         self._binning.begin()
         with stage("mesh"):

@@ -1,1 +1,1 @@
-"""The scene on the device: assets, instances, lights, materials and bounding volume hierarchies."""
+"""The plan of a frame, and the scene on the device: assets, instances, lights, materials, hierarchies."""

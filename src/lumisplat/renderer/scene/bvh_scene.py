@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.splat_assets import SplatAsset
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.gaussians import Gaussians
@@ -45,9 +44,9 @@ class BvhScene:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self._held: list[HeldBvh] = []
-        self.assets: Any = None
-        """What the instances place, as AssetBvh."""
-        self.tlas_nodes: Any = None
+        self.assets: DeviceArray
+        """What the instances place, as AssetBvh; written by ``sync``."""
+        self.tlas_nodes: DeviceArray
         """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
         self._placed: object = None
         self.packet_radius = 0.0
@@ -118,7 +117,7 @@ class BvhScene:
         return HeldBvh(gaussians, data, kernel, GaussianBvh(self._launcher, data, kernel))
 
     def _asset_rows(self) -> list[AssetBvh]:
-        rows = []
+        rows: list[AssetBvh] = []
         for held in self._held:
             row = AssetBvh()
             row.nodes, row.particles, row.gaussians = held.bvh.nodes, held.bvh.particles, held.data

@@ -1,4 +1,4 @@
-"""The camera on the device, written anew for each sample."""
+"""The camera's table on the device, rewritten for each sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
 CENTER = (0.5, 0.5)
-"""Of a pixel."""
+"""The centre of a pixel."""
 
 _MODELS = {
     CameraModel.PINHOLE: PINHOLE,
@@ -24,8 +24,8 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     """The 1-element table from which kernels read the camera.
 
     Args:
-        camera: What it describes.
-        offset: Where in each pixel the sample lies, 0..1.
+        camera: The camera.
+        offset: Position of the sample in each pixel, 0..1.
     """
     row = table = np.zeros(1, dtype=table_dtype(CameraData))
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
@@ -58,6 +58,6 @@ def tile_grid(width: int, height: int) -> tuple[int, int]:
 
 
 def subpixel(sample: int) -> tuple[float, float]:
-    """Where in its pixel a sample lies, 0..1: the centre, then the R2 sequence from there (Roberts 2018)."""
+    """Position of a sample in its pixel, 0..1: the centre, then the R2 sequence from there (Roberts 2018)."""
     x, y = SUBPIXEL_STEPS
     return (0.5 + sample * x) % 1.0, (0.5 + sample * y) % 1.0

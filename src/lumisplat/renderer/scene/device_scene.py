@@ -1,8 +1,6 @@
-"""The scene on the device: all that kernels read of it, brought up to date once a frame."""
+"""The scene on the device: all that kernels read of it, synced once a frame."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -29,7 +27,7 @@ class DeviceScene:
     """Device copies of a scene's assets, and the tables of its camera, instances, materials and lights.
 
     Args:
-        launcher: Runs what builds hierarchies.
+        launcher: Runs the kernels that build hierarchies.
         buffers: Holds the tables.
         config: Settings; they do not change.
     """
@@ -42,13 +40,15 @@ class DeviceScene:
         self._sample["seed"] = config.seed
         self._shading = ShadingTables(buffers, config, launcher.device)
         self.bvh = BvhScene(launcher)
-        """What rays go through to hit Gaussians; up to date where the plan of the frame follows rays."""
+        """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
         self.assets: list[SplatAsset] = []
         """The distinct Gaussian sets."""
-        self.camera: Any = self._buffers.get("camera", CameraData, 1)
-        self.sample: Any = self._buffers.get("sample", SampleData, 1)
-        self.splat_instances: Any = None
-        self.mesh_instances: Any = None
+        self.camera = self._buffers.get("camera", CameraData, 1)
+        self.sample = self._buffers.get("sample", SampleData, 1)
+        self.splat_instances: DeviceArray
+        """One SplatInstanceData an instance; written by ``sync``."""
+        self.mesh_instances: DeviceArray
+        """One MeshInstanceData an instance; written by ``sync``."""
         self.image_size = (0, 0)
         """Width and height, pixels."""
         self.gaussian_count = 0
@@ -56,9 +56,9 @@ class DeviceScene:
         self.triangle_count = 0
         """Triangles over all instances."""
         self.has_smooth_meshes = False
-        """Whether rays go on from some mesh, reflected or refracted."""
+        """Whether some mesh reflects or refracts rays."""
         self.version = 0
-        """Changes whenever the arrays of assets did, so that captured graphs can tell."""
+        """Changes with the arrays of assets: captured graphs are then stale."""
 
     @property
     def mesh_data(self) -> MeshData:
@@ -66,13 +66,13 @@ class DeviceScene:
         return self._meshes.data
 
     @property
-    def shading(self) -> Any:
-        """All that shading reads: a 1-element ShadingScene array; up to date where the frame is sampled."""
+    def shading(self) -> DeviceArray:
+        """All that shading reads: a 1-element ShadingScene array; synced if the frame is sampled."""
         return self._shading.data
 
     @property
     def lights(self) -> ShadingTables:
-        """Which lights there are."""
+        """The lights of the scene, and their names."""
         return self._shading
 
     @property
@@ -99,7 +99,7 @@ class DeviceScene:
                 self.bvh.sync(scene, self.assets, self._config)
 
     def begin_sample(self, index: int, *, is_last: bool) -> None:
-        """Before sample ``index`` of each pixel: moves the camera's rays to where it lies in the pixel."""
+        """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
         self._sample["index"], self._sample["is_last"] = index, is_last
         self.sample.assign(self._sample)
         self.camera.assign(camera_table(self._camera, subpixel(index if self._config.jitter else 0)))
@@ -120,7 +120,7 @@ class DeviceScene:
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
         try:
             if structure != self._structure:
-                self._structure = None  # until all of it is there: a failed upload is not taken for a finished one
+                self._structure = None  # a failed upload does not count as finished
                 self.assets = sync_splat_assets(scene, self.assets, self._launcher.device)
                 self._meshes.sync(scene)
                 self._structure = structure

@@ -1,4 +1,4 @@
-"""What a frame needs, decided once: everything after it reads the plan instead of asking the settings again."""
+"""What a frame needs, decided once: all passes read the plan instead of the settings."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ class FramePlan:
     """The passes of a frame."""
 
     is_lit: bool
-    """Lights light what reflects."""
+    """Lights light the surfaces that reflect."""
     rasterises: bool
     """Primary hits are rasterised; otherwise traced."""
     follows_rays: bool
-    """Some rays go through the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
+    """Some rays traverse the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
     traces_rays: bool
-    """Some of them find hits to be shaded: those from the camera or from mirrors."""
+    """Some of these rays find hits to be shaded: from the camera or from mirrors."""
     casts_shadows: bool
     """Some light is shadowed by what its shadow rays hit."""
     spawns_shadow_rays: bool
-    """Rays towards lights start at interactions: for shadows, or for images of what each light gives."""
+    """Rays towards lights start at interactions: for shadows, or for images of each light."""
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     max_bounces: int
-    """How often rays are followed that smooth meshes reflect and refract."""
+    """How many times a ray is reflected or refracted by smooth meshes at most."""
     has_shadow_only: bool
-    """Some set is only darkened by shadows."""
+    """Some splat set is shadow-only."""
     aovs: frozenset[str]
-    """Further images that the frame has."""
+    """Further images of the frame."""
     for_camera: bool
-    """Rays are those of pixels, which see a background."""
+    """Rays are those of a camera's pixels, which see a background."""
 
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
@@ -61,6 +61,6 @@ class FramePlan:
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """The plan of rays that a caller gives: they see no background, and have no further images."""
+        """The plan of rays that a caller gives: without a background, and without further images."""
         plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=()), scene)
         return replace(plan, for_camera=False)

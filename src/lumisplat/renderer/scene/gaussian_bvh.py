@@ -1,12 +1,16 @@
-"""Host pass: a tree over the Gaussians of an asset, and its refit when they move.
+"""Host pass: a bounding volume hierarchy over the Gaussians of an asset, and its refit when they move.
 
-The tree is eight children wide and holds one Gaussian a leaf. It is built level by level from the root, so that
-children come after their parents and a refit runs backwards through the levels.
+Nodes have eight children, leaves one Gaussian. The hierarchy is built level by level from the root, so that children
+come after their parents and a refit runs backwards through the levels.
 """
+
+# Warp's vector types are made by calls, so that type checkers know neither them nor the kernels that take them.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -15,12 +19,32 @@ from lumisplat.constants import REBUILD_COST, STRAY_SHARE, TREE_SURFACE_LEVELS
 from lumisplat.device.structs.bvh import Box, ChildLinks, Node, Particle
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.renderer.scene import gaussian_bvh_kernels as kernels
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 MORTON_CELLS = 1024.0
 BOUNDS_SAMPLES = 65536
 SPLIT_BANDS = 64  # nodes of a level differ in cost
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """A level of the hierarchy whose nodes are split."""
+
+    depth: int
+    """0: the root."""
+    first: int
+    """Number of its first node."""
+    nodes: int
+    begins: DeviceArray
+    """First item of each node of the hierarchy."""
+    ends: DeviceArray
+    """The item after the last one of each node of the hierarchy."""
+    edges: DeviceArray
+    """Where the children of each node of the level begin, and the last one ends; written by the split."""
+    inner: DeviceArray
+    """Number of inner children of each node of the level; written by the split."""
 
 
 class GaussianBvh:
@@ -44,15 +68,15 @@ class GaussianBvh:
 
     @property
     def cost(self) -> float:
-        """Surface of all nodes over the root's: as many a random ray that meets the root is expected to visit.
+        """Surface of all nodes over the root's: the expected number of nodes hit by a random ray that hits the root.
 
-        1 where that surface is none, or beyond float32.
+        1 if the root has no surface, or one beyond float32.
         """
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
     def refit(self, gaussians: GaussianData) -> None:
-        """Follows Gaussians that moved; builds anew where that has made the tree too loose.
+        """Updates the boxes after Gaussians have moved; rebuilds the hierarchy if its cost has grown too much.
 
         Args:
             gaussians: As many as before.
@@ -62,13 +86,13 @@ class GaussianBvh:
             self._build(gaussians)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners (min, max) of a box around all Gaussians, object space, shape (3,) each; inverted if none counts."""
+        """Corners (min, max) of a box around all Gaussians, object space, (3,) each; inverted if all are ignored."""
         root = self.nodes[:1].numpy()[0]
         low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
         return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
 
     def _build(self, gaussians: GaussianData) -> None:
-        count = gaussians.means.shape[0]
+        count = len(gaussians.means)
         scratch = Buffers(self._launcher.device)
         self._items = self._buffers.get("items", wp.int32, count)
         split = self._split_by_code if self._launcher.is_parallel else self._split_by_area
@@ -81,34 +105,43 @@ class GaussianBvh:
         self.extent = float(np.linalg.norm(high - low))
         """Diagonal of a box around nearly all means, object space."""
 
-    def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
+    def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Callable[[_Level], None]:
+        """The CPU's split, by the surface area heuristic."""
         boxes = scratch.get("boxes", Box, count)
         self._launcher.run_banded(kernels.box_gaussians, count, self._kernel, gaussians, boxes)
         self._items.assign(np.arange(count, dtype=np.int32))
 
-        def split(level: int, first: int, nodes: int, *ranges: Any) -> None:
-            begins, ends, edges, inner = ranges
-            by_area = int(level < TREE_SURFACE_LEVELS)
-            inputs = (first, by_area, begins, ends, boxes, self._items, edges, inner)
-            self._launcher.run_banded(kernels.split_by_area, nodes, *inputs, bands=SPLIT_BANDS)
+        def split(level: _Level) -> None:
+            self._launcher.run_banded(
+                kernels.split_by_area,
+                level.nodes,
+                *(level.first, int(level.depth < TREE_SURFACE_LEVELS), level.begins, level.ends),
+                *(boxes, self._items, level.edges, level.inner),
+                bands=SPLIT_BANDS,
+            )
 
         return split
 
-    def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Any:
-        codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # halves to sort with
+    def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Callable[[_Level], None]:
+        """CUDA's split, by Morton codes."""
+        codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # half is for the sort
         low, high = sampled_bounds(gaussians)
         per_cell = wp.vec3(MORTON_CELLS / np.maximum(high - low, 1e-30))
         self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
-        wp.utils.radix_sort_pairs(codes, items, count)
-        wp.copy(self._items, items, count=count)
+        sort_pairs(codes, items, count)
+        copy_elements(items, self._items, count)
 
-        def split(level: int, first: int, nodes: int, *ranges: Any) -> None:
-            begins, ends, edges, inner = ranges
-            self._launcher.run_banded(kernels.split_by_code, nodes, first, begins, ends, codes, edges, inner)
+        def split(level: _Level) -> None:
+            self._launcher.run_banded(
+                kernels.split_by_code,
+                level.nodes,
+                *(level.first, level.begins, level.ends, codes, level.edges, level.inner),
+            )
 
         return split
 
-    def _link_levels(self, split: Any, scratch: Buffers, count: int) -> Any:
+    def _link_levels(self, split: Callable[[_Level], None], scratch: Buffers, count: int) -> DeviceArray:
+        """Splits level after level; returns the links of all nodes."""
         begins, ends = (scratch.get(name, wp.int32, count) for name in ("begins", "ends"))
         links = scratch.get("links", ChildLinks, count)
         begins[:1].fill_(0)
@@ -119,8 +152,8 @@ class GaussianBvh:
         while nodes:
             edges = scratch.get("edges", kernels.Edges, nodes)
             inner, inner_ends = (scratch.get(name, wp.int32, nodes) for name in ("inner", "inner_ends"))
-            split(len(self.levels), first, nodes, begins, ends, edges, inner)
-            wp.utils.array_scan(inner, inner_ends, inclusive=True)
+            split(_Level(len(self.levels), first, nodes, begins, ends, edges, inner))
+            prefix_sum(inner, inner_ends, inclusive=True)
             self._launcher.run_banded(
                 kernels.link_nodes, nodes, first, first + nodes, edges, inner_ends, inner, begins, ends, links
             )
@@ -130,7 +163,7 @@ class GaussianBvh:
         return links
 
     def _fit(self, gaussians: GaussianData) -> None:
-        count = gaussians.means.shape[0]
+        count = len(gaussians.means)
         self.particles = self._buffers.get("particles", Particle, count)
         self._areas = self._buffers.get("areas", wp.float32, self._node_count)
         boxes = self._buffers.get("boxes", Box, count)
@@ -142,7 +175,7 @@ class GaussianBvh:
 
 
 def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (min, max) of a box around all means but strays, object space, shape (3,) each; from a sample."""
-    means = gaussians.means[:: -(-gaussians.means.shape[0] // BOUNDS_SAMPLES)].numpy()
+    """Corners (min, max) of a box around all means but outliers, object space, shape (3,) each; from a sample."""
+    means = device_array(gaussians.means)[:: -(-len(gaussians.means) // BOUNDS_SAMPLES)].numpy()
     low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     return low, high

@@ -1,4 +1,4 @@
-"""The instances of a scene: one row a splat instance, one a mesh instance, written every frame."""
+"""The tables of a scene's instances: one row a splat instance, one a mesh instance, written every frame."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def splat_instance_table(
     """The rows of a scene's splat instances.
 
     Args:
-        scene: What places them.
-        assets: The distinct Gaussian sets, in the order of the device's.
-        camera: From where the frame is seen.
-        config: Its settings.
-        is_lit: Whether it is; then sets that reflect light show their own albedo and normals.
+        scene: The scene with the instances.
+        assets: The distinct Gaussian sets, in the order of those on the device.
+        camera: The camera of the frame.
+        config: Settings of the frame.
+        is_lit: Whether the frame is lit; then sets that reflect light show their own albedo and normals.
     """
     table = np.zeros(len(scene.splats), dtype=table_dtype(SplatInstanceData))
     if not scene.splats:
@@ -62,7 +62,7 @@ def splat_instance_table(
 
 
 def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.ndarray:
-    """The rows of a scene's mesh instances; boxes and hierarchies are those that ``assets`` has for rays, or none."""
+    """The rows of a scene's mesh instances, with boxes and hierarchies if ``assets`` has built them for rays."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
         return table
@@ -93,12 +93,12 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.
         bvh = assets.bvh(mesh)
         if bvh is not None:
             row["low"], row["high"] = bvh.world_box(instance.transform)
-            row["bvh"] = bvh.bvh.id
+            row["bvh"] = bvh.bvh.id  # pyright: ignore[reportUnknownMemberType]
     return table
 
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
-    """How the Gaussians of a capture respond to rays: by the setting, or by the capture's own degree."""
+    """The response of a capture's Gaussians: of the degree in the settings, else of the capture's own."""
     response = config.response
     kernel = KernelData()
     kernel.degree = gaussians.kernel_degree if response.kernel_degree is None else response.kernel_degree

@@ -1,9 +1,8 @@
-"""The lights of a scene on the device: written every frame, but for the environment's image, which is kept."""
+"""The lights of a scene on the device: written every frame, except for the environment's image, which is kept."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,8 +25,9 @@ from lumisplat.device.structs.light import (
     EnvironmentData,
     LightData,
 )
+from lumisplat.math.arrays import FloatArray
 from lumisplat.math.rotations import rotation_matrix
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import (
@@ -48,30 +48,30 @@ Doubles = npt.NDArray[np.float64]
 
 
 class LightTable:
-    """What kernels know of a scene's lights."""
+    """The lights that kernels read."""
 
     def __init__(self) -> None:
-        self.lights: Any = None
-        """`LightData` of the lights that are on, in the scene's order; at least one element."""
+        self.lights: DeviceArray
+        """`LightData` of the enabled lights, in the scene's order; at least one element. Written by ``sync``."""
         self.count = 0
-        """How many of them there are."""
+        """Number of these lights."""
         self.environment = EnvironmentData()
         self.names: tuple[str, ...] = ()
-        """Of the lights, distinct: their own, else ``light`` and their number in the scene."""
+        """Distinct names of the lights: their own, else ``light`` and their number in the scene."""
         self.version = 0
-        """Changes whenever count, environment or arrays did, so that captured graphs can tell."""
-        self._image: Any = None
+        """Changes with count, environment and arrays: captured graphs are then stale."""
+        self._image: FloatArray | None = None
         self._brightest = 1.0
         self._key: object = None
 
     def sync(self, scene: Scene, camera: Camera, buffers: Buffers, *, is_lit: bool = True) -> None:
-        """Writes the lights as they are now. A scene without any has one at the camera's eye.
+        """Writes the lights of a scene; a scene without lights gets a headlight.
 
         Args:
-            scene: What holds them.
-            camera: Where that one goes.
-            buffers: Where the arrays live; the same ones in every call.
-            is_lit: Whether the frame is; else there are none.
+            scene: The scene with the lights.
+            camera: The camera, at whose eye the headlight is.
+            buffers: Hold the arrays; the same ones in every call.
+            is_lit: Whether the frame is lit; if not, no lights are written.
         """
         lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled and is_lit]
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
@@ -88,19 +88,19 @@ class LightTable:
         data = self.environment
         image = WHITE if light is None or light.image is None else light.image
         if image is not self._image and (light is not None or self._image is None):
-            self._image = None  # until all of it is there
+            self._image = None  # a failed upload does not count as finished
             self._upload(image, buffers)
             self._image = image
         data.exists = int(light is not None)
-        seen: tuple[object, ...] = ()
+        values: tuple[object, ...] = ()
         if light is not None:
             wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
             power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
             data.visible = int(light.visible)
             data.world_from_environment = wp.mat33(*rotation_matrix(wxyz).ravel())
             data.power = wp.vec3(*power)
-            seen = (*wxyz, *power, light.visible)
-        key = self.count, id(self._image), data.exists, seen
+            values = (*wxyz, *power, light.visible)
+        key = self.count, id(self._image), data.exists, values
         if key != self._key:
             self._key = key
             self.version += 1
@@ -126,7 +126,7 @@ def power_of(light: Light) -> Doubles:
 
 
 def light_table(lights: list[Light]) -> np.ndarray:
-    """The rows that kernels read lights from."""
+    """One row of LightData a light."""
     table = np.zeros(len(lights), dtype=table_dtype(LightData))
     for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
         row["power"] = power_of(light)
@@ -161,7 +161,7 @@ def light_table(lights: list[Light]) -> np.ndarray:
 
 
 def headlight_table(camera: Camera) -> np.ndarray:
-    """The one row of a light at the camera's eye, under which a white surface that faces it looks white."""
+    """The row of a light at the camera's eye, under which a white surface that faces it looks white."""
     table = np.zeros(1, dtype=table_dtype(LightData))
     table["kind"] = LIGHT_HEADLIGHT
     table["position"] = camera.eye
@@ -171,10 +171,10 @@ def headlight_table(camera: Camera) -> np.ndarray:
 
 
 def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Where the shares of an environment's rows end, shape (H,), and of each row's texels, shape (H, W).
+    """Cumulative shares of an environment's rows, shape (H,), and of each row's texels, shape (H, W).
 
-    A texel's share is the luminance that bilinear interpolation gives its cell, times the cell's solid angle. Dark rows
-    have no share, of a dark image none has.
+    A texel's share is the mean luminance of the interpolated image in its cell, times the cell's solid angle. Black
+    rows have no share; in a black image, no row has one.
     """
     luminance = image @ np.array(LUMINANCE, dtype=np.float32)
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
@@ -185,16 +185,16 @@ def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Half the means of what is interpolated down the first axis: 1/8 of the values beside, 3/4 of a cell's own.
+    """Half the means of cells, interpolated along the first axis: 3/4 of a cell's own value, 1/8 of each neighbour's.
 
-    Half, as no sum of float32 numbers then overflows.
+    Half, so that no sum of float32 numbers overflows.
     """
     parts = padded * np.float32(1.0 / 16.0)
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
 
 
 def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    """Cumulative shares, exact in float32, so that whatever has a weight has a share."""
+    """Cumulative shares, exact in float32, so that every weight above 0 gets a share."""
     total = float(weights.sum(dtype=np.float64))
     if total == 0.0:
         return np.zeros(len(weights), dtype=np.float32)
@@ -205,7 +205,7 @@ def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
 
 def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
     seen: set[str] = set()
-    result = []
+    result: list[str] = []
     for name, number in names:
         unique = name
         while unique in seen:

@@ -1,4 +1,4 @@
-"""Materials on their way to the device."""
+"""The tables of materials that kernels read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture"
 
 
 def emits_capture_only(instance: SplatInstance) -> bool:
-    """Whether a splat set shines as captured, whatever the lights."""
+    """Whether a splat set only emits its captured colours, whatever the lights."""
     material = material_of(instance)
     if instance.shadow_only or isinstance(material, MaterialPbr):
         return False
@@ -29,21 +29,21 @@ def emits_capture_only(instance: SplatInstance) -> bool:
 
 
 def material_of(instance: SplatInstance) -> Material:
-    """The material of a splat set, or the one it has without."""
+    """The material of a splat set, or the default one."""
     return instance.material or MaterialSimple()
 
 
 def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
-    """Which splat instances show the albedo, and which the normals, that their Gaussians carry.
+    """Which splat instances show the normals, and which the albedo, that is stored with their Gaussians.
 
-    Normals: those that reflect light. Albedo: those of them that do not shine by themselves, too.
+    Normals: instances that reflect light. Albedo: those of them that do not emit their captured colours as well.
     """
-    takes = [lit and not emits_capture_only(instance) for instance in scene.splats]
+    reflects = [lit and not emits_capture_only(instance) for instance in scene.splats]
     return {
-        "own_normals": [t and i.gaussians.normals is not None for t, i in zip(takes, scene.splats, strict=True)],
+        "own_normals": [r and i.gaussians.normals is not None for r, i in zip(reflects, scene.splats, strict=True)],
         "own_colors": [
-            t and i.gaussians.albedo is not None and not i.shadow_only and not any(material_of(i).emissive)
-            for t, i in zip(takes, scene.splats, strict=True)
+            r and i.gaussians.albedo is not None and not i.shadow_only and not any(material_of(i).emissive)
+            for r, i in zip(reflects, scene.splats, strict=True)
         ],
     }
 
@@ -52,9 +52,9 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool) -
     """One row of MaterialData an instance: splats first, then meshes.
 
     Args:
-        scene: Whose instances they are.
-        texture_first: Gives the first texel of a texture.
-        is_lit: Whether the frame is; else all splats shine as captured.
+        scene: The scene with the instances.
+        texture_first: Returns the first texel of a texture.
+        is_lit: Whether the frame is lit; if not, all splats only emit their captured colours.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
     rows: list[Any] = list(table)
@@ -80,7 +80,7 @@ def _fill(row: Any, material: Material) -> None:
         row["model"] = BSDF_SIMPLE
         for name in ("ambient", "diffuse", "specular", "shininess"):
             row[name] = getattr(material, name)
-        row["roughness"] = 1.0  # rough, for what asks whether it is smooth
+        row["roughness"] = 1.0  # never smooth
         return
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular

@@ -1,16 +1,17 @@
-"""The meshes of a scene on the device: uploaded once, as long as the same objects come back."""
+"""The meshes of a scene on the device: uploaded once, and kept while scenes hold the same objects."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import warp as wp
 
 from lumisplat.constants import INSTANCE_BOX_MARGIN, RAY_START_BACK
 from lumisplat.device.structs.scene import MeshData
 from lumisplat.renderer.scene.upload import TextureKey, build_triangle_bvh, first_of, texture_key, upload_meshes
+from lumisplat.runtime.buffers import bytes_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
@@ -20,18 +21,23 @@ class TriangleBvh:
     """The bounding volume hierarchy of a mesh's triangles."""
 
     mesh: Mesh
-    bvh: Any
+    bvh: wp.Bvh
     corners: np.ndarray
     """Of its bounding box, object space, shape (8, 3)."""
 
     @classmethod
     def of(cls, mesh: Mesh, device: str) -> TriangleBvh:
-        """A hierarchy, built on the device."""
+        """The hierarchy of a mesh, built on the device."""
         corners = list(itertools.product(*zip(*mesh.bounds(), strict=True)))
         return cls(mesh, build_triangle_bvh(mesh, device), np.array(corners, dtype=np.float64))
 
+    @property
+    def bytes(self) -> int:
+        """Memory of its boxes, bytes."""
+        return 2 * 12 * self.mesh.face_count
+
     def world_box(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World-space corners (min, max) around an instance of the mesh, with room for what rounding does to rays."""
+        """World-space corners (min, max) around an instance of the mesh, with a margin for rounding errors of rays."""
         world = self.corners @ transform[:3, :3].T + transform[:3, 3]
         low, high = world.min(axis=0), world.max(axis=0)
         margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low) + RAY_START_BACK * np.abs([low, high]).max()
@@ -54,7 +60,7 @@ class MeshAssets:
         self.data = MeshData()
 
     def sync(self, scene: Scene) -> None:
-        """Uploads the meshes if they are others than before."""
+        """Uploads the meshes if they have changed."""
         meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
         if list(meshes) == list(self._meshes):
             return
@@ -64,7 +70,7 @@ class MeshAssets:
         self._meshes = meshes
 
     def sync_bvhs(self) -> bool:
-        """Builds the hierarchies of meshes that rays have not met before; whether there were any."""
+        """Builds the hierarchies of new meshes; returns whether there were any."""
         held, self._bvhs = self._bvhs, {}
         for key, mesh in self._meshes.items():
             self._bvhs[key] = held[key] if key in held else TriangleBvh.of(mesh, self._device)
@@ -79,13 +85,12 @@ class MeshAssets:
         return self._texture_first[texture_key(texture)]
 
     def bvh(self, mesh: Mesh) -> TriangleBvh | None:
-        """The hierarchy of a mesh; None: no ray has needed one."""
+        """The hierarchy of a mesh; None: it is not built."""
         return self._bvhs.get(id(mesh))
 
     @property
     def bytes(self) -> int:
         """Memory of meshes, textures and hierarchies, bytes."""
         m = self.data
-        arrays = [m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels] if self._meshes else []
-        arrays += [array for held in self._bvhs.values() for array in (held.bvh.lowers, held.bvh.uppers)]
-        return sum(array.capacity for array in arrays)
+        meshes = bytes_of(m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels) if self._meshes else 0
+        return meshes + sum(held.bytes for held in self._bvhs.values())

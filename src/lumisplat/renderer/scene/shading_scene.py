@@ -1,4 +1,4 @@
-"""What shading reads of a scene: materials, what Gaussians carry for light, lights and settings."""
+"""What shading reads of a scene: materials, attributes of Gaussians, lights and settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.renderer.scene.upload import as_device_array
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light
@@ -30,7 +30,7 @@ from lumisplat.scene.scene import Scene
 
 
 class ShadingTables:
-    """Device tables of what light meets, and of the lights.
+    """Device tables for shading: materials, attributes of Gaussians, lights and settings.
 
     Args:
         buffers: Holds the tables.
@@ -42,17 +42,17 @@ class ShadingTables:
         self._buffers, self._config, self._device = buffers, config, device
         self._table = LightTable()
         self._attributes_of: list[int] | None = None
-        self._attributes: Any = None
+        self._attributes: DeviceArray
         self.data: Any = None
-        """What kernels take: a 1-element ShadingScene array."""
+        """A 1-element ShadingScene array, for kernels; written by ``sync``."""
         self.lights: tuple[Light, ...] = ()
-        """Those that are on; none where a headlight stands in for them."""
+        """The enabled lights; without the headlight."""
         self.has_headlight = False
-        """Whether there is one because there are no lights at all."""
+        """Whether a headlight replaces the lights that the scene does not have."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the lights that are on, in order."""
+        """Names of the enabled lights, in order."""
         return self._table.names
 
     def sync(
@@ -68,9 +68,9 @@ class ShadingTables:
         """Writes the tables.
 
         Args:
-            scene: What there is.
-            camera: From where it is seen.
-            plan: Of the frame.
+            scene: The scene with materials and lights.
+            camera: The camera of the frame.
+            plan: The plan of the frame.
             row: With the camera's sample, the instances and the meshes; the rest is filled in.
             assets: The distinct Gaussian sets.
             texture_first: First texel of a texture among those of all meshes.
@@ -88,7 +88,7 @@ class ShadingTables:
         row.environment = self._table.environment
         self.data = upload_structs([row], ShadingScene, self._device)
 
-    def _write(self, name: str, struct: Any, rows: np.ndarray) -> Any:
+    def _write(self, name: str, struct: type[object], rows: np.ndarray) -> DeviceArray:
         array = self._buffers.get(name, struct, len(rows))
         if len(rows):
             array.assign(rows)
@@ -121,7 +121,7 @@ class ShadingTables:
 
 
 def attribute_row(asset: SplatAsset, device: str) -> SplatAttributes:
-    """What the Gaussians of an asset carry for light."""
+    """The attributes of an asset's Gaussians that shading reads."""
     row = SplatAttributes()
     row.scales = asset.data.scales
     for name in ("roughness", "metallic"):

@@ -1,4 +1,4 @@
-"""Assets on their way to the device."""
+"""Uploads assets to the device."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import warp as wp
 from lumisplat.constants import TRIANGLE_BOX_MARGIN
 from lumisplat.device.structs.scene import GaussianData, MeshData
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
@@ -36,7 +37,7 @@ def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
 
 
 def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
-    """Lays meshes and their textures end to end; also returns the first texel of each texture."""
+    """Uploads meshes and their textures end to end; also returns the first texel of each texture."""
     data = MeshData()
     if not meshes:
         return data, {}
@@ -62,15 +63,15 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 
 
 def textures_of(material: Material) -> list[Any]:
-    """All textures that a material may have; None: it has not."""
+    """All textures that a material may have; None: it has no such texture."""
     names = [field.name for field in fields(material) if field.name.endswith("_texture")]
     return [getattr(material, name) for name in names]
 
 
-def build_triangle_bvh(mesh: Mesh, device: str) -> Any:
+def build_triangle_bvh(mesh: Mesh, device: str) -> wp.Bvh:
     """A bounding volume hierarchy over a mesh's triangles in its own space; item k is triangle k.
 
-    Boxes are grown so that rounding never takes a ray past a triangle that it meets.
+    Boxes are grown so that rounding never makes a ray miss a triangle that it hits.
     """
     corners = mesh.positions[mesh.indices].astype(np.float64)
     low, high = mesh.bounds()
@@ -81,13 +82,13 @@ def build_triangle_bvh(mesh: Mesh, device: str) -> Any:
     return wp.Bvh(wp.array(lows, dtype=wp.vec3, device=device), wp.array(highs, dtype=wp.vec3, device=device))
 
 
-def upload_array(values: np.ndarray, device: str) -> Any:
+def upload_array(values: np.ndarray, device: str) -> DeviceArray:
     """A copy of an array on the device."""
-    return wp.array(values, device=device)
+    return DeviceArray(values, device=device)
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
-    """RGBA8 texels of all textures (None is skipped) end to end, and the first texel of each."""
+    """RGBA8 texels of all textures end to end, None skipped, and the first texel of each."""
     distinct = {texture_key(texture): texture for texture in textures if texture is not None}
     texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
     for texture in distinct.values():
@@ -99,18 +100,18 @@ def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int
 
 
 def texture_key(texture: np.ndarray) -> TextureKey:
-    """What tells textures apart: two views of one image are the same texture."""
+    """Identity of a texture: two views of one image are the same texture."""
     return texture.ctypes.data, texture.shape
 
 
 def first_of(counts: dict[Key, int]) -> dict[Key, int]:
-    """Where each entry starts when all are laid end to end."""
+    """Where each entry starts if all are stored end to end."""
     return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
-def as_device_array(values: np.ndarray, dtype: Any, device: str) -> Any:
+def as_device_array(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
     """An asset's array on the device; on the CPU the same memory."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if device != "cpu":
-        return wp.array(values, dtype=dtype, device=device)
-    return wp.array(np.lib.stride_tricks.as_strided(values, writeable=True), dtype=dtype, device=device, copy=False)
+        return DeviceArray(values, dtype=dtype, device=device)
+    return DeviceArray(np.lib.stride_tricks.as_strided(values, writeable=True), dtype=dtype, device=device, copy=False)

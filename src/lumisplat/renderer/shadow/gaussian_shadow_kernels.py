@@ -48,15 +48,15 @@ def shadow_kernel(lanes: int, hits: int) -> Any:
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def shade_by_gaussians(
         start: int,
-        settings: wp.array(dtype=ShadowData),
-        instances: wp.array(dtype=SplatInstanceData),
-        assets: wp.array(dtype=AssetBvh),
-        tlas_nodes: wp.array(dtype=Node),
+        settings: wp.array[ShadowData],
+        instances: wp.array[SplatInstanceData],
+        assets: wp.array[AssetBvh],
+        tlas_nodes: wp.array[Node],
         radius_max: float,
         rays: RayData,
-        limits: wp.array(dtype=float),
-        skips: wp.array(dtype=wp.bool),
-        light_inout: wp.array(dtype=wp.vec3),
+        limits: wp.array[float],
+        skips: wp.array[wp.bool],
+        light_inout: wp.array[wp.vec3],
     ):
         """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES

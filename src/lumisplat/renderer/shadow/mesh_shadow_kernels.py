@@ -20,11 +20,11 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 def shade_by_meshes(
     start: int,
     opaque: bool,
-    instances: wp.array(dtype=MeshInstanceData),
+    instances: wp.array[MeshInstanceData],
     meshes: MeshData,
     rays: RayData,
-    light_out: wp.array(dtype=wp.vec3),
-    limit_out: wp.array(dtype=float),
+    light_out: wp.array[wp.vec3],
+    limit_out: wp.array[float],
 ):
     """What all triangles between the origin and ``t_max`` let through; nothing if they are ``opaque``.
 

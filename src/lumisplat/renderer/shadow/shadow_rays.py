@@ -14,7 +14,7 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -46,7 +46,9 @@ class ShadowRays:
             self._settings.assign(self._table)
             self._stochastic_bvh.begin_sample()
 
-    def trace(self, scene: DeviceScene, rays: RayData, skips: Any, name: str, *, opaque: bool = False) -> Any:
+    def trace(
+        self, scene: DeviceScene, rays: RayData, skips: wp.array[wp.bool] | None, name: str, *, opaque: bool = False
+    ) -> DeviceArray:
         """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
         Args:
@@ -58,7 +60,7 @@ class ShadowRays:
             name: Of the buffer that holds the result.
             opaque: All meshes are, also those of glass.
         """
-        count, run = rays.t_max.shape[0], self._launcher.run_banded
+        count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
         limits = self._past_meshes(scene, rays, light, opaque)
         if skips is None:
@@ -76,9 +78,9 @@ class ShadowRays:
         )
         return light
 
-    def _past_meshes(self, scene: DeviceScene, rays: RayData, light: Any, opaque: bool) -> Any:
+    def _past_meshes(self, scene: DeviceScene, rays: RayData, light: DeviceArray, opaque: bool) -> wp.array[Any]:
         """Writes what meshes let through; how far Gaussians may block what is left."""
-        count = rays.t_max.shape[0]
+        count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
             return rays.t_max

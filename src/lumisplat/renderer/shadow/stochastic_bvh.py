@@ -13,7 +13,7 @@ from lumisplat.constants import SHRINK_INSTANCES_MAX, SHRINK_RAYS_PER_GAUSSIAN
 from lumisplat.device.structs.bvh import AssetBvh, Node
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.shadow import stochastic_bvh_kernels
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import upload_structs
 
@@ -29,10 +29,10 @@ class StochasticBvh:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
-        self._whole: Any = None
+        self._whole: DeviceArray | None = None
         """The assets whose hierarchies were shrunk."""
         self._assets: Any = None
-        self._nodes: list[Any] = []
+        self._nodes: list[DeviceArray] = []
         self._is_fresh = False
         self._rays = 0
         """Of the sample so far."""
@@ -41,7 +41,7 @@ class StochasticBvh:
         """Before the rays of another sample."""
         self._is_fresh, self._rays = False, 0
 
-    def assets(self, scene: DeviceScene, settings: Any, *, ray_count: int) -> Any:
+    def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray:
         """The scene's assets for the sample in ``settings``: whole as long as shrinking costs more than it saves."""
         whole = scene.bvh.assets
         if whole is self._whole and self._is_fresh:
@@ -56,8 +56,8 @@ class StochasticBvh:
         self._is_fresh = True
         return self._assets
 
-    def _shrunk_nodes(self, scene: DeviceScene, settings: Any) -> list[Any]:
-        nodes = []
+    def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
+        nodes: list[DeviceArray] = []
         for place, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
             bvh = held.bvh
             if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
@@ -72,8 +72,8 @@ class StochasticBvh:
                 )
         return nodes
 
-    def _upload(self, scene: DeviceScene, nodes: list[Any]) -> Any:
-        rows = []
+    def _upload(self, scene: DeviceScene, nodes: list[DeviceArray]) -> DeviceArray:
+        rows: list[AssetBvh] = []
         for held, shrunk in zip(scene.bvh.held, nodes, strict=True):
             row = AssetBvh()
             row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data

@@ -20,12 +20,12 @@ MARGIN = wp.constant(wp.float32(BOX_MARGIN))
 def shrink_nodes(
     start: int,
     node_first: int,
-    settings: wp.array(dtype=ShadowData),
-    owners: wp.array(dtype=int),
-    instances: wp.array(dtype=SplatInstanceData),
-    particles: wp.array(dtype=Particle),
-    nodes: wp.array(dtype=Node),
-    nodes_out: wp.array(dtype=Node),
+    settings: wp.array[ShadowData],
+    owners: wp.array[int],
+    instances: wp.array[SplatInstanceData],
+    particles: wp.array[Particle],
+    nodes: wp.array[Node],
+    nodes_out: wp.array[Node],
 ):
     """Boxes of a level's nodes around what of their Gaussians blocks light in a stochastic sample.
 

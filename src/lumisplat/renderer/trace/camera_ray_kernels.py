@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def start_rays(start: int, cameras: wp.array(dtype=CameraData), samples: wp.array(dtype=SampleData), rays_out: RayData):
+def start_rays(start: int, cameras: wp.array[CameraData], samples: wp.array[SampleData], rays_out: RayData):
     """The rays of a camera's pixels; there are none beyond the image, and where a fisheye sees nothing."""
     i = start + wp.tid()
     camera = cameras[0]
@@ -39,10 +39,10 @@ def load_rays(
     start: int,
     first: int,
     count: int,
-    samples: wp.array(dtype=SampleData),
-    origins: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    distances: wp.array(dtype=float),
+    samples: wp.array[SampleData],
+    origins: wp.array[wp.vec3],
+    directions: wp.array[wp.vec3],
+    distances: wp.array[float],
     rays_out: RayData,
 ):
     """``count`` given rays; further elements are inactive. ``first`` is the number of the first one in its query."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
@@ -39,7 +40,7 @@ class GaussianTracer:
         self._settings = buffers.get("trace.settings", TraceData, 1)
         self._settings.assign(trace_table(config.trace))
 
-    def find(self, scene: DeviceScene, rays: RayData, limits: Any, name: str) -> GaussianHits:
+    def find(self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
 
         Args:
@@ -48,7 +49,7 @@ class GaussianTracer:
             limits: Distances as float, such as those of the nearest meshes.
             name: Of the buffers that hold the result.
         """
-        count = rays.t_max.shape[0]
+        count = len(rays.t_max)
         hits = self._buffers.struct(name, GaussianHits, count)
         bvh = scene.bvh
         self._launcher.run_banded(

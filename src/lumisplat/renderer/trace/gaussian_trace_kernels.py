@@ -57,13 +57,13 @@ def gaussian_trace_kernel(lanes: int, hits: int) -> Any:
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def integrate_gaussians(
         start: int,
-        settings: wp.array(dtype=TraceData),
-        instances: wp.array(dtype=SplatInstanceData),
-        assets: wp.array(dtype=AssetBvh),
-        tlas_nodes: wp.array(dtype=Node),
+        settings: wp.array[TraceData],
+        instances: wp.array[SplatInstanceData],
+        assets: wp.array[AssetBvh],
+        tlas_nodes: wp.array[Node],
         radius_max: float,
         rays: RayData,
-        limits: wp.array(dtype=float),
+        limits: wp.array[float],
         radiance_out: GaussianHits,
     ):
         """Longer than a kernel should be: its lists live on the stack, and Warp passes vectors by value."""

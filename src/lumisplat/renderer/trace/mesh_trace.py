@@ -6,7 +6,7 @@ from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import mesh_trace_kernels as kernels
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -29,7 +29,7 @@ class MeshTracer:
             rays: What to follow.
             name: Of the buffers that hold the result.
         """
-        count = rays.t_max.shape[0]
+        count = len(rays.t_max)
         hits = self._buffers.struct(name, MeshHits, count)
         if scene.mesh_instances.shape[0]:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
@@ -37,6 +37,6 @@ class MeshTracer:
                 kernels.find_mesh_hits, count, scene.mesh_instances, scene.mesh_data, rays, hits, bands=bands
             )
         else:
-            hits.face.fill_(-1)
+            device_array(hits.face).fill_(-1)
             hits.t = rays.t_max
         return hits

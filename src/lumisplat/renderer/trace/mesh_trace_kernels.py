@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def find_mesh_hits(
     start: int,
-    instances: wp.array(dtype=MeshInstanceData),
+    instances: wp.array[MeshInstanceData],
     meshes: MeshData,
     rays: RayData,
     hits_out: MeshHits,

@@ -24,4 +24,4 @@ class PrimaryHits:
     @property
     def count(self) -> int:
         """Rays, active or not."""
-        return self.rays.t_max.shape[0]
+        return len(self.rays.t_max)

@@ -17,7 +17,7 @@ class RayWave:
     """How often its rays have been reflected or refracted; 0: they come from the camera, or were given."""
     hits: PrimaryHits
     row: WaveData
-    """Its arrays. Interactions have no elements in an unlit wave; branches are undefined unless the wave may branch."""
+    """Where light reaches the rays; without elements in an unlit wave."""
     data: DeviceArray
     """The same on the device, of 1 element."""
 
