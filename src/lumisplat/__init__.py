@@ -78,8 +78,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# Public name -> module, imported on first use: `lumisplat --help` must not pay for Warp, and io not for a GPU.
-_HOME = {
+# Public name -> module, imported on first use: `lumisplat --help` must not load Warp, and io needs no GPU.
+_MODULE_OF = {
     "Absorption": "config",
     "Actor": "scene.animation.actors",
     "Animation": "scene.animation.actors",
@@ -271,9 +271,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOME:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'lumisplat' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"lumisplat.{_HOME[name]}"), name)
+    value = getattr(importlib.import_module(f"lumisplat.{_MODULE_OF[name]}"), name)
     globals()[name] = value
     return value
 

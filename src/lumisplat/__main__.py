@@ -7,13 +7,13 @@ import sys
 
 
 def main() -> int:
-    """Runs one command. An interrupt or a reader that has gone (``| head``) end it without a word, at any time.
+    """Runs one command. An interrupt or a closed pipe (``| head``) ends it silently, at any time.
 
     Returns:
-        Exit status: the command's, 130 when interrupted, 141 when nobody reads on, as a shell counts signals.
+        Exit status: the command's, 130 when interrupted, 141 when the pipe is closed, as a shell counts signals.
     """
     try:
-        from lumisplat.cli import main as run_command  # takes a while: an interrupt may come already here
+        from lumisplat.cli import main as run_command  # takes a while, and may be interrupted
 
         status = run_command()
         sys.stdout.flush()
@@ -21,7 +21,7 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is flushed at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest at exit
         return 141
 
 

@@ -8,7 +8,7 @@ ALPHA_MIN = 1.0 / 255.0
 """Alpha below which a Gaussian is ignored at a pixel: one step of an 8-bit image. INRIA, gsplat, 3DGRT agree."""
 
 ALPHA_MAX = 0.99
-"""Largest alpha of one Gaussian, so that no single one makes what is behind it unreachable. INRIA's rule."""
+"""Largest alpha of one Gaussian, so that none alone hides everything behind it. INRIA's rule."""
 
 TRANSMITTANCE_MIN = 1e-4
 """A pixel or ray stops where its transmittance would fall to this; the crossing Gaussian is dropped. INRIA, gsplat."""
@@ -45,62 +45,62 @@ TRAVERSE_MARGIN = 1e-6
 """Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
 
 PASS_REWIND = 1e-4
-"""A new pass looks back by this share of the distance: the hits of a box may be rounded out of it."""
+"""A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
 
 HITS_HELD_CPU = 64
-"""Hits that a ray keeps sorted on the CPU at least: they cost little there and save passes, 1.6 times faster."""
+"""Least number of hits that a ray keeps sorted on the CPU: they cost little there and save passes, 1.6 times faster."""
 
 COHERENT_SPREAD = 0.15
-"""Rays of a packet whose directions differ by more than this from that of the first one are not traced with it."""
+"""Rays of a packet are not traced with its first one if their directions differ from that one's by more than this."""
 
 COHERENT_RADIUS = 0.03
-"""Nor are those that start farther from it than this share of the largest capture in the scene."""
+"""Nor are they if their origins differ from that one's by more than this share of the scene's largest capture."""
 
 TREE_SURFACE_LEVELS = 10
-"""Levels of a tree that are split by surface area; below, in the middle, which bounds the depth of any input."""
+"""Levels of a hierarchy that are split by surface area; below, in the middle, which bounds the depth of any input."""
 
 TRAVERSE_STACK = 256
-"""Nodes that may wait: the levels of both trees times the children that all but one of a node's leave there."""
+"""Entries of the stack: the levels of both hierarchies, times a node's children but the one that is visited."""
 
 REBUILD_COST = 1.5
-"""A refitted tree is built anew where its cost, relative to its root's surface, has grown by this factor."""
+"""A refitted hierarchy is rebuilt once its cost, relative to its root's surface, has grown by this factor."""
 
 STRAY_SHARE = 0.01
-"""Share of the Gaussians on each side that do not count to a capture's size: strays must not coarsen what follows."""
+"""Share of the Gaussians, at each end of an axis, that a capture's size leaves out: outliers must not stretch it."""
 
 SAH_BINS = 16
-"""Places at which a build tries to split a node along each axis (Wald 2007)."""
+"""Bins per axis, at whose edges a build tries to split a node (Wald 2007)."""
 
 SAMPLES_MAX = 16_777_216
-"""Samples of a pixel: the running mean still changes in float32."""
+"""Largest number of samples of a pixel: up to here, the running mean still changes in float32."""
 
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
-"""From a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
+"""Step from a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
 2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""
 
-# --- Rays that meet meshes, mirrors and glass ---
+# --- Rays that hit meshes, mirrors and glass ---
 
 TRIANGLE_BOX_MARGIN = 2.0**-19
 """Boxes of triangles grow by this share of the mesh's size: 32 roundings of a coordinate. Without it, 2 % of the rays
 aimed at the edges of a cube from inside leave it."""
 
 INSTANCE_BOX_MARGIN = 1e-3
-"""Boxes of mesh instances grow by this share of their diagonal. Rays from afar start there, near enough for accuracy;
-how far off rounding may put the start, from a thousand diagonals away, is well below it."""
+"""Boxes of mesh instances grow by this share of their diagonal. Distant rays are started at the box, for accuracy; the
+rounding error of that start, from a thousand diagonals away, is well below this."""
 
 RAY_START_BACK = 4e-6
-"""Share of the way to a box by which rays start before it: 64 roundings, for boxes farther away than that."""
+"""Rays start before a distant box by this share of the distance to it: 64 roundings."""
 
 SPAWN_ERROR = 2.0**-20
 """Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
-roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some get out of closed
+roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some escape from closed
 mirrors of thin triangles."""
 
 SPAWN_SLENDER = 1000.0
-"""Longest side over height beyond which a triangle's own rounding counts no further: the offset must not be seen."""
+"""Longest side over height of a triangle beyond which the offset grows no further: it must stay invisible."""
 
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
-"""Share of a pixel below which a reflection or refraction is not followed: half a step of an 8-bit image."""
+"""Share of a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
 
 # --- Light and shadow ---
 
@@ -108,27 +108,27 @@ EXPOSURE_MAX = 100
 """Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
 
 SHADOW_OFFSET = 3.0
-"""Scales of a Gaussian within which others do not shadow it: what makes up the same surface, which ends three standard
-deviations off. On the biker, lit from the front, 1 leaves much of the surface speckled by its own Gaussians, 2 some
-patches, 4 nothing, but no contact shadows either. NVIDIA has the offset in world units, which no two
-captures share (docs/method/shadows.md#offset)."""
+"""Distance, in scales of a Gaussian, within which others do not shadow it: they make up the same surface, which ends
+three standard deviations away. On the biker, lit from the front, 1 leaves much of the surface speckled by its own
+Gaussians, 2 some patches, 4 none, but no contact shadows either. NVIDIA's offset is in world units, which differ
+between captures (docs/method/shadows.md#offset)."""
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
-"""Places for shadow rays in a stochastic sample, per Gaussian, from which on its trees are shrunk: that takes as long
-as a ray a Gaussian saves in a capture that is all surface, and pays off long before where rays cross much of it."""
+"""Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs
+what one ray per Gaussian saves in a capture that is all surface, and pays off far earlier if rays cross much of it."""
 
 SHRINK_INSTANCES_MAX = 8
-"""Instances of an asset up to which its tree is: it has to hold for all of them."""
+"""Largest number of instances of an asset whose hierarchy is shrunk: it has to be valid for all of them."""
 
 EDGE_WEIGHT_MAX = 1e-5
-"""Barycentric weight from which on a ray that crosses glass is not on the edge of a triangle: above all rounding."""
+"""Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
 
 SHADOW_ONLY_AMBIENT = 0.5
-"""Radiance over albedo that a shadow-only set without a material is taken to have besides its lights."""
+"""Ambient light, as radiance over albedo, of a shadow-only set without a material."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
-"""Share of a ray that reaches a mesh behind Gaussians, below which no light is looked for there: half a step of an
-8-bit image. Opaque captures let through up to 1 %."""
+"""Transmittance of the Gaussians before a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque
+captures transmit up to 1 %."""
 
 SPLAT_ROUGHNESS_MIN = 0.03
 """Least roughness of splats: their normals are not smooth enough for mirrors."""
@@ -146,7 +146,7 @@ ENVIRONMENT_SHARE_STEPS = 2**24
 """Shares of an environment's texels are multiples of one over this: all float32 can tell apart below 1."""
 
 ENVIRONMENT_SHARE_MIN = 4
-"""Least share of a texel or row that shines, in those steps: each is found."""
+"""Least share of a texel or row that is not black, in those steps: each can be sampled."""
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear Rec.709."""
@@ -180,7 +180,7 @@ SHADOW_TEXEL_ANGLE = 12.0
 radians over a unit of two, and a lookup reads a texel's diagonal away."""
 
 SHADOW_FOOTPRINT = 3.0
-"""Standard deviations at which the points end that a receiver looks at: where splats end, too."""
+"""Standard deviations from a receiver's mean within which it samples the map: where splats end, too."""
 
 SHADOW_STENCIL_WEIGHT = 0.6065306597126334
 """Weight of the stencil's outer points, one standard deviation off, against the middle's 1: exp(-1/2)."""
@@ -213,14 +213,14 @@ FIT_TOLERANCE = 1e-9
 """Relative to the largest coefficient."""
 
 IRRADIANCE_SMOOTHNESS = 1e-3
-"""Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: where no normals look, irradiance goes on
-smoothly. Where they look everywhere, bands shrink by some 4 to 20 %, higher ones more. Less leaves noise: of a floor
+"""Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: in directions without normals, irradiance is
+smooth. With normals in all directions, bands shrink by some 4 to 20 %, higher ones more. Less leaves noise: of a floor
 lit evenly, 3000 normals within 0.2 of upright, scales log-normal by 0.5, PAA-Y from constant light is 0.12 to 0.20 with
 this, and 0.3 to 0.45 with a tenth of it."""
 
 IRRADIANCE_FLOOR = 0.1
-"""Irradiance, of the mean luminance, below which residuals of a fit are no longer taken relative to it: what is darker
-is told by noise and by the black of a camera."""
+"""Irradiance, relative to the mean luminance, below which residuals of a fit are no longer relative to it: darker
+values are mostly noise and the camera's black level."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
 """Gaussians of each side in NCM-ab, drawn at random beyond: optimal transport between so many takes half a second,
@@ -248,13 +248,13 @@ LIGHT_SEARCH_STRAYS = 0.02
 far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
-"""Radius of the region, in sizes of the scene: lamps hang at its rim, and beyond what is a stray by number alone."""
+"""Radius of the region, in sizes of the scene: lamps hang at its rim, also among the Gaussians that do not count."""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance of the viewpoints from the character, in sizes of the scene: of a room's 3 m, a person's width."""
+"""Distance of the viewpoints from the character, in sizes of the scene: in a room of 3 m, a person's width."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
-"""Size of a compact emitter, in sizes of the scene: of a room's 3 m, a lamp of 25 cm."""
+"""Size of a compact emitter, in sizes of the scene: in a room of 3 m, a lamp of 25 cm."""
 
 LIGHT_SEARCH_SEPARATION = 3.0
 """Distance of two lights, in sizes of an emitter: beyond the surroundings that a candidate is compared with."""
@@ -264,10 +264,10 @@ LIGHT_SEARCH_CLIP = 0.99
 bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Gaussians of median score that are added to each direction's surroundings: one stray neighbour decides nothing."""
+"""Gaussians of median score that are added to each direction's surroundings: one outlier decides nothing."""
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Share of its score that a light keeps which does not stand out, where such are wanted at all."""
+"""Factor on the score of a light that does not stand out from its surroundings at all."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
@@ -311,17 +311,17 @@ PROBE_IMAGE_ROWS = 64
 """Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
 
 NORMAL_NEIGHBOURS = 24
-"""Others in the median around a Gaussian whose plane is its normal: more than two rings of them on a surface."""
+"""Median number of neighbours through which the plane of a Gaussian's normal is fitted: over two rings on a surface."""
 
 NORMAL_NEIGHBOURS_PER_CELL = 16
-"""Others that count in a cube of the search radius, twice as many as a surface has there: dense clusters would pair
-all with all."""
+"""Neighbours that count in a cube of the search radius, twice as many as a surface has there: dense clusters would
+otherwise pair all with all."""
 
 NORMAL_NEIGHBOURS_MIN = 4
-"""Below this many a plane says nothing."""
+"""Least number of neighbours that determine a plane."""
 
 OUTSIDE_CELLS = 1_500_000
-"""Cells of the voxels that tell a set's outside, at most: about a centimetre for a person; half a second."""
+"""Largest number of voxels that find a set's outside: about a centimetre for a person; half a second."""
 
 OUTSIDE_OPACITY_MIN = 0.1
 """Gaussians fainter than this are no wall: haze around an object must not enclose it."""
@@ -330,13 +330,13 @@ OUTSIDE_REACH = 1.5
 """Scales of a Gaussian up to which its disc is solid: neighbours on a surface meet there."""
 
 OUTSIDE_STEPS_MAX = 12
-"""Cells from a disc's middle to its rim at most: a few huge Gaussians may leak, not cost all the time."""
+"""Largest number of cells from a disc's centre to its rim: a few huge Gaussians may leak, but not take all the time."""
 
 OUTSIDE_CONNECTED = 0.25
-"""What a cell that is connected to the outside, around corners, counts for; the rest is for open directions."""
+"""Weight of a cell's connection to the outside, around corners; the rest is that of its open directions."""
 
 OUTSIDE_CONTRAST = 0.1
-"""One side is outside where its share is larger than the other's by this: two or three of 26 directions."""
+"""One side is outside if its share exceeds the other's by this: two or three of 26 directions."""
 
 # --- Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has ---
 
@@ -354,13 +354,13 @@ SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
 """Points to choose from: Poisson-disk elimination needs several times as many as it keeps."""
 
 SAMPLING_SEARCH_SPACINGS = 0.86
-"""First radius of the elimination, which shrinks until the count is met; the densest packing of discs reaches 1.07."""
+"""First radius of the elimination, which shrinks until the count is kept; the densest packing of discs reaches 1.07."""
 
 SAMPLING_RADIUS_STEP = 0.97
 """Factor by which the radius shrinks while too few points are kept."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
-"""Steps at most, to a twentieth of the radius: what is closer coincides, and fills up what is missing."""
+"""Steps at most, to a twentieth of the radius: closer points coincide, and make up for those missing."""
 
 SAMPLING_OPACITY = 0.995
 """Above ALPHA_MAX, so that a disc's centre is as opaque as a Gaussian can be."""
@@ -420,7 +420,7 @@ were stored with five digits."""
 # --- Limits of 32-bit indices ---
 
 IMAGE_PIXELS_MAX = 200_000_000
-"""Pixels of a frame: its surface buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
+"""Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
 
 ITEMS_MAX = 2**31 - 1
 """Gaussians or triangles of a scene, and (tile, item) pairs of a frame."""
@@ -434,13 +434,13 @@ BLOCK_THREADS = 256
 """CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
 
 DEPTH_KEY_CULLED = 0xFFFFFFFF
-"""Depth key of what cannot touch the image; the bits of every positive float are smaller."""
+"""Depth key of a Gaussian that cannot touch the image; the bits of every positive float are smaller."""
 
 DEPTH_KEY_NONFINITE = 0xFFFFFFFE
-"""Depth key of what is dropped because a projected value is NaN or infinite."""
+"""Depth key of a Gaussian that is dropped because a projected value is NaN or infinite."""
 
 RAY_BLOCK_PX = 4
-"""Side of the blocks of pixels whose rays follow one another, so that neighbours meet the same boxes."""
+"""Side of the blocks of pixels whose rays are consecutive, so that neighbours hit the same boxes."""
 
 PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
 """Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
@@ -459,7 +459,7 @@ TILE_BANDS_PER_THREAD = 12
 """Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
 
 FINISHED_CHECK_INTERVAL = 32
-"""Splats composited in a tile between two looks at which pixels are still unfinished."""
+"""Splats composited in a tile between two checks of which pixels are still unfinished."""
 
 PAIR_SUM_THREADS = 4096
 """Items that add up the (tile, item) pairs of a frame in 64 bits, in the parallel schedule."""
@@ -485,11 +485,11 @@ RIG_BLACK_COLOR = 0.5 / 255.0
 """Vertex colour below which a vertex is black: 8 bits round it to 0."""
 
 RIG_BLACK_SHARE = 0.5
-"""Share of black vertices above which a file is said to hold something else than colours in COLOR_0."""
+"""Share of black vertices above which a file is taken to hold something else than colours in COLOR_0."""
 
 RIG_HIDDEN_AREA = 1e-4
-"""Area of a posed triangle, in its areas at rest, below which its Gaussians vanish: scaled to a hundredth, or so flat
-that float32 no longer knows where it faces."""
+"""Area of a posed triangle, relative to that at rest, below which its Gaussians vanish: scaled to a hundredth, or so
+flat that its normal is lost in float32."""
 
 RIG_SHEAR_MIN = 1e-5
 """Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: above float32's rounding, by
@@ -498,10 +498,10 @@ which round discs would else turn."""
 # --- Sequences of frames, animations ---
 
 ANIMATION_FRAMES_MAX = 1_000_000
-"""Frames of an animation: more than eleven hours at 24 a second. More are a slip of the pen, and end out of memory."""
+"""Frames of an animation: more than eleven hours at 24 a second. More are a typing error, and run out of memory."""
 
 SEQUENCE_FRAMES_KEPT = 2
 """Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""
 
 SEQUENCE_TIME_SLACK = 1e-6
-"""Frames by which a time may lie before the frame that it means: k / fps * fps is below k for some k."""
+"""Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""

@@ -1,4 +1,4 @@
-"""What can go wrong, and the shape contract at the door.
+"""The errors that Lumisplat raises, and checks of types and array shapes.
 
 LumisplatError
 ├── ConfigError        a bad setting (also a ValueError)

@@ -14,7 +14,7 @@ import lumisplat as ls
 def test_all_is_sorted_and_complete() -> None:
     """``__all__`` lists exactly what resolves lazily, in order, and ``dir`` agrees."""
     assert ls.__all__ == sorted(ls.__all__)
-    assert set(ls.__all__) == set(ls._HOME)
+    assert set(ls.__all__) == set(ls._MODULE_OF)
     assert set(ls.__all__) <= set(dir(ls))
 
 
@@ -54,7 +54,7 @@ def test_static_types_agree() -> None:
     """What type checkers see under TYPE_CHECKING is what resolves at run time."""
     source = inspect.getsource(ls)
     block = source[source.index("if TYPE_CHECKING:") : source.index("__version__")]
-    for name, home in ls._HOME.items():
+    for name, home in ls._MODULE_OF.items():
         assert name in block, name
         assert f"from lumisplat.{home} import" in block, home
 
