@@ -7,22 +7,25 @@ alone. `write_walker` adds closed, tapered capsules that follow one bone each, a
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bench.presets import DATA
 
+if TYPE_CHECKING:
+    import pygltflib
+
 SOURCE = DATA / "avatars" / "walk.glb"
 SIDES, RINGS = 24, 6
-"""Corners of a capsule's rings, and rings of each of its caps."""
+"""Corners of a ring of a capsule, and rings of each of its round ends."""
 
 
 class Bone(NamedTuple):
     """A capsule from one joint to another, in the file's units (the figure is 1.4 tall)."""
 
     joint: str
-    """The one that it follows."""
+    """The joint that it follows."""
     end: str
     radius: float
     end_radius: float
@@ -54,8 +57,7 @@ def write_walker(path: Path) -> None:
     """Writes the figure as a glTF binary file."""
     import pygltflib
 
-    source = pygltflib.GLTF2().load(str(SOURCE))
-    assert source is not None
+    source = pygltflib.GLTF2.load(str(SOURCE))
     file = _Buffers(source)
     rest = rest_poses(source)
     names = {node.name: number for number, node in enumerate(source.nodes)}
@@ -86,13 +88,15 @@ def write_walker(path: Path) -> None:
     skin.inverseBindMatrices = file.add(np.stack(unposed).reshape(-1, 16), "MAT4")
     source.materials, source.textures, source.images, source.samplers = [], [], [], []
     source.meshes[0].weights = []
-    for animation in source.animations:  # Of faces, whose targets are gone.
-        animation.channels = [one for one in animation.channels if one.target.path != "weights"]
+    for animation in source.animations or []:  # Morph weights go: the mesh has lost its targets.
+        animation.channels = [
+            one for one in animation.channels or [] if one.target is None or one.target.path != "weights"
+        ]
     file.store()
     source.save_binary(str(path))
 
 
-def rest_poses(source) -> np.ndarray:
+def rest_poses(source: pygltflib.GLTF2) -> np.ndarray:
     """World transforms of all nodes as the file places them, shape (N, 4, 4)."""
     parents = {child: number for number, node in enumerate(source.nodes) for child in node.children or []}
     found: dict[int, np.ndarray] = {}
@@ -111,7 +115,7 @@ def rest_poses(source) -> np.ndarray:
 
 
 def capsule(start: np.ndarray, end: np.ndarray, radius: float, end_radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles of a tapered tube with round ends, outside to the front."""
+    """Points and triangles of a tapered tube with round ends, counter-clockwise seen from outside."""
     axis = (end - start) / np.linalg.norm(end - start)
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
@@ -123,7 +127,7 @@ def capsule(start: np.ndarray, end: np.ndarray, radius: float, end_radius: float
     points = np.concatenate([*rings, [start - radius * axis, end + end_radius * axis]])
     corner = np.arange(SIDES)
     after = (corner + 1) % SIDES
-    faces = []
+    faces: list[np.ndarray] = []
     for ring in range(len(rings) - 1):
         low, high = ring * SIDES, (ring + 1) * SIDES
         faces.append(np.stack([low + corner, low + after, high + after], axis=1))
@@ -137,13 +141,17 @@ def capsule(start: np.ndarray, end: np.ndarray, radius: float, end_radius: float
 class _Buffers:
     """Reads accessors of a file and appends new ones."""
 
-    def __init__(self, source) -> None:
+    def __init__(self, source: pygltflib.GLTF2) -> None:
+        blob = source.binary_blob()
+        assert blob is not None
         self.source = source
-        self.bytes = bytearray(source.binary_blob())
+        self.bytes = bytearray(blob)
 
     def read(self, index: int | None) -> np.ndarray:
         assert index is not None
         accessor = self.source.accessors[index]
+        assert accessor.bufferView is not None and accessor.count is not None
+        assert accessor.componentType is not None and accessor.type is not None
         view = self.source.bufferViews[accessor.bufferView]
         kind = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}[accessor.componentType]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[accessor.type]

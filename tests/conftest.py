@@ -53,7 +53,7 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A worker tells the main process how many twins it had to compute."""
     if IS_WORKER:
-        session.config.workeroutput["missing_twins"] = TWINS.missing  # type: ignore[attr-defined]
+        session.config.workeroutput["missing_twins"] = TWINS.missing
 
 
 @pytest.hookimpl(optionalhook=True)

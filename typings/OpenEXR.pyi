@@ -1,7 +1,6 @@
 """Types of the parts of OpenEXR that Lumisplat uses."""
 
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
 
 import numpy.typing as npt
 
@@ -11,17 +10,16 @@ scanlineimage: object
 class Channel:
     pixels: npt.NDArray[Any]
 
+class Part: ...
+
 class File:
-    def __init__(
-        self,
-        header: str | Mapping[str, object],
-        channels: Mapping[str, npt.NDArray[Any]] = ...,
-        *,
-        header_only: bool = ...,
-        separate_channels: bool = ...,
-    ) -> None: ...
+    parts: list[Part]
+    @overload
+    def __init__(self, filename: str, separate_channels: bool = False, header_only: bool = False) -> None: ...
+    @overload
+    def __init__(self, header: dict[str, object], channels: dict[str, npt.NDArray[Any]]) -> None: ...
     def __enter__(self) -> File: ...
     def __exit__(self, *error: object) -> None: ...
     def header(self) -> dict[str, Any]: ...
     def channels(self) -> dict[str, Channel]: ...
-    def write(self, path: str) -> None: ...
+    def write(self, filename: str) -> None: ...

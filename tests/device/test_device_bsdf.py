@@ -46,7 +46,7 @@ def simple(shininess: float, diffuse: float = 0.5, specular: float = 0.3, tint: 
 
 def rows(material: Material, count: int) -> npt.NDArray[Any]:
     """The material as kernels read it, ``count`` times."""
-    table = np.zeros(count, dtype=np.dtype(Bsdf.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(count, dtype=np.dtype(Bsdf.numpy_dtype()))
     table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
     for name in ("diffuse", "specular", "grazing", "alpha", "shininess"):
         table[name] = material[name]

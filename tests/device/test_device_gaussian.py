@@ -21,7 +21,7 @@ rotations = st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q)
 
 def camera_data(**changes: object) -> CameraData:
     """What kernels see of a camera."""
-    camera = front_camera(**changes)  # type: ignore[arg-type]
+    camera = front_camera(**changes)
     data = CameraData()
     row = camera_table(camera)[0]
     for name in ("focal", "raster_center", "jacobian_min", "jacobian_max"):

@@ -33,7 +33,7 @@ KINDS = (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_RECT, LIGHT_HEADLIGHT
 
 def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
     """A row as kernels read it: 3, 2 and 1 candela, lux or units of radiance, without end, unless given."""
-    table = np.zeros(1, dtype=np.dtype(LightData.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(1, dtype=np.dtype(LightData.numpy_dtype()))
     if kind == LIGHT_RECT:
         values.setdefault("direction", np.cross(values["edge_u"], values["edge_v"]))
         values["direction"] = values["direction"] / np.linalg.norm(values["direction"])

@@ -41,7 +41,7 @@ def response(degree: int, distance: np.ndarray | float) -> np.ndarray:
 def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, device: str) -> tuple[np.ndarray, ...]:
     """Squared reaches, and alphas at the distances."""
     count = len(opacities)
-    table = np.zeros(count, np.dtype(KernelData.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(count, np.dtype(KernelData.numpy_dtype()))
     for name in table.dtype.names:
         table[name] = getattr(kernel, name)
     reaches, alphas = (wp.zeros(count, dtype=float, device=device) for _ in range(2))

@@ -51,7 +51,7 @@ class Found:
 
 def placed(world_from_object: np.ndarray) -> np.ndarray:
     """Rows of TreeInstance as the scene writes them, (B,)."""
-    table = np.zeros(len(world_from_object), np.dtype(SplatInstanceData.numpy_dtype()))  # type: ignore[attr-defined]
+    table = np.zeros(len(world_from_object), np.dtype(SplatInstanceData.numpy_dtype()))
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
     table["object_from_world_offset"] = object_from_world[:, :3, 3]

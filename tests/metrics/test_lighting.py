@@ -192,7 +192,7 @@ def test_order_and_place_do_not_count(metric):
     value = metric(avatar, scene)
     order = rng.permutation(500)
     shuffled = ls.LitPoints(avatar.positions[order], avatar.normals[order], avatar.rgb[order])
-    moved = [replace(side, positions=side.positions + np.float32([3, -2, 8])) for side in (shuffled, scene)]
+    moved = [replace(side, positions=side.positions + np.array([3, -2, 8], np.float32)) for side in (shuffled, scene)]
     assert metric(*moved) == pytest.approx(value, rel=1e-5)
     brighter = replace(avatar, rgb=2.0 * avatar.rgb)
     if metric is ls.paa_y:
@@ -266,7 +266,7 @@ def test_gaussians_and_their_points_agree():
 def test_mistakes_are_refused():
     """Nothing near, too few points, black points, invalid settings and invalid arrays: one line each."""
     avatar = points(np.full(4000, 0.2))
-    far = replace(avatar, positions=avatar.positions + np.float32([9, 0, 0]))
+    far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))
     with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):
         ls.paa_y(avatar, far)
     gaussians = splats(np.full((40, 3), 0.5), None, 40)
@@ -281,7 +281,7 @@ def test_mistakes_are_refused():
     with pytest.raises(ls.ConfigError, match="radius is nan"):
         ls.apf_y(avatar, avatar, radius=float("nan"))
     with pytest.raises(ls.ConfigError, match="radius is 'wide', expected metres"):
-        ls.paa_y(avatar, avatar, radius="wide")  # type: ignore[arg-type]
+        ls.paa_y(avatar, avatar, radius="wide")
     with pytest.raises(ls.SceneError, match="around has 1 non-finite"):
         ls.LitPoints.of(gaussians, around=(np.nan, 0, 0), radius=1.0)
     with pytest.raises(ls.ConfigError, match="samples is 0"):
@@ -289,7 +289,7 @@ def test_mistakes_are_refused():
     with pytest.raises(ls.SceneError, match="has no Gaussians"):
         ls.LitPoints.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="take Gaussians or LitPoints, got a list"):
-        ls.LitPoints.of([gaussians])  # type: ignore[arg-type]
+        ls.LitPoints.of([gaussians])
     with pytest.raises(ls.SceneError, match="rgb: 1 of 4,000 are negative"):
         points(np.where(np.arange(4000) == 7, -0.1, 0.1))
     with pytest.raises(ls.SceneError, match="zero points"):

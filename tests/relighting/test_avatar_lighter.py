@@ -40,12 +40,12 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
 
 def config(**changes: object) -> ls.AvatarLightingConfig:
     """Small maps, all light direct, nothing relit."""
-    return ls.AvatarLightingConfig(**{"shadow_map": SHADOW, "direct": 1.0, "relight": False} | changes)  # type: ignore[arg-type]
+    return ls.AvatarLightingConfig(**{"shadow_map": SHADOW, "direct": 1.0, "relight": False} | changes)
 
 
 def lighter(scene: ls.Scene, lights: object = (LIGHT,), **changes: object) -> ls.AvatarLighter:
     """One for the CPU."""
-    return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")  # type: ignore[arg-type]
+    return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")
 
 
 def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
@@ -120,7 +120,7 @@ def test_each_set_takes_its_own_shadow() -> None:
 def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory of a frame is that of the first."""
     built = []
-    build = DeepShadowMap.build.__func__  # type: ignore[attr-defined]
+    build = DeepShadowMap.build.__func__
 
     def counting(*arguments: object, **options: object) -> DeepShadowMap:
         built.append(build(DeepShadowMap, *arguments, **options))
@@ -358,7 +358,7 @@ def test_shadows_can_be_switched_off() -> None:
 def test_bad_scenes_are_told(scene: ls.Scene, lights: object, actors: object, said: str) -> None:
     """No captured sets, no lights, no actors of a kind that there is."""
     with pytest.raises(ls.SceneError, match=said):
-        lighter(scene, lights).light(actors)  # type: ignore[arg-type]
+        lighter(scene, lights).light(actors)
 
 
 def test_bad_flags_are_told() -> None:

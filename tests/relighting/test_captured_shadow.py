@@ -120,4 +120,4 @@ def test_bad_shadows_are_told(change: dict[str, object], error: type[Exception],
         "transmittances": [[0.5, 0.5]],
     } | change
     with pytest.raises(error, match=said):
-        ls.shadowed(**arguments)  # type: ignore[arg-type]
+        ls.shadowed(**arguments)

@@ -189,17 +189,17 @@ def test_bad_searches_are_told(change: dict[str, object], said: str) -> None:
     """No region, no Gaussians, no light."""
     arguments = {"scene": walls(100), "center": CENTER} | change
     with pytest.raises(ls.SceneError, match=said):
-        ls.estimate_lights(**arguments)  # type: ignore[arg-type]
+        ls.estimate_lights(**arguments)
 
 
 def test_bad_settings_are_told() -> None:
     """None stands for the defaults, nothing else does."""
     with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
-        ls.estimate_lights(walls(100), CENTER, config=0)  # type: ignore[arg-type]
+        ls.estimate_lights(walls(100), CENTER, config=0)
 
 
 @pytest.mark.parametrize("count", [0, True, 2.0])
 def test_bad_counts_are_told(count: object) -> None:
     """How many lights has to be a number of lights."""
     with pytest.raises(ls.ConfigError, match="expected a whole number"):
-        ls.estimate_lights(walls(100), CENTER, count)  # type: ignore[arg-type]
+        ls.estimate_lights(walls(100), CENTER, count)

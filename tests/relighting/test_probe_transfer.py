@@ -179,9 +179,9 @@ def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: ls.relight("avatar", some_probe()), ls.SceneError, "takes Gaussians or a SplatInstance, got a str"),  # type: ignore[type-var]
-        (lambda: ls.relight(one_gaussian(), "probe"), ls.SceneError, "expected an EnvironmentProbe, got a str"),  # type: ignore[arg-type]
-        (lambda: ls.relight(one_gaussian(), some_probe(), {"gamma": 2}), ls.ConfigError, "expected a RelightConfig"),  # type: ignore[arg-type]
+        (lambda: ls.relight("avatar", some_probe()), ls.SceneError, "takes Gaussians or a SplatInstance, got a str"),
+        (lambda: ls.relight(one_gaussian(), "probe"), ls.SceneError, "expected an EnvironmentProbe, got a str"),
+        (lambda: ls.relight(one_gaussian(), some_probe(), {"gamma": 2}), ls.ConfigError, "expected a RelightConfig"),
         (
             lambda: ls.relight(one_gaussian(), some_probe(), normals=np.eye(3)),
             ls.SceneError,
@@ -192,7 +192,7 @@ def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
         (lambda: ls.RelightConfig(exponent=0.0), ls.ConfigError, "exponent is 0.0, expected 0.1 to 64.0"),
         (lambda: ls.RelightConfig(scale_max=-1.0), ls.ConfigError, "scale_max is -1.0"),
         (lambda: ls.RelightConfig(gamma=np.inf), ls.ConfigError, "gamma is inf"),
-        (lambda: ls.RelightConfig(normals="pca"), ls.ConfigError, "such as NormalEstimate.PCA"),  # type: ignore[arg-type]
+        (lambda: ls.RelightConfig(normals="pca"), ls.ConfigError, "such as NormalEstimate.PCA"),
         (lambda: ls.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )

@@ -19,7 +19,7 @@ ORIGIN = np.zeros((1, 3))
 
 def tracer(**trace: object) -> ls.Renderer:
     """A renderer that traces on the CPU."""
-    config = ls.TraceConfig(**trace)  # type: ignore[arg-type]
+    config = ls.TraceConfig(**trace)
     return ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config), "cpu")
 
 
@@ -149,7 +149,7 @@ def test_bad_rays_are_refused(origins: object, directions: object, message: str)
     """With one line that counts them, and no warning of NumPy's."""
     with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
         warnings.simplefilter("error")
-        ls.trace_rays(ls.Scene([stack(0.5)]), origins, directions, device="cpu")  # type: ignore[arg-type]
+        ls.trace_rays(ls.Scene([stack(0.5)]), origins, directions, device="cpu")
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_bad_rays_are_refused(origins: object, directions: object, message: str)
 def test_bad_distances_are_refused(distance: object, message: str) -> None:
     """Likewise."""
     with pytest.raises(ls.SceneError, match=message):
-        ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")  # type: ignore[arg-type]
+        ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")
 
 
 def test_a_renderer_that_rasterises_traces_nothing() -> None:

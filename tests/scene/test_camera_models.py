@@ -61,9 +61,9 @@ def test_fisheye_sees_nothing_beyond_its_back() -> None:
 def test_orthographic_rays_are_parallel() -> None:
     """All rays are parallel to the axis; look_at shows as much as a pinhole camera would at the target."""
     arguments = {"eye": (0, 0, -4), "target": (0, 0, 0), "width": 30, "height": 20, "fov_y": 0.9}
-    camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)  # type: ignore[arg-type]
+    camera = ls.Camera.look_at(**arguments, model=ORTHOGRAPHIC)
     np.testing.assert_array_equal(camera.ray_directions(), np.broadcast_to((0.0, 0.0, 1.0), (20, 30, 3)))
-    pinhole = ls.Camera.look_at(**arguments)  # type: ignore[arg-type]
+    pinhole = ls.Camera.look_at(**arguments)
     assert camera.fx == camera.fy == pytest.approx(pinhole.fx / 4.0)
     assert camera.fov_y == 0.0
 
@@ -128,7 +128,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
 def test_wrong_lenses_are_refused(changes: dict[str, object], message: str) -> None:
     """The one line says which value and what was expected."""
     with pytest.raises(ls.SceneError, match=message) as raised:
-        front_camera(**changes)  # type: ignore[arg-type]
+        front_camera(**changes)
     assert "\n" not in str(raised.value)
 
 
@@ -191,7 +191,7 @@ def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, object], mess
     camera = front_camera(name="left")
     refuse_lens(camera)
     with pytest.raises(ls.SceneError, match=message):
-        refuse_lens(replace(camera, **changes))  # type: ignore[arg-type]
+        refuse_lens(replace(camera, **changes))
 
 
 def test_depth_z_of_a_drawn_frame() -> None:

@@ -15,7 +15,7 @@ def make(count: int, coefficients: int, *, albedo: bool = True) -> ls.Gaussians:
     """Some Gaussians whose SH holds ones."""
     return ls.Gaussians(
         np.full((count, 3), count, dtype=np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         np.ones((count, 3), dtype=np.float32),
         np.full(count, 0.5, dtype=np.float32),
         np.ones((count, coefficients, 3), dtype=np.float32),

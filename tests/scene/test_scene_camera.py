@@ -62,7 +62,7 @@ def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float,
 def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> None:
     """The one line says which value and what was expected."""
     with pytest.raises(ls.SceneError, match=message):
-        front_camera(**changes)  # type: ignore[arg-type]
+        front_camera(**changes)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> 
 def test_impossible_views_are_refused(arguments: dict[str, object]) -> None:
     """A camera needs a target, an up direction and a field of view."""
     with pytest.raises(ls.SceneError):
-        ls.Camera.look_at(**arguments)  # type: ignore[arg-type]
+        ls.Camera.look_at(**arguments)
 
 
 def test_scaled_keeps_the_view() -> None:

@@ -33,7 +33,7 @@ def test_defaults(kind: type) -> None:
 
 def test_directions_become_unit() -> None:
     """A direction may be of any length, and of any kind of sequence."""
-    spot = ls.LightSpot(position=[1, 2, 3], direction=np.array([0, 3, -4]))  # type: ignore[arg-type]
+    spot = ls.LightSpot(position=[1, 2, 3], direction=np.array([0, 3, -4]))
     assert spot.position == (1.0, 2.0, 3.0)
     np.testing.assert_allclose(spot.direction, (0.0, 0.6, -0.8))
     np.testing.assert_allclose(ls.LightDirectional((2.0, 0.0, 0.0)).direction, (1.0, 0.0, 0.0))
@@ -42,7 +42,7 @@ def test_directions_become_unit() -> None:
 def test_environments() -> None:
     """The image is kept as read-only float32, the rotation as a unit quaternion."""
     image = np.ones((2, 4, 3))
-    light = ls.LightEnvironment(image=image, rotation_wxyz=(0, 2, 0, 0))  # type: ignore[arg-type]
+    light = ls.LightEnvironment(image=image, rotation_wxyz=(0, 2, 0, 0))
     assert light.image is not None and light.image.dtype == np.float32 and not light.image.flags.writeable
     image[:] = 0.0
     assert light.image.all()
@@ -95,9 +95,9 @@ def test_a_scene_takes_one_enabled_environment() -> None:
     """Further environments may be disabled; there may be any number of other lights."""
     on, off = ls.LightEnvironment(), ls.LightEnvironment(enabled=False)
     lights = [on, off, ls.LightPoint(ORIGIN), ls.LightPoint(ORIGIN)]
-    assert ls.Scene(lights=lights).lights == tuple(lights)  # type: ignore[arg-type]
+    assert ls.Scene(lights=lights).lights == tuple(lights)
     with pytest.raises(ls.SceneError, match="two enabled environments"):
-        ls.Scene(lights=[on, ls.LightEnvironment()])  # type: ignore[arg-type]
+        ls.Scene(lights=[on, ls.LightEnvironment()])
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ TEXELS = np.zeros((2, 2, 3), np.uint8)
 
 def test_one_number_is_a_grey() -> None:
     """Colours may be given as one number for all three channels."""
-    material = ls.MaterialSimple(diffuse=0.5, emissive=2)  # type: ignore[arg-type]
+    material = ls.MaterialSimple(diffuse=0.5, emissive=2)
     assert (material.diffuse, material.emissive) == ((0.5, 0.5, 0.5), (2.0, 2.0, 2.0))
-    assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)  # type: ignore[arg-type]
+    assert ls.MaterialPbr(base_color=np.float32(0.5)).base_color == (0.5, 0.5, 0.5)
 
 
 def test_a_simple_material_shines_as_captured() -> None:
@@ -44,7 +44,7 @@ def test_textures_are_kept(name: str) -> None:
     texels[:] = 255
     assert not stored.any() and not stored.flags.writeable
     with pytest.raises(ls.SceneError, match=rf"{name} is float32 \(2, 2, 3\), expected uint8"):
-        ls.MaterialPbr(**{name: texels.astype(np.float32)})  # type: ignore[arg-type]
+        ls.MaterialPbr(**{name: texels.astype(np.float32)})
 
 
 @pytest.mark.parametrize(

@@ -31,12 +31,12 @@ def test_checked_arrays_cannot_change_afterwards() -> None:
 
 def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
     """Normals may have any length; unit ones keep their bits, zeros become the area-weighted mean of the faces."""
-    unit = np.float32([0.26726124, 0.5345225, 0.8017837])
+    unit = np.array([0.26726124, 0.5345225, 0.8017837], np.float32)
     mesh = ls.Mesh(**TRIANGLE, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit])
     assert mesh.normals is not None and not mesh.normals.flags.writeable
     np.testing.assert_allclose(mesh.normals[:2], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     np.testing.assert_array_equal(mesh.normals[2], unit)
-    corner = np.float32([[0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]]) * np.float32(1e-15)
+    corner = np.array([[0, 0, 0], [2, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]], np.float32) * np.float32(1e-15)
     filled = ls.Mesh(corner, [[0, 1, 2], [0, 2, 3]], normals=np.zeros((5, 3))).normals
     assert filled is not None
     np.testing.assert_allclose(filled[:2], [[0.2**0.5, 0.0, 0.8**0.5], [0.0, 0.0, 1.0]], atol=1e-6)
@@ -62,7 +62,7 @@ def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
 def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> None:
     """The one line names the array and both sides of the contradiction."""
     with pytest.raises(ls.SceneError, match=message):
-        ls.Mesh(**TRIANGLE | changes)  # type: ignore[arg-type]
+        ls.Mesh(**TRIANGLE | changes)
 
 
 def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
@@ -91,7 +91,7 @@ def test_any_integer_is_an_index(kind: type) -> None:
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
 def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFixture) -> None:
     """Only the shape counts: triangles of any size stay, and so do thin ones from rounding to float32."""
-    corners = np.float32([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]]) * np.float32(size)
+    corners = np.array([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]], np.float32) * np.float32(size)
     assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
     assert ls.Mesh(np.float32(TRIANGLE["positions"]) * np.float32(size), [[0, 1, 2]]).face_count == 1
     assert not caplog.records
@@ -149,7 +149,7 @@ def test_triangles_of_many_blocks() -> None:
 def test_wrong_materials_are_refused(changes: dict[str, object], message: str) -> None:
     """Values outside their physical range are named."""
     with pytest.raises(ls.SceneError, match=message):
-        ls.MaterialPbr(**changes)  # type: ignore[arg-type]
+        ls.MaterialPbr(**changes)
 
 
 def test_texture_is_the_materials_own() -> None:

@@ -61,7 +61,7 @@ def test_lights_at_a_place_shine_from_it(light: Any) -> None:
 
 def test_casters_may_come_in_any_form() -> None:
     """Bare, placed, in a scene, in a list: the same Gaussians cast the same shadow."""
-    moved = replace(ball(), means=ball().means + np.float32([1.0, 2.0, 3.0]))
+    moved = replace(ball(), means=ball().means + np.array([1.0, 2.0, 3.0], np.float32))
     back = similarity((0.3, -0.2, 1.0), 0.7)
     back[:3, 3] = -back[:3, :3] @ [1.0, 2.0, 3.0]
     placed = ls.SplatInstance(moved, back)
@@ -116,7 +116,7 @@ def test_mesh_is_turned_into_gaussians_once(sampled: list[ls.Mesh]) -> None:
 def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
     """Poses of the same triangles are one surface: its Gaussians follow, and their shadow is that of the pose."""
     sphere = icosphere(radius=0.5)
-    moved = replace(sphere, positions=sphere.positions * np.float32([8.0, 1.0, 1.0]), normals=None)
+    moved = replace(sphere, positions=sphere.positions * np.array([8.0, 1.0, 1.0], np.float32), normals=None)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
     assert shadow.transmittance(BEHIND)[1] == 1.0
     shadow.rebuild(moved)
@@ -129,7 +129,7 @@ def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
 def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
     """What an animation showed before does not change a frame."""
     sphere = icosphere(radius=0.5)
-    moved = replace(sphere, positions=sphere.positions * np.float32([3.0, 1.0, 1.0]), normals=None)
+    moved = replace(sphere, positions=sphere.positions * np.array([3.0, 1.0, 1.0], np.float32), normals=None)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
     shadow.rebuild(moved)
     expected = shadow.transmittance(BEHIND)
@@ -164,7 +164,7 @@ def test_parallel_light_has_no_beginning() -> None:
     """What stands far towards the sun casts a shadow; what stands behind the receivers casts none."""
     sun = ls.LightDirectional((0.0, 0.0, 1.0))
     for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
-        caster = replace(ball(), means=np.float32([[0.0, 0.0, z]]))
+        caster = replace(ball(), means=np.array([[0.0, 0.0, z]], np.float32))
         seen = behind(caster, sun, replace(SMALL, resolution=512))
         np.testing.assert_allclose(seen, [expected, 1.0], atol=2e-3)
 
@@ -265,7 +265,7 @@ def test_maps_for_nobody_follow_casters_also_from_files(culling: bool, tmp_path:
     aside = np.array([[6.0, 0.0, 4.0]], np.float32)
     for one in (shadow, again):
         assert one.transmittance(aside) > 0.99
-        one.rebuild(replace(ball(), means=np.float32([[3.0, 0.0, 0.0]])))
+        one.rebuild(replace(ball(), means=np.array([[3.0, 0.0, 0.0]], np.float32)))
         assert one.transmittance(aside) < 0.1
 
 

@@ -22,7 +22,7 @@ from support.scenes.trace_scenes import AXIS, GLASS, MIRROR, ball, random_ray, s
 
 def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: object) -> Traced:
     """What a ray shows before a grey background; ``settings`` are those of ``trace_config``."""
-    return trace_one(scene, ray, trace_config((background,) * 3, **settings))  # type: ignore[arg-type]
+    return trace_one(scene, ray, trace_config((background,) * 3, **settings))
 
 
 def test_nearest_triangle() -> None:
@@ -93,7 +93,7 @@ def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: 
         return nearest(triangles, ray)
 
     monkeypatch.setattr(trace_oracle, "nearest", watch)
-    traced(scene, ray, **changes)  # type: ignore[arg-type]
+    traced(scene, ray, **changes)
     return rays
 
 

@@ -32,12 +32,12 @@ from support.scenes.trace_scenes import AXIS, GLASS, random_ray, trace_config
 
 def traced(scene: Scene, ray: Ray = AXIS, **settings: object) -> Traced:
     """What a ray shows; ``settings`` are those of ``trace_config``."""
-    return trace_one(scene, ray, trace_config(**settings))  # type: ignore[arg-type]
+    return trace_one(scene, ray, trace_config(**settings))
 
 
 def found_on(scene: Scene, ray: Ray = AXIS, **settings: object) -> Hits:
     """The Gaussians that count on a ray."""
-    every = hits(world_of(scene, trace_config(**settings)), ray)  # type: ignore[arg-type]
+    every = hits(world_of(scene, trace_config(**settings)), ray)
     return picked(every, every.counts)
 
 
@@ -56,7 +56,7 @@ def golden_section(f: object, low: float, high: float) -> float:
     ratio = 0.5 * (np.sqrt(5.0) - 1.0)
     for _ in range(100):
         a, b = high - ratio * (high - low), low + ratio * (high - low)
-        low, high = (low, b) if f(a) < f(b) else (a, high)  # type: ignore[operator]
+        low, high = (low, b) if f(a) < f(b) else (a, high)
     return 0.5 * (low + high)
 
 
@@ -305,8 +305,8 @@ def test_expectation_is_the_sorted_image(strategy: TraceStrategy, hits_per_pass:
     for _ in range(20):
         ray = random_ray(rng)
         config = {"background": (0.7, 0.7, 0.7), "transmittance_min": 0.0, "hits_per_pass": hits_per_pass}
-        expected = traced(scene, ray, **config)  # type: ignore[arg-type]
-        actual = traced(scene, ray, strategy=strategy, **config)  # type: ignore[arg-type]
+        expected = traced(scene, ray, **config)
+        actual = traced(scene, ray, strategy=strategy, **config)
         # Sorted branches weigh less, so that more of them are dropped: below 1/512 each.
         np.testing.assert_allclose(actual.color, expected.color, atol=8.0 / 512.0 if meshes else 1e-12)
         assert actual.alpha == pytest.approx(expected.alpha, abs=1e-12)
@@ -419,7 +419,7 @@ def test_slack_covers_swapped_hits() -> None:
     """Two Gaussians closer to one another than rounding may be blended in either order, and either be the surface."""
     red, blue = one_gaussian((0.0, 0.0, 4.0), 0.2, 0.8, (1, 0, 0)), one_gaussian((0.0, 0.0, 4.0), 0.3, 0.5, (0, 0, 1))
     for gap, slack, band in ((0.0, 0.4, True), (4e-7, 0.4, True), (1e-4, 0.0, False)):
-        behind = replace(blue, means=blue.means + np.float32([0.0, 0.0, gap]))
+        behind = replace(blue, means=blue.means + np.array([0.0, 0.0, gap], np.float32))
         one = traced(Scene([joined(red, behind)]))
         assert one.slack == pytest.approx(slack, abs=1e-3)
         assert one.band == band

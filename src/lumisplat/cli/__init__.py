@@ -78,7 +78,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         with panels_as_errors():
             command = tyro.cli(
-                _Command,  # type: ignore[arg-type]
+                _Command,  # pyright: ignore[reportArgumentType]
                 args=args or ["--help"],
                 prog="lumisplat",
                 description=_DESCRIPTION,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,15 @@ class LitPoints:
     """Unit normals, world space, shape (N, 3)."""
     rgb: FloatArray
     """Linear Rec.709, white 1, at least 0, shape (N, 3)."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            positions: npt.ArrayLike,
+            normals: npt.ArrayLike,
+            rgb: npt.ArrayLike,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals", "rgb"):

@@ -170,7 +170,7 @@ class Launcher:
                 work()
             graph = capture.graph
             self._graphs[name] = (key, graph)
-        wp.capture_launch(graph)  # type: ignore[arg-type]
+        wp.capture_launch(graph)  # pyright: ignore[reportArgumentType]
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

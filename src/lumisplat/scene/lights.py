@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +44,21 @@ class LightPoint:
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
 
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            position: npt.ArrayLike,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            range: float = math.inf,
+            radius: float = 0.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         _check_shared(self)
         object.__setattr__(self, "position", _vector("position", self.position))
@@ -76,6 +92,24 @@ class LightSpot:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(  # noqa: PLR0917
+            self,
+            position: npt.ArrayLike,
+            direction: npt.ArrayLike,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            range: float = math.inf,
+            inner_angle: float = 0.0,
+            outer_angle: float = math.pi / 4.0,
+            radius: float = 0.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         _check_shared(self)
@@ -112,6 +146,20 @@ class LightDirectional:
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
 
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            direction: npt.ArrayLike,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            angle: float = 0.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         _check_shared(self)
         object.__setattr__(self, "direction", _direction("direction", self.direction))
@@ -140,6 +188,20 @@ class LightSphere:
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
 
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            position: npt.ArrayLike,
+            radius: float,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         _check_shared(self)
         object.__setattr__(self, "position", _vector("position", self.position))
@@ -166,6 +228,21 @@ class LightRect:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            position: npt.ArrayLike,
+            edge_u: npt.ArrayLike,
+            edge_v: npt.ArrayLike,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         _check_shared(self)
@@ -199,6 +276,21 @@ class LightEnvironment:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            image: npt.ArrayLike | None = None,
+            color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            intensity: float = 1.0,
+            rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0),
+            visible: bool = True,
+            *,
+            enabled: bool = True,
+            casts_shadow: bool = True,
+            name: str = "",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         _check_shared(self)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +66,28 @@ class MaterialPbr:
     """sRGB-encoded factor of ``emissive``."""
     name: str = ""
 
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            *,
+            base_color: npt.ArrayLike = (0.8, 0.8, 0.8),
+            metallic: float = 0.0,
+            roughness: float = 0.5,
+            specular: float = 1.0,
+            ior: float = 1.5,
+            transmission: float = 0.0,
+            emissive: npt.ArrayLike = (0.0, 0.0, 0.0),
+            base_color_texture: npt.ArrayLike | None = None,
+            metallic_roughness_texture: npt.ArrayLike | None = None,
+            normal_texture: npt.ArrayLike | None = None,
+            normal_scale: float = 1.0,
+            occlusion_texture: npt.ArrayLike | None = None,
+            occlusion_strength: float = 1.0,
+            emissive_texture: npt.ArrayLike | None = None,
+            name: str = "",
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "base_color", _color("base_color", self.base_color, 1.0))
         object.__setattr__(self, "emissive", _color("emissive", self.emissive, math.inf))
@@ -111,6 +133,21 @@ class MaterialSimple:
     base_color_texture: Texture | None = None
     """sRGB-encoded texels, as in `MaterialPbr`."""
     name: str = ""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            *,
+            emissive: npt.ArrayLike = (1.0, 1.0, 1.0),
+            ambient: npt.ArrayLike = (0.0, 0.0, 0.0),
+            diffuse: npt.ArrayLike = (0.0, 0.0, 0.0),
+            specular: npt.ArrayLike = (0.0, 0.0, 0.0),
+            shininess: float = 32.0,
+            base_color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            base_color_texture: npt.ArrayLike | None = None,
+            name: str = "",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for name, high in (

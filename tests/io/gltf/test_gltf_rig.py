@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from support.files.gltf_writer import Gltf
 from support.files.rig_files import BEND, CARRY, VANISH, TubeRig, quaternion_xyzw
+from support.kinds import expect_kind, present
 from support.oracles.rig_oracle import posed, world_matrices
 
 
-def load(rig: TubeRig, folder) -> ls.Rig:
+def load(rig: TubeRig, folder: Path) -> ls.Rig:
     """The rig, written and read."""
     return ls.load_rig(rig.write(folder / "tube.glb"))
 
@@ -48,19 +53,19 @@ def random_rig(seed: int) -> TubeRig:
     return rig
 
 
-def test_bound_pose_is_the_mesh(tmp_path):
+def test_bound_pose_is_the_mesh(tmp_path: Path) -> None:
     """With joints where they were bound, vertices and normals are those of the file, to float32."""
     rig = TubeRig(clips={"bend": BEND})
     loaded = load(rig, tmp_path)
     assert loaded.clips == ("bend",) and loaded.duration() == 1.0
     for mesh in (loaded.mesh, loaded.pose(0.0)):
         np.testing.assert_allclose(mesh.positions, rig.positions, atol=1e-6)
-        np.testing.assert_allclose(mesh.normals, rig.normals, atol=1e-6)
+        np.testing.assert_allclose(present(mesh.normals), present(rig.normals), atol=1e-6)
         np.testing.assert_array_equal(mesh.indices, rig.triangles)
     assert loaded.mesh.material.base_color == pytest.approx((0.8, 0.4, 0.2))
 
 
-def test_a_carried_rig_is_a_rigid_body(tmp_path):
+def test_a_carried_rig_is_a_rigid_body(tmp_path: Path) -> None:
     """If only the root moves, all vertices and normals move with it."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
@@ -68,12 +73,12 @@ def test_a_carried_rig_is_a_rigid_body(tmp_path):
         root = world_matrices(rig, "carry", time)[1]
         mesh = loaded.pose(time)
         np.testing.assert_allclose(mesh.positions, rig.positions @ root[:3, :3].T + root[:3, 3], atol=2e-6)
-        np.testing.assert_allclose(mesh.normals, rig.normals @ root[:3, :3].T, atol=2e-6)
+        np.testing.assert_allclose(present(mesh.normals), present(rig.normals) @ root[:3, :3].T, atol=2e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_poses_match_the_twin(seed, tmp_path):
-    """Every interpolation of every channel, eight influences a vertex, before, in and after the clip."""
+def test_poses_match_the_twin(seed: int, tmp_path: Path) -> None:
+    """Every interpolation of every channel, eight influences per vertex, before, during and after the clip."""
     rig = random_rig(seed)
     loaded = load(rig, tmp_path)
     for time in (-1.0, 0.0, *np.linspace(0.05, loaded.duration("all"), 13), 99.0):
@@ -81,21 +86,21 @@ def test_poses_match_the_twin(seed, tmp_path):
         mesh = loaded.pose(float(time), "all")
         np.testing.assert_allclose(mesh.positions, positions, atol=1e-5 * np.abs(positions).max())
         # float32 accessors bound what nearly flat joint matrices leave of a normal.
-        np.testing.assert_allclose(mesh.normals, normals, atol=2e-4)
+        np.testing.assert_allclose(present(mesh.normals), normals, atol=2e-4)
 
 
-def test_the_rest_is_what_load_shows(tmp_path):
+def test_the_rest_is_what_load_shows(tmp_path: Path) -> None:
     """`load` and the rig agree on the pose at rest, also where a node mirrors."""
     rig = random_rig(7)
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     loaded = load(rig, tmp_path)
-    shown = ls.load(tmp_path / "tube.glb").meshes[0].mesh
+    shown = expect_kind(ls.Scene, ls.load(tmp_path / "tube.glb")).meshes[0].mesh
     np.testing.assert_allclose(loaded.mesh.positions, shown.positions, atol=1e-5)
-    np.testing.assert_allclose(loaded.mesh.normals, shown.normals, atol=1e-5)
+    np.testing.assert_allclose(present(loaded.mesh.normals), present(shown.normals), atol=1e-5)
     np.testing.assert_array_equal(loaded.mesh.indices, shown.indices)
 
 
-def test_mirrored_rigs_face_outwards(tmp_path):
+def test_mirrored_rigs_face_outwards(tmp_path: Path) -> None:
     """A rig whose root mirrors has its triangles reversed, and its normals with them."""
     rig = TubeRig()
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
@@ -104,10 +109,10 @@ def test_mirrored_rigs_face_outwards(tmp_path):
     faces = np.cross(b - a, c - a)
     outwards = (a + b + c) * (1.0, 0.0, 1.0)
     assert ((faces * outwards).sum(axis=1) > 0.0).all()
-    assert ((mesh.normals * mesh.positions)[:, [0, 2]].sum(axis=1) > 0.0).all()
+    assert ((present(mesh.normals) * mesh.positions)[:, [0, 2]].sum(axis=1) > 0.0).all()
 
 
-def test_meshes_without_a_skin_follow_their_node(tmp_path):
+def test_meshes_without_a_skin_follow_their_node(tmp_path: Path) -> None:
     """A mesh that is moved by its node alone is a rig as well: its vertices follow the node."""
     rig = TubeRig(joints=None, weights=None, clips={"go": [(0, *CARRY[0][1:]), (0, *CARRY[1][1:])]})
     del rig.nodes[0]["skin"]
@@ -116,7 +121,7 @@ def test_meshes_without_a_skin_follow_their_node(tmp_path):
     np.testing.assert_allclose(loaded.pose(1.3).positions, rig.positions @ node[:3, :3].T + node[:3, 3], atol=2e-6)
 
 
-def test_morph_weights_are_animated(tmp_path):
+def test_morph_weights_are_animated(tmp_path: Path) -> None:
     """Targets add by weight, before the joints pose; without a clip, by the weights of the mesh."""
     rng = np.random.default_rng(3)
     rig = TubeRig()
@@ -128,7 +133,7 @@ def test_morph_weights_are_animated(tmp_path):
     np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
 
 
-def two_primitives(rig: TubeRig, same_material: bool):
+def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
     """The tube twice in one mesh, the copy without its first triangle."""
     gltf = rig.gltf()
     first = gltf.json["meshes"][0]["primitives"][0]
@@ -138,7 +143,7 @@ def two_primitives(rig: TubeRig, same_material: bool):
     return gltf
 
 
-def test_primitives_of_one_material_are_one_mesh(tmp_path):
+def test_primitives_of_one_material_are_one_mesh(tmp_path: Path) -> None:
     """Primitives of one material are joined; others are separate meshes, which `poses` gives and `pose` refuses."""
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
@@ -156,7 +161,7 @@ def test_primitives_of_one_material_are_one_mesh(tmp_path):
         _ = two.mesh
 
 
-def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
+def test_what_is_scaled_to_nothing_is_left_out(tmp_path: Path) -> None:
     """A rig that is scaled to nothing has no meshes at that time, and `pose` raises an error."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
@@ -164,7 +169,7 @@ def test_what_is_scaled_to_nothing_is_left_out(tmp_path):
         loaded.pose(1.0)
 
 
-def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
+def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path: Path) -> None:
     """Poses share their triangle arrays, by which shadow maps recognise a surface, also if some are left out."""
     rig = TubeRig(clips={"bend": BEND})
     rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
@@ -174,7 +179,7 @@ def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path):
     assert early.indices is late.indices
 
 
-def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
+def test_what_is_hidden_at_rest_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A mesh that its node hides by a scale of 0 is left out with a log line; a rig without other meshes is refused."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
@@ -190,7 +195,7 @@ def test_what_is_hidden_at_rest_is_left_out(tmp_path, caplog):
         load(rig, tmp_path)
 
 
-def test_clips_are_chosen_by_name(tmp_path):
+def test_clips_are_chosen_by_name(tmp_path: Path) -> None:
     """The first clip is the default; an unknown name is refused with a list of the clips."""
     loaded = load(TubeRig(clips={"bend": BEND, "carry": CARRY}), tmp_path)
     assert loaded.duration("carry") == 2.0
@@ -198,12 +203,12 @@ def test_clips_are_chosen_by_name(tmp_path):
     assert np.abs(loaded.pose(0.5).positions - loaded.pose(0.5, "carry").positions).max() > 0.1
     with pytest.raises(ls.SceneError, match="the rig has no clip 'run', it has 'bend', 'carry'"):
         loaded.pose(0.0, "run")
-    for time in (np.nan, np.inf, "now"):
+    for time in (np.nan, np.inf, cast(Any, "now")):
         with pytest.raises(ls.SceneError, match="time is"):
             loaded.pose(time)
 
 
-def test_rigs_without_clips_stand_still(tmp_path):
+def test_rigs_without_clips_stand_still(tmp_path: Path) -> None:
     """A skin without animation is posed at rest at any time, and has no duration."""
     loaded = load(TubeRig(), tmp_path)
     np.testing.assert_array_equal(loaded.pose(5.0).positions, loaded.mesh.positions)
@@ -224,7 +229,7 @@ def keys(rig: TubeRig, path: str, times: list, values: list, way: str = "LINEAR"
 
 def unweighted(rig: TubeRig, value: float) -> None:
     """All weights of two vertices replaced."""
-    rig.weights[[3, 5]] = value
+    present(rig.weights)[[3, 5]] = value
 
 
 def broken_bind(rig: TubeRig) -> None:
@@ -241,7 +246,7 @@ BROKEN = [
     (lambda rig: unweighted(rig, 0.0), "is skinned, but 2 vertices have no weight"),
     (lambda rig: unweighted(rig, NAN), "2 vertices have skin weights that are negative or not finite"),
     (lambda rig: unweighted(rig, -1.0), "2 vertices have skin weights that are negative or not finite"),
-    (lambda rig: rig.joints.__setitem__((0, 0), 9), "uses joint 9, but its skin has 3"),
+    (lambda rig: present(rig.joints).__setitem__((0, 0), 9), "uses joint 9, but its skin has 3"),
     (broken_bind, "skins[0]: 1 of 3 inverse bind matrices are not finite"),
     (lambda rig: keys(rig, "translation", [0, 1], [[0, 0, NAN], [NAN, 0, 0]]), "2 of 6 key values are not finite"),
     (lambda rig: keys(rig, "translation", [0, NAN], VALUES), "1 of 2 key times are not finite"),
@@ -257,7 +262,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("breaks", "problem"), BROKEN, ids=[problem[:40] for _, problem in BROKEN])
-def test_broken_rigs_are_refused(breaks, problem, tmp_path):
+def test_broken_rigs_are_refused(breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path) -> None:
     """One line that names the file and the item, and counts what is not finite."""
     rig = TubeRig()
     breaks(rig)
@@ -268,7 +273,7 @@ def test_broken_rigs_are_refused(breaks, problem, tmp_path):
     assert problem in message
 
 
-def test_damaged_rigs_are_refused_or_read(tmp_path):
+def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
     """Random bytes anywhere give one line, or a rig that can be posed; nothing else."""
     rng = np.random.default_rng(0)
     data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
@@ -290,7 +295,7 @@ def test_damaged_rigs_are_refused_or_read(tmp_path):
     assert 10 < refused < 80
 
 
-def test_other_kinds_of_files_are_no_rigs(tmp_path):
+def test_other_kinds_of_files_are_no_rigs(tmp_path: Path) -> None:
     """Files are refused by their extensions, before their contents are parsed; capital letters are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
@@ -300,7 +305,7 @@ def test_other_kinds_of_files_are_no_rigs(tmp_path):
     assert ls.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
 
 
-def test_a_matrix_is_not_animated(tmp_path):
+def test_a_matrix_is_not_animated(tmp_path: Path) -> None:
     """A node with a matrix has no parts that a clip could animate."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
@@ -308,13 +313,13 @@ def test_a_matrix_is_not_animated(tmp_path):
         load(rig, tmp_path)
 
 
-def test_black_vertex_colours_are_logged_and_left_out(tmp_path, caplog):
+def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Vertex colours multiply the base colour, as the format demands; nearly black ones are logged, or left out."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     path = rig.write(tmp_path / "tube.glb")
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert not ls.load_rig(path).mesh.colors.any()
+        assert not present(ls.load_rig(path).mesh.colors).any()
     assert "COLOR_0 makes 100 % of the vertices of 'tube' black" in caplog.text
     caplog.clear()
     assert ls.load_rig(path, vertex_colors=False).mesh.colors is None
@@ -322,7 +327,7 @@ def test_black_vertex_colours_are_logged_and_left_out(tmp_path, caplog):
 
 
 @pytest.mark.data
-def test_the_walker_walks(data_dir):
+def test_the_walker_walks(data_dir: Path) -> None:
     """The real avatar: one clip, which ends as it begins, and moves in between; at rest it is what `load` shows."""
     path = data_dir / "avatars" / "walk.glb"
     rig = ls.load_rig(path, vertex_colors=False)
@@ -331,6 +336,6 @@ def test_the_walker_walks(data_dir):
     first, middle, last = (rig.pose(share * rig.duration()).positions for share in (0.0, 0.5, 1.0))
     np.testing.assert_allclose(first, last, atol=1e-5)
     assert 0.02 < np.abs(middle - first).max() < 0.2
-    shown = ls.load(path).meshes[0].mesh
+    shown = expect_kind(ls.Scene, ls.load(path)).meshes[0].mesh
     np.testing.assert_allclose(rig.mesh.positions, shown.positions, atol=1e-6)
-    np.testing.assert_allclose(rig.mesh.normals, shown.normals, atol=1e-6)
+    np.testing.assert_allclose(present(rig.mesh.normals), present(shown.normals), atol=1e-6)

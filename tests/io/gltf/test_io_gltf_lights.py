@@ -11,6 +11,7 @@ import pytest
 
 import lumisplat as ls
 from support.files.mesh_files import Gltf, quad_gltf
+from support.kinds import expect_kind
 
 HALF = math.sqrt(0.5)
 TURN_DOWN = [-HALF, 0.0, 0.0, HALF]
@@ -87,7 +88,7 @@ def test_lights_beside_meshes(tmp_path: Path) -> None:
     gltf.json |= {"scenes": [{"nodes": [0, 1, 2, 3]}], "scene": 0}
     scene = read(tmp_path, gltf)
     assert len(scene.meshes) == 1
-    assert [light.position[0] for light in scene.lights] == [1.0, 2.0]  # type: ignore[union-attr]
+    assert [expect_kind(ls.LightPoint, light).position[0] for light in scene.lights] == [1.0, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.gltf.scene import read_gltf
 from support.files.mesh_files import QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
+from support.kinds import pbr_of
 
 
 def textured(**material: Any) -> Gltf:
@@ -114,7 +115,7 @@ def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = TRANSFORM
     with caplog.at_level(logging.WARNING, "lumisplat"):
         mesh = read(tmp_path, gltf)
-    assert mesh.material.normal_texture is not None  # type: ignore[union-attr]
+    assert pbr_of(mesh).normal_texture is not None
     np.testing.assert_array_equal(mesh.uvs, 2.0 * QUAD_UVS)
     assert not caplog.records
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.images.exr import read_exr, write_exr
+from lumisplat.io.images.exr import Channel, read_exr, write_exr
 from lumisplat.io.images.npz import write_npz
 from lumisplat.io.images.png import write_png
 from lumisplat.io.images.texture import decode_texture, read_texture
@@ -51,7 +51,7 @@ def test_exr_layers_keep_names_and_bits(tmp_path: Path) -> None:
     """Channels keep the names that Nuke groups into layers, all 32 bits, infinite depth, and -1 as the largest id."""
     rng = np.random.default_rng(1)
     names = ["R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"]
-    channels = {name: rng.normal(size=(5, 7)).astype(np.float32) for name in names}
+    channels: dict[str, Channel] = {name: rng.normal(size=(5, 7)).astype(np.float32) for name in names}
     channels["depth.Z"][0, 0] = np.inf
     channels["index.gaussian"] = np.arange(-1, 34, dtype=np.int32).reshape(5, 7)
     write_exr(tmp_path / "a.exr", channels, {"lumisplat/camera": "front"})

@@ -26,6 +26,7 @@ from support.files.mesh_files import (
     stl_text,
     write_obj,
 )
+from support.kinds import pbr_of, present
 
 
 def read_one(path: Path) -> Mesh:
@@ -49,7 +50,7 @@ def test_obj_material_and_unit_normals(tmp_path: Path) -> None:
     mesh = read_one(write_obj(tmp_path))
     assert mesh.material.base_color == (0.5, 0.25, 1.0)
     assert mesh.material.name == "painted"
-    np.testing.assert_allclose(mesh.normals, [(0, 0, 1)] * 4)
+    np.testing.assert_allclose(present(mesh.normals), [(0, 0, 1)] * 4)
 
 
 def test_obj_index_of_refraction(tmp_path: Path) -> None:
@@ -57,7 +58,7 @@ def test_obj_index_of_refraction(tmp_path: Path) -> None:
     path = write_obj(tmp_path)
     for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
         (tmp_path / "quad.mtl").write_text(f"newmtl painted\nNi {stored}\n")
-        assert read_one(path).material.ior == ior
+        assert pbr_of(read_one(path)).ior == ior
 
 
 def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
@@ -93,7 +94,7 @@ def test_obj_vertex_colors(tmp_path: Path) -> None:
     """Six numbers in a vertex line are a position and an sRGB colour, under a white base colour."""
     (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
     mesh = read_one(tmp_path / "a.obj")
-    np.testing.assert_allclose(mesh.colors, np.diag([1.0, decode_srgb(0.5), 1.0]), rtol=1e-6)
+    np.testing.assert_allclose(present(mesh.colors), np.diag([1.0, float(decode_srgb(0.5)), 1.0]), rtol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
 
@@ -142,7 +143,7 @@ def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: 
     np.testing.assert_array_equal(mesh.positions, QUAD)
     triangles = [(0, 1, 2), (0, 2, 3), (0, 1, 2)] if quad_first else [(0, 1, 2), (0, 1, 2), (0, 2, 3)]
     np.testing.assert_array_equal(mesh.indices, triangles)
-    np.testing.assert_allclose(mesh.colors, [(1.0, decode_srgb(188 / 255), 0.0)] * 4, atol=1e-6)
+    np.testing.assert_allclose(present(mesh.colors), [(1.0, float(decode_srgb(188 / 255)), 0.0)] * 4, atol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 from enum import Enum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, get_type_hints
+from typing import Any, cast, get_type_hints
 
 import numpy as np
 import pytest
@@ -99,10 +99,10 @@ def test_what_a_file_looks_like(tmp_path: Path) -> None:
 def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
     """They come back as Python's."""
     config = ls.RenderConfig(
-        response=ls.ResponseConfig(min_response=np.float64(0.1), kernel_degree=np.int64(4)),  # type: ignore[arg-type]
-        samples=np.int32(3),  # type: ignore[arg-type]
-        jitter=np.bool_(False),  # type: ignore[arg-type]
-        background=np.array([0.5, 0.25, 0.0]),  # type: ignore[arg-type]
+        response=ls.ResponseConfig(min_response=np.float64(0.1), kernel_degree=cast(Any, np.int64(4))),
+        samples=cast(Any, np.int32(3)),
+        jitter=cast(Any, np.bool_(False)),
+        background=cast(Any, np.array([0.5, 0.25, 0.0])),
     )
     ls.save_config(tmp_path / "a.toml", config)
     assert ls.load_config(tmp_path / "a.toml") == config
@@ -169,7 +169,7 @@ def test_wrong_settings_are_refused(tmp_path: Path, text: str, problem: str) -> 
 def test_what_cannot_be_saved(tmp_path: Path) -> None:
     """Nothing but settings, nowhere but in a file; what was there stays."""
     with pytest.raises(ls.ConfigError, match="config is a RasterConfig, expected a RenderConfig"):
-        ls.save_config(tmp_path / "a.toml", ls.RasterConfig())  # type: ignore[arg-type]
+        ls.save_config(tmp_path / "a.toml", cast(Any, ls.RasterConfig()))
     with pytest.raises(ls.FormatError, match="is a folder"):
         ls.save_config(tmp_path, ls.RenderConfig())
     assert not list(tmp_path.iterdir())

@@ -146,7 +146,7 @@ def test_damaged_scene_files(tmp_path: Path) -> None:
     rng, loaded = random.Random(3), 0
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     for _ in range(400):
-        lines = SCENE.splitlines()
+        lines: list[str] = [*SCENE.splitlines()]
         for _ in range(rng.randint(1, 2)):
             at = rng.randrange(len(lines))
             key, equals, _ = lines[at].partition("=")

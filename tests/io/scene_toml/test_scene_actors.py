@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from support.files.rig_files import BEND, CARRY, TubeRig
-from support.files.scene_files import refuses, write_scene
+from support.files.scene_files import load_scene, refuses, write_scene
+from support.kinds import expect_kind, present
 from support.scenes.raster_scenes import random_gaussians
 
 ACTOR = '[[actors]]\npath = "tube.glb"\ncount = 300\n'
@@ -15,7 +18,7 @@ FRAMES = '[[actors]]\npath = "frames"\n'
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Path:
     """A folder with a rig, a capture, a mesh and a folder of frames."""
     TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb")
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
@@ -26,12 +29,12 @@ def folder(tmp_path):
     return tmp_path
 
 
-def load_text(folder, text: str) -> ls.Animation:
+def load_text(folder: Path, text: str) -> ls.Animation:
     """The animation that ``text`` describes."""
     return ls.load_animation(write_scene(folder, text))
 
 
-def test_everything_of_an_actor_is_read(folder):
+def test_everything_of_an_actor_is_read(folder: Path) -> None:
     """Placement, keyframes, clip and flags are as written; the scene has the static parts."""
     animation = load_text(
         folder,
@@ -54,20 +57,22 @@ def test_everything_of_an_actor_is_read(folder):
     (shown,) = animation.actors_at(2.0)
     # Doubled and turned by 90 degrees about z, then moved; doubled again by the keyframes, and carried.
     np.testing.assert_allclose(shown.transform @ [1, 0, 0, 1], [2.0 * 1.0, 2.0 * 2.0, 2.0, 1.0], atol=1e-12)
-    assert shown.gaussians.count == 300
-    np.testing.assert_array_equal(shown.gaussians.means, actor.subject.at(4.0, "carry").means)
+    gaussians = expect_kind(ls.SplatInstance, shown).gaussians
+    assert gaussians.count == 300
+    bound = expect_kind(ls.RiggedGaussians, actor.subject)
+    np.testing.assert_array_equal(gaussians.means, bound.at(4.0, "carry").means)
 
 
-def test_the_scene_shows_actors_at_time_0(folder):
+def test_the_scene_shows_actors_at_time_0(folder: Path) -> None:
     """`load` gives the whole scene as the first frame shows it."""
     text = '[[meshes]]\npath = "mesh.obj"\n' + ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [0, 0, 1]\n" + FRAMES
-    scene = ls.load(write_scene(folder, text))
+    scene = load_scene(folder, text)
     assert [instance.gaussians.count for instance in scene.splats] == [300, 4]
     assert scene.splats[0].transform[2, 3] == 1.0
     assert len(scene.meshes) == 1
 
 
-def test_every_kind_of_file_is_an_actor(folder):
+def test_every_kind_of_file_is_an_actor(folder: Path) -> None:
     """Rigs and meshes as Gaussians or as meshes, frames, captures; a file named twice is loaded once."""
     text = (
         ACTOR
@@ -82,18 +87,18 @@ def test_every_kind_of_file_is_an_actor(folder):
     kinds = [type(actor.subject).__name__ for actor in animation.actors]
     assert kinds == [*["RiggedGaussians"] * 2, "Rig", "GaussianSequence", "Gaussians", "Gaussians", "Mesh"]
     assert animation.actors[0].subject is animation.actors[1].subject
-    assert animation.actors[3].subject.fps == 2.0
-    assert animation.actors[5].subject.count == 50
+    assert expect_kind(ls.GaussianSequence, animation.actors[3].subject).fps == 2.0
+    assert expect_kind(ls.Gaussians, animation.actors[5].subject).count == 50
     assert animation.frame_count == 38  # 1.5 s of frames, at 25 a second
 
 
-def test_keyframes_keep_what_they_do_not_say(folder):
+def test_keyframes_keep_what_they_do_not_say(folder: Path) -> None:
     """A keyframe keeps the values of the one before that it does not set."""
     text = (
         ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [1, 2, 3]\nscale = 2\n"
         "[[actors.keyframes]]\ntime = 1\nrotation_wxyz = [0, 0, 0, 1]\n"
     )
-    motion = load_text(folder, text).actors[0].motion
+    motion = present(load_text(folder, text).actors[0].motion)
     np.testing.assert_allclose(motion.at(1.0), [[-2, 0, 0, 1], [0, -2, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]], atol=1e-12)
 
 
@@ -164,7 +169,7 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],
 )
-def test_bad_entries_are_refused(text, problem, folder):
+def test_bad_entries_are_refused(text: str, problem: str, folder: Path) -> None:
     """One line with the file, the line and the key."""
     write_scene(folder, text)
     with pytest.raises(ls.FormatError) as caught:
@@ -172,10 +177,10 @@ def test_bad_entries_are_refused(text, problem, folder):
     refuses(caught, folder, problem)
 
 
-def test_broken_files_are_named(folder):
+def test_broken_files_are_named(folder: Path) -> None:
     """An error in a file that an actor names is about that file."""
     rig = TubeRig(clips={"bend": BEND})
-    rig.weights[:] = 0.0
+    present(rig.weights)[:] = 0.0
     rig.write(folder / "tube.glb")
     with pytest.raises(ls.FormatError, match=r"tube\.glb: .* is skinned, but 130 vertices have no weight"):
         load_text(folder, ACTOR)

@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from support.files.mesh_files import quad_gltf
+from support.kinds import expect_kind, pbr_of
 from support.scenes.raster_scenes import random_gaussians
 
 
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path: Path) -> Path:
     """A folder with a capture and a mesh."""
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     return tmp_path
 
 
-def load_text(folder, text: str) -> ls.Scene:
+def load_text(folder: Path, text: str) -> ls.Scene:
     """The scene that ``text`` describes."""
     (folder / "scene.toml").write_text(text)
-    scene = ls.load(folder / "scene.toml")
-    assert isinstance(scene, ls.Scene)
-    return scene
+    return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_instances_are_placed(folder):
+def test_instances_are_placed(folder: Path) -> None:
     """Scale, then rotation, then position; names are kept; a file named twice is loaded once."""
     scene = load_text(
         folder,
@@ -42,7 +43,7 @@ def test_instances_are_placed(folder):
     assert np.allclose(scene.meshes[0].transform @ [1, 0, 0, 1], [1, 3, 0, 1])
 
 
-def test_kernel_degree_of_an_entry(folder):
+def test_kernel_degree_of_an_entry(folder: Path) -> None:
     """An entry sets the degree of a capture whose file has none; entries with the same degree share the capture."""
     entry = '[[splats]]\npath = "capture.ply"\n'
     scene = load_text(folder, entry + (entry + "kernel_degree = 4\n") * 2)
@@ -52,7 +53,7 @@ def test_kernel_degree_of_an_entry(folder):
     np.testing.assert_array_equal(quartic.means, plain.means)
 
 
-def test_material_of_an_entry(folder):
+def test_material_of_an_entry(folder: Path) -> None:
     """The material of an entry replaces values of the file's, the rest stays, and other entries do not change."""
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl tin\nf 1 2 3\n")
     (folder / "a.mtl").write_text("newmtl tin\nKd 0.5 0.25 1\nPr 0.75\n")
@@ -62,14 +63,14 @@ def test_material_of_an_entry(folder):
         '[[meshes]]\npath = "mesh.obj"\nmaterial = { roughness = 0, transmission = 1.0, ior = 1.33, specular = 0.5 }\n'
         '[[meshes]]\npath = "mesh.obj"\n[meshes.material]\nmetallic = 1.0\nbase_color = [0.9, 0.8, 0.7]\n',
     )
-    plain, glass, mirror = (instance.mesh.material for instance in scene.meshes)
+    plain, glass, mirror = (pbr_of(instance.mesh) for instance in scene.meshes)
     assert (plain.roughness, plain.transmission, plain.metallic) == (0.75, 0.0, 0.0)
     assert (glass.roughness, glass.transmission, glass.ior, glass.specular) == (0.0, 1.0, 1.33, 0.5)
     assert (glass.base_color, glass.name) == ((0.5, 0.25, 1.0), "tin")
     assert (mirror.roughness, mirror.metallic, mirror.base_color) == (0.75, 1.0, (0.9, 0.8, 0.7))
 
 
-def test_material_reaches_every_mesh_of_a_file(folder):
+def test_material_reaches_every_mesh_of_a_file(folder: Path) -> None:
     """A file with several meshes changes as a whole, and a mesh that is placed twice is still one mesh."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
@@ -77,11 +78,11 @@ def test_material_reaches_every_mesh_of_a_file(folder):
     gltf.add("nodes", mesh=1)
     (folder / "two.glb").write_bytes(gltf.glb())
     scene = load_text(folder, '[[meshes]]\npath = "two.glb"\nmaterial = { roughness = 0.0 }\n')
-    assert [instance.mesh.material.roughness for instance in scene.meshes] == [0.0, 0.0, 0.0]
+    assert [pbr_of(instance.mesh).roughness for instance in scene.meshes] == [0.0, 0.0, 0.0]
     assert scene.meshes[0].mesh is scene.meshes[1].mesh is not scene.meshes[2].mesh
 
 
-def test_how_splats_take_light(folder):
+def test_how_splats_take_light(folder: Path) -> None:
     """An entry sets the SH degree, whether it only receives shadows, and the material."""
     scene = load_text(
         folder,
@@ -98,11 +99,11 @@ def test_how_splats_take_light(folder):
     assert plain.gaussians is shadowed.gaussians is physical.gaussians
 
 
-def test_comments_and_byte_order_marks_do_not_matter(folder):
+def test_comments_and_byte_order_marks_do_not_matter(folder: Path) -> None:
     """Files of editors on other systems load as well."""
     text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
     (folder / "scene.toml").write_bytes(text.encode())
-    assert len(ls.load(folder / "scene.toml").meshes) == 1  # type: ignore[union-attr]
+    assert len(expect_kind(ls.Scene, ls.load(folder / "scene.toml")).meshes) == 1
 
 
 SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.obj'\n"
@@ -159,7 +160,7 @@ def test_bad_scene_files(folder, text, problem):
     assert "\n" not in str(caught.value)
 
 
-def test_a_bad_file_is_named_itself(folder):
+def test_a_bad_file_is_named_itself(folder: Path) -> None:
     """An error inside a file that an entry names is about that file."""
     (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     with pytest.raises(ls.FormatError) as caught:

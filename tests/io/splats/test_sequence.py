@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
@@ -11,13 +14,13 @@ from lumisplat.scene.animation.sequence import GaussianSequence
 from support.scenes.raster_scenes import random_gaussians
 
 
-def write_frames(folder, names, counts=None) -> None:
-    """A frame a name, of the given counts or of 4, 5, 6, ..."""
+def write_frames(folder: Path, names: list[str], counts: list[int] | None = None) -> None:
+    """Writes a frame for each name, with the given numbers of Gaussians or with 4, 5, 6, ..."""
     for k, name in enumerate(names):
         ls.save(folder / name, random_gaussians(k, count=counts[k] if counts else 4 + k))
 
 
-def test_frames_come_in_natural_order(tmp_path):
+def test_frames_come_in_natural_order(tmp_path: Path) -> None:
     """Numbers in names are compared as numbers, whatever their width; other files and hidden ones are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
@@ -27,7 +30,7 @@ def test_frames_come_in_natural_order(tmp_path):
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
 
-def test_a_frame_is_shown_until_the_next(tmp_path):
+def test_a_frame_is_shown_until_the_next(tmp_path: Path) -> None:
     """Frames with different counts are shown unchanged until the next one; nothing is interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.load_sequence(tmp_path, 10.0)
@@ -36,19 +39,30 @@ def test_a_frame_is_shown_until_the_next(tmp_path):
 
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
-def test_no_frame_is_skipped_by_rounding(fps, tmp_path):
+def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
     """At k / fps frame k is shown, for all k."""
-    shown = []
-    sequence = GaussianSequence([tmp_path / str(k) for k in range(500)], fps, lambda path: shown.append(int(path.name)))
+    shown: list[int] = []
+    frame = random_gaussians(0, count=1)
+
+    def load(path: Path) -> ls.Gaussians:
+        shown.append(int(path.name))
+        return frame
+
+    sequence = GaussianSequence([tmp_path / str(k) for k in range(500)], fps, load)
     for time in ls.Animation(ls.Scene(), fps=fps, frame_count=500).times:
         sequence.at(float(time))
     assert shown == list(range(500))
 
 
-def test_few_frames_are_kept(tmp_path):
+def test_few_frames_are_kept(tmp_path: Path) -> None:
     """A frame is loaded when it is first shown, and not again while it is among the last few."""
-    loaded = []
-    sequence = GaussianSequence([tmp_path / str(k) for k in range(5)], 1.0, lambda path: loaded.append(path.name))
+    loaded: list[str] = []
+
+    def load(path: Path) -> ls.Gaussians:
+        loaded.append(path.name)
+        return random_gaussians(0, count=1)
+
+    sequence = GaussianSequence([tmp_path / str(k) for k in range(5)], 1.0, load)
     assert loaded == []
     for time in (0.0, 0.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0):
         sequence.at(time)
@@ -56,7 +70,7 @@ def test_few_frames_are_kept(tmp_path):
     assert loaded == ["0", "1", "2", "0"]
 
 
-def test_invalid_gaussians_can_be_dropped(tmp_path):
+def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
     """A frame with NaN is refused by its name when it is shown, or shown without them."""
     write_frames(tmp_path, ["a1.ply", "a2.ply"], [10, 10])
     data = bytearray((tmp_path / "a2.ply").read_bytes())
@@ -70,7 +84,7 @@ def test_invalid_gaussians_can_be_dropped(tmp_path):
     assert ls.load_sequence(tmp_path, 1.0, drop_invalid=True).at(1.0).count == 9
 
 
-def test_folders_without_frames_are_refused(tmp_path):
+def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
     """One line that says what was expected."""
     with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
         ls.load_sequence(tmp_path, 25.0)
@@ -83,7 +97,7 @@ def test_folders_without_frames_are_refused(tmp_path):
         ls.load_sequence(tmp_path, 25.0)
 
 
-def test_meshes_are_no_frames(tmp_path):
+def test_meshes_are_no_frames(tmp_path: Path) -> None:
     """A PLY with faces is not a frame."""
     import trimesh
 
@@ -92,10 +106,10 @@ def test_meshes_are_no_frames(tmp_path):
         ls.load_sequence(tmp_path, 25.0)
 
 
-def test_bad_numbers_are_refused(tmp_path):
+def test_bad_numbers_are_refused(tmp_path: Path) -> None:
     """Rates are positive, times finite."""
     write_frames(tmp_path, ["a1.ply"])
-    for fps in (0.0, -1.0, float("nan"), "25"):
+    for fps in (0.0, -1.0, float("nan"), cast(Any, "25")):
         with pytest.raises(ls.SceneError, match="fps is"):
             ls.load_sequence(tmp_path, fps)
     with pytest.raises(ls.SceneError, match="time is nan"):

@@ -306,8 +306,8 @@ def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     by_hand = replace(
         lens,
-        positions=lens.positions * np.float32([-1, 1, 1]),
-        normals=lens.normals * np.float32([-1, 1, 1]),
+        positions=lens.positions * np.array([-1, 1, 1], np.float32),
+        normals=lens.normals * np.array([-1, 1, 1], np.float32),
         indices=lens.indices[:, ::-1],
     )
     rng = np.random.default_rng(6)

@@ -52,13 +52,13 @@ def gaussians_of(name: str) -> ls.Gaussians:
 
 def as_mesh(name: str) -> ls.Scene:
     """The object over the floor."""
-    return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LAMP])  # type: ignore[arg-type]
+    return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LAMP])
 
 
 def as_gaussians(name: str, **changes: object) -> ls.Scene:
     """The same of Gaussians."""
     instance = ls.SplatInstance(gaussians_of(name), material=OBJECTS[name][0].material)
-    return ls.Scene([replace(instance, **changes)], [FLOOR], [LAMP])  # type: ignore[arg-type]
+    return ls.Scene([replace(instance, **changes)], [FLOOR], [LAMP])
 
 
 def overlap(first: np.ndarray, second: np.ndarray) -> float:
@@ -90,7 +90,7 @@ def test_mesh_and_gaussians_are_shadowed_alike(name: str, pipeline: ls.Pipeline)
     assert mesh.light_shadow is not None
     assert splats.light_shadow is not None
     assert mesh.light_direct is not None
-    dark, dark_too = (frame.light_shadow[0].mean(axis=2) < 0.5 for frame in (mesh, splats))  # type: ignore[index]
+    dark, dark_too = (frame.light_shadow[0].mean(axis=2) < 0.5 for frame in (mesh, splats))
 
     # Splat instances are numbered before meshes: the floor is 0 in one frame and 1 in the other.
     floor = (mesh.instance_index == 0) & (splats.instance_index == 1) & (splats.gaussian_index < 0)
@@ -121,7 +121,7 @@ def test_mesh_and_gaussians_are_shaded_alike(name: str, pipeline: ls.Pipeline) -
     assert mesh.light_direct is not None
     assert splats.light_direct is not None
     whole = inner((mesh.instance_index == 1) & (splats.instance_index == 0), mesh.normal)
-    shone, shone_too = (frame.light_direct[0][whole].mean(axis=1) for frame in (mesh, splats))  # type: ignore[index]
+    shone, shone_too = (frame.light_direct[0][whole].mean(axis=1) for frame in (mesh, splats))
     total, each = (0.01, 0.03) if pipeline is ls.Pipeline.TRACE else (0.06, 0.1)
     assert shone_too.mean() == pytest.approx(shone.mean(), rel=total)
     assert np.abs(shone_too - shone).mean() < each * shone.mean()
@@ -153,7 +153,7 @@ def test_white_gaussians_disappear_in_even_light(pipeline: ls.Pipeline) -> None:
     white = matte(1.0)
     splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
     sky = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
-    scene = ls.Scene([ls.SplatInstance(splats, material=white)], (), [sky])  # type: ignore[arg-type]
+    scene = ls.Scene([ls.SplatInstance(splats, material=white)], (), [sky])
     frame = lit(scene, CAMERA, pipeline, shadows=ls.Shadows.SOFT, samples=48)
     inside = (frame.instance_index == 0) & (frame.alpha > 0.99)
     assert inside.sum() > 500
@@ -171,7 +171,7 @@ def test_captures_come_out_as_they_went_in(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
     """Lighting on, but nothing that reflects: no light, equal colours, equal files, whatever the tone mapping."""
-    scene = ls.Scene([capture()], (), lights)  # type: ignore[arg-type]
+    scene = ls.Scene([capture()], (), lights)
     settings = {"background": (0.2, 0.3, 0.4), "tone_map": ls.ToneMap.AGX}
     frame = lit(scene, CAMERA, pipeline, **settings)
     unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False, background=(0.2, 0.3, 0.4)))
@@ -189,7 +189,7 @@ def test_captures_come_out_as_they_went_in(
 def test_a_capture_beside_a_lit_mesh_is_as_captured(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     """Light on a floor changes no pixel of the capture that hides it, nor of the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
-    scene = ls.Scene([capture()], [half], [LAMP])  # type: ignore[arg-type]
+    scene = ls.Scene([capture()], [half], [LAMP])
     frame = lit(scene, CAMERA, pipeline, tone_map=ls.ToneMap.NEUTRAL)
     unlit = ls.render(scene, CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False))
     nothing = ls.render(ls.Scene([capture()]), CAMERA, ls.RenderConfig(pipeline=pipeline, lighting=False))

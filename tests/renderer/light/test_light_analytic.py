@@ -76,9 +76,9 @@ def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipe
     points = floor_points(camera)
     expected = []
     for light, candela in zip(lights[:2], (7.0, 6.0 * math.pi * 0.4**2), strict=True):
-        directions, distances = towards(light.position, points)  # type: ignore[union-attr]
+        directions, distances = towards(light.position, points)
         expected.append(candela / distances**2 * directions[..., 1])
-    expected.append(np.full(points.shape[:2], -2.0 * lights[2].direction[1]))  # type: ignore[union-attr]
+    expected.append(np.full(points.shape[:2], -2.0 * lights[2].direction[1]))
     assert frame.light_direct is not None
     for k, irradiance in enumerate(expected):
         radiance = 0.8 / np.pi * irradiance
@@ -105,7 +105,7 @@ def test_lights_add_up_and_are_told_apart(pipeline: ls.Pipeline) -> None:
     alone = [lit(ls.Scene((), meshes, [light]), camera, pipeline, aovs=("lights",)) for light in lights]
     assert frame.light_direct is not None
     assert frame.light_shadow is not None
-    assert_close(frame.color, sum(one.color for one in alone), atol=1e-5)  # type: ignore[arg-type]
+    assert_close(frame.color, sum(one.color for one in alone), atol=1e-5)
     assert_close(frame.color, (frame.light_direct * frame.light_shadow).sum(axis=0), atol=1e-5)
     assert (frame.light_shadow[0] == 0.0).any()
     assert (frame.light_shadow[1] == 1.0).all()
@@ -133,7 +133,7 @@ def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
     """Of a plane that faces up, of which the whole rectangle is over the horizon (Lambert 1760), shape (H, W)."""
     u, v = 0.5 * np.array(light.edge_u), 0.5 * np.array(light.edge_v)
     corners = [np.array(light.position) + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    rays = [towards(corner, points)[0] for corner in corners]  # type: ignore[arg-type]
+    rays = [towards(corner, points)[0] for corner in corners]
     total = np.zeros(points.shape[:2])
     for first, second in zip(rays, rays[1:] + rays[:1], strict=True):
         across = np.cross(first, second)

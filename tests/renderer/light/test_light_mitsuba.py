@@ -43,7 +43,7 @@ def reference_of(name: str) -> Reference:
 def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
     """Our frame of a scene, lit."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
-    frame = ls.render(one.scene, one.camera, replace(config, **changes), device="cpu")  # type: ignore[arg-type]
+    frame = ls.render(one.scene, one.camera, replace(config, **changes), device="cpu")
     assert frame.color_space == "linear"
     return frame
 

@@ -39,7 +39,7 @@ def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: 
 
 def lit(scene: ls.Scene, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
     """A small frame from the front, lights on."""
-    config = ls.RenderConfig(pipeline=pipeline, lighting=True, **settings)  # type: ignore[arg-type]
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True, **settings)
     return ls.render(scene, front_camera(24, 18, 30.0), config, device="cpu")
 
 
@@ -55,7 +55,7 @@ def texture(*rgb: int) -> np.ndarray:
 
 def diffuse(**changes: object) -> ls.MaterialPbr:
     """White paper."""
-    return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0, **changes)  # type: ignore[arg-type]
+    return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0, **changes)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
@@ -189,7 +189,9 @@ def test_thin_splats_without_a_surface_are_dropped_where_one_is_needed(pipeline:
     reflecting = ls.SplatInstance(veil, material=ls.MaterialSimple(emissive=(1, 1, 1), diffuse=(0.1, 0.1, 0.1)))
     gone = lit(ls.Scene(splats=[reflecting], lights=[FACING]), pipeline, background=(0.2, 0.4, 0.6))
     assert gone.alpha.max() == 0.0
-    np.testing.assert_array_equal(gone.captured, np.broadcast_to(np.float32([0.2, 0.4, 0.6]), gone.color.shape))
+    np.testing.assert_array_equal(
+        gone.captured, np.broadcast_to(np.array([0.2, 0.4, 0.6], np.float32), gone.color.shape)
+    )
     untouched = lit(ls.Scene(splats=[veil, reflecting], lights=[FACING]), pipeline)
     assert 0.0 < untouched.alpha.max() < 0.25  # the first set in a pixel says
 

@@ -30,7 +30,7 @@ def poisoned(seed: int, count: int = 400) -> ls.Gaussians:
     def draw(values: list[float], *shape: int) -> np.ndarray:
         return np.array(values, dtype=np.float32)[rng.integers(0, len(values), shape)]
 
-    signs = rng.choice(np.float32([-1.0, 1.0, 1.0]), (count, 3))
+    signs = rng.choice(np.array([-1.0, 1.0, 1.0], np.float32), (count, 3))
     turns = draw([SMALLEST, 1e-30, 1.0, -1.0, 1e30, 0.3], count, 4)
     sh = draw(COLOURS, count, 4, 3)
     return ls.Gaussians(draw(COORDINATES, count, 3) * signs, turns, draw(SCALES, count, 3), draw(OPACITIES, count), sh)

@@ -294,7 +294,7 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
 def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
     """The plane as Gaussians, of one colour, with normals that point up."""
     disc = parallelogram((-1.0, 0.0, 1.0), (2.0, 0.0, 0.0), (0.0, 0.0, -2.0), matte(0.5, 0.4, 0.3))
-    return ls.SplatInstance(ls.gaussians_from_mesh(disc, count), **changes)  # type: ignore[arg-type]
+    return ls.SplatInstance(ls.gaussians_from_mesh(disc, count), **changes)
 
 
 @PIPELINES

@@ -41,7 +41,7 @@ def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)
 def glass(**changes: Any) -> ls.MaterialPbr:
     """White glass that reflects nothing, unless told otherwise."""
     settings = {"base_color": (1.0, 1.0, 1.0), "roughness": 0.0, "transmission": 1.0, "specular": 0.0}
-    return ls.MaterialPbr(**(settings | changes))  # type: ignore[arg-type]
+    return ls.MaterialPbr(**(settings | changes))
 
 
 def rays_around(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ def way(request: pytest.FixtureRequest) -> str:
 
 def settings(strategy: ls.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
     """Settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
-    trace = ls.TraceConfig(strategy=strategy, **changes)  # type: ignore[arg-type]
+    trace = ls.TraceConfig(strategy=strategy, **changes)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, seed=seed)
 
 

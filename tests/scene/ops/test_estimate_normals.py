@@ -152,9 +152,9 @@ def test_a_sheet_has_one_side() -> None:
 def test_mistakes_are_refused() -> None:
     """An invalid method and an argument that is not a set are refused."""
     with pytest.raises(ls.ConfigError, match=r"expected a NormalEstimate such as NormalEstimate\.PCA"):
-        ls.estimate_normals(one_gaussian(), "pca")  # type: ignore[arg-type]
+        ls.estimate_normals(one_gaussian(), "pca")
     with pytest.raises(ls.SceneError, match="takes Gaussians, got a Scene"):
-        ls.estimate_normals(ls.Scene())  # type: ignore[arg-type]
+        ls.estimate_normals(ls.Scene())
 
 
 @pytest.mark.data

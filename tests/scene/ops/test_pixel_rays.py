@@ -16,7 +16,7 @@ from support.scenes.lit_frames import BALL, RADIUS, ball_frame
 def camera(model: CameraModel = CameraModel.PINHOLE, **changes: object) -> Camera:
     """A camera with an oblique view and its principal point off the centre."""
     base = Camera.look_at((1.0, -2.0, 3.0), (0.5, 0.4, 8.0), (0.1, 1.0, 0.2), width=12, height=9, model=model)
-    return replace(base, cx=4.5, cy=5.25, **changes)  # type: ignore[arg-type]
+    return replace(base, cx=4.5, cy=5.25, **changes)
 
 
 def shuttered(model: CameraModel) -> Camera:

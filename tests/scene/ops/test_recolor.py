@@ -102,4 +102,4 @@ def test_what_is_lit_as_before_keeps_its_bits() -> None:
 def test_bad_factors_are_refused(factors: object, said: str) -> None:
     """Invalid shapes and numbers are refused."""
     with pytest.raises(ls.SceneError, match=said):
-        scale_light(gaussians(5), factors)  # type: ignore[arg-type]
+        scale_light(gaussians(5), factors)

@@ -103,7 +103,7 @@ def test_vertex_normals_of_zero_length_are_replaced() -> None:
     """A mesh that fills missing normals with zeros is sampled as if it had none."""
     plane = replace(shapes.plane(1.0, 1.0), normals=np.zeros((4, 3)))
     gaussians = gaussians_from_mesh(plane, 50)
-    np.testing.assert_allclose(gaussians.normals, np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(gaussians.normals, np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
 
 
 def test_centres_are_blue_noise() -> None:
@@ -222,7 +222,7 @@ def test_textures_keep_their_place_and_colour_at_every_level() -> None:
     assert gaussians.albedo is not None
     np.testing.assert_allclose(gaussians.albedo[inner, 0], u[inner], atol=0.01)
     even = gaussians_from_mesh(textured(np.full((37, 101, 4), 188, np.uint8)), 50).albedo
-    np.testing.assert_allclose(even, decode_srgb(np.full((50, 3), 188 / 255.0)), rtol=1e-5)  # type: ignore[arg-type]
+    np.testing.assert_allclose(even, decode_srgb(np.full((50, 3), 188 / 255.0)), rtol=1e-5)
 
 
 def test_degenerate_triangles_are_skipped() -> None:
@@ -247,11 +247,11 @@ def test_impossible_requests_are_refused() -> None:
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
     with pytest.raises(ls.SceneError, match=r"count is 10\.5, expected a whole number"):
-        gaussians_from_mesh(shapes.plane(1.0, 1.0), 10.5)  # type: ignore[arg-type]
+        gaussians_from_mesh(shapes.plane(1.0, 1.0), 10.5)
     with pytest.raises(ls.SceneError, match="from 1 to 50,000,000"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 10**12)
     with pytest.raises(ls.SceneError, match=r"takes a Mesh, got a Scene: give scene\.meshes\[0\]\.mesh"):
-        gaussians_from_mesh(ls.Scene([], [shapes.plane(1.0, 1.0)]))  # type: ignore[arg-type]
+        gaussians_from_mesh(ls.Scene([], [shapes.plane(1.0, 1.0)]))
 
 
 def test_creases_are_sharp_and_open_edges_only() -> None:
@@ -284,7 +284,7 @@ def test_quaternions_turn_back_into_their_matrices(seed: int) -> None:
     axes = np.concatenate([frames, half_turns])
     one = np.ones(len(axes))
     quaternions = quaternions_from_matrices(axes)
-    gaussians = ls.Gaussians(np.zeros((len(axes), 3)), quaternions, np.ones((len(axes), 3)), one, np.zeros((12, 1, 3)))  # type: ignore[arg-type]
+    gaussians = ls.Gaussians(np.zeros((len(axes), 3)), quaternions, np.ones((len(axes), 3)), one, np.zeros((12, 1, 3)))
     np.testing.assert_allclose(rotations(gaussians), axes, atol=1e-5)
 
 
@@ -310,8 +310,7 @@ def test_rendered_as_gaussians_it_is_solid_and_looks_like_the_mesh(name: str) ->
     for eye in ([0.9, 0.5, 1.4], [-1.5, -0.2, 0.3], [0.1, 1.7, -0.2]):
         camera = ls.Camera.look_at(eye, [0.0, 0.0, 0.0], width=320, height=240, fov_y=0.7)
         solid, splats = (
-            renderer.render(scene, camera)
-            for scene in (ls.Scene(meshes=(mesh,)), ls.Scene(splats=(gaussians,)))  # type: ignore[arg-type]
+            renderer.render(scene, camera) for scene in (ls.Scene(meshes=(mesh,)), ls.Scene(splats=(gaussians,)))
         )
         inside = shrunk(solid.alpha > 0.5, 2)
         assert splats.alpha[inside].min() > 0.985

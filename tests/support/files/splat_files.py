@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,24 +15,30 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.scene.gaussians import Gaussians
+from support.kinds import expect_kind
 
 SAVED = ("capture.ply", "capture.compressed.ply", "capture.spz")
 FORMATS = (*SAVED, "ascii.ply", "big_endian.ply", "v1.spz", "v2.spz", "v3.spz", "bundle.sog", "linear.sog")
 
 
+def load_gaussians(path: Path, *, drop_invalid: bool = False) -> Gaussians:
+    """The capture of a file, which must hold one."""
+    return expect_kind(Gaussians, ls.load(path, drop_invalid=drop_invalid))
+
+
 def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -> Gaussians:
-    """Gaussians with every property varied, SH within the +-1 that SPZ holds."""
+    """Gaussians with every property varied and SH within -1..1, the range of SPZ; ``extra`` are fields to replace."""
     rng = np.random.default_rng(seed)
     sh = rng.uniform(-0.95, 0.95, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.6, 1.6, (count, 3))
-    return Gaussians(
+    gaussians = Gaussians(
         rng.normal(0.0, 1.5, (count, 3)) + np.array([0.0, -1.0, 3.0]),
         rng.normal(size=(count, 4)),
         np.exp(rng.uniform(-6.0, 0.0, (count, 3))),
         rng.uniform(0.02, 0.98, count),
         sh,
-        **extra,  # type: ignore[arg-type]
     )
+    return replace(gaussians, **extra)
 
 
 def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) -> Path:
@@ -118,11 +125,11 @@ def sog_files(gaussians: Gaussians, linear: bool) -> dict[str, bytes]:
         return buffer.getvalue()
 
     logs = np.sign(gaussians.means) * np.log1p(np.abs(gaussians.means))
-    means, meta_means = _quantised(logs, 65535, per_channel=True)
+    means, means_range = _quantised(logs, 65535, per_channel=True)
     logits = np.log(gaussians.opacities / (1 - gaussians.opacities))
     dc = np.column_stack([gaussians.sh[:, 0], logits]) if linear else gaussians.sh[:, 0]
-    scales, meta_scales = _quantised(np.log(gaussians.scales), 255, per_channel=linear)
-    sh0, meta_sh0 = _quantised(dc, 255, per_channel=linear)
+    scales, scales_range = _quantised(np.log(gaussians.scales), 255, per_channel=linear)
+    sh0, sh0_range = _quantised(dc, 255, per_channel=linear)
     if not linear:
         sh0 = np.column_stack([sh0, np.round(gaussians.opacities * 255)])
     files = {
@@ -133,37 +140,38 @@ def sog_files(gaussians: Gaussians, linear: bool) -> dict[str, bytes]:
         "sh0.webp": image(sh0),
     }
     meta: dict[str, object] = {
-        "means": meta_means | {"shape": [count, 3], "files": ["means_l.webp", "means_u.webp"]},
-        "scales": meta_scales | {"files": ["scales.webp"]},
+        "means": _meta_entry(means_range, linear=True, shape=[count, 3], files=["means_l.webp", "means_u.webp"]),
+        "scales": _meta_entry(scales_range, linear=linear, files=["scales.webp"]),
         "quats": {"files": ["quats.webp"]},
-        "sh0": meta_sh0 | {"files": ["sh0.webp"]},
+        "sh0": _meta_entry(sh0_range, linear=linear, files=["sh0.webp"]),
     }
     rest = gaussians.sh.shape[1] - 1
     if rest:
-        palette, meta_sh = _quantised(gaussians.sh[:, 1:], 255, per_channel=False)
-        labels = np.arange(count)[::-1]  # not the identity, so that a reader that ignores them fails
+        palette, sh_range = _quantised(gaussians.sh[:, 1:], 255, per_channel=False)
+        labels = np.arange(count)[::-1]  # Not the identity: a reader that ignores the labels fails.
         files["shN_centroids.webp"] = image(palette[::-1].reshape(-1, 3), width * rest)
         files["shN_labels.webp"] = image(np.column_stack([labels % 256, labels // 256]))
         names = ["shN_centroids.webp", "shN_labels.webp"]
-        meta["shN"] = meta_sh | {"files": names, "count": count, "bands": gaussians.sh_degree}
+        meta["shN"] = _meta_entry(sh_range, linear=linear, files=names, count=count, bands=gaussians.sh_degree)
     if not linear:
-        for field in ("scales", "sh0", "shN"):
-            if field in meta:
-                meta[field] = _as_codebook(meta[field])
         meta |= {"version": 2, "count": count, "antialias": gaussians.antialiased}
     return {"meta.json": json.dumps(meta).encode()} | files
 
 
-def _quantised(values: np.ndarray, levels: int, per_channel: bool) -> tuple[np.ndarray, dict[str, object]]:
+def _quantised(
+    values: np.ndarray, levels: int, *, per_channel: bool
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Whole numbers from 0 to ``levels``, and the values that the first and the last stand for."""
     axis = 0 if per_channel else None
     low, high = values.min(axis=axis), values.max(axis=axis)
-    stored = np.round((values - low) / (high - low) * levels).astype(int)
-    return stored, {"mins": low.tolist(), "maxs": high.tolist()}
+    return np.round((values - low) / (high - low) * levels).astype(int), (low, high)
 
 
-def _as_codebook(field: dict[str, object]) -> dict[str, object]:
-    codebook = np.linspace(field.pop("mins"), field.pop("maxs"), 256)  # type: ignore[arg-type]
-    return {"codebook": codebook.tolist()} | field
+def _meta_entry(bounds: tuple[np.ndarray, np.ndarray], *, linear: bool, **others: object) -> dict[str, object]:
+    """An entry of meta.json: the range of the values (``linear``), or a codebook of 256 of them."""
+    low, high = (bound.tolist() for bound in bounds)
+    scale = {"mins": low, "maxs": high} if linear else {"codebook": np.linspace(low, high, 256).tolist()}
+    return scale | others
 
 
 def _sog_rotations(wxyz: np.ndarray) -> np.ndarray:

@@ -38,7 +38,7 @@ def floor_points(camera: ls.Camera) -> np.ndarray:
 def lit(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
     """A lit frame."""
     config = ls.RenderConfig(pipeline=pipeline, lighting=True)
-    return ls.render(scene, camera, replace(config, **settings), device="cpu")  # type: ignore[arg-type]
+    return ls.render(scene, camera, replace(config, **settings), device="cpu")
 
 
 def towards(point: tuple[float, float, float], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -91,7 +91,7 @@ def box(size: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
 
 def ball_at(center: tuple[float, ...], radius: float, material: ls.MaterialPbr, rows: int = 40) -> ls.Mesh:
     """A sphere with smooth normals."""
-    placed = transform_mesh(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))  # type: ignore[arg-type]
+    placed = transform_mesh(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))
     return replace(placed, material=material, uvs=None)
 
 

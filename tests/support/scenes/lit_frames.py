@@ -66,7 +66,7 @@ def ball_frame(
     images |= {"light_direct": np.stack(direct), "light_shadow": np.stack(shadow), "alpha": alpha}
     images["color"] = captured_radiance(captured, weight) + light
     return Frame(
-        **{name: np.asarray(image, np.float32) for name, image in images.items()},  # type: ignore[arg-type]
+        **{name: np.asarray(image, np.float32) for name, image in images.items()},
         gaussian_index=np.where(floor, (point[..., 0] * 8).astype(int) % 97, -1).astype(np.int32),
         instance_index=np.where(ball, 1, np.where(floor, 0, -1)).astype(np.int32),
         camera=camera,
@@ -81,7 +81,7 @@ def ball_frame(
 def unlit(frame: Frame) -> Frame:
     """What an unlit frame of the same captures would be."""
     lit_only = dict.fromkeys(("captured", "captured_weight", "light"))
-    return replace(frame, color=frame.captured, color_space="srgb", **lit_only)  # type: ignore[arg-type]
+    return replace(frame, color=frame.captured, color_space="srgb", **lit_only)
 
 
 def _ball_distance(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:

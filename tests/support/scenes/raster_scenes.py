@@ -18,7 +18,7 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 def front_camera(width: int = 64, height: int = 48, focal: float = 60.0, **changes: object) -> Camera:
     """A camera at the origin that looks along +z, its principal point in the centre."""
     intrinsics = {"fx": focal, "fy": focal, "cx": 0.5 * width, "cy": 0.5 * height, "camera_from_world": np.eye(4)}
-    return Camera(**{"width": width, "height": height} | intrinsics | changes)  # type: ignore[arg-type]
+    return Camera(**{"width": width, "height": height} | intrinsics | changes)
 
 
 def flat_sh(colors: np.ndarray) -> np.ndarray:
@@ -104,14 +104,14 @@ def quad(z: float, half: float = 1.2, tilt: float = 0.0, **attributes: object) -
     """Two triangles that face the camera of ``front_camera``; ``tilt`` adds depth along x."""
     x, y = half * np.array([-1.0, 1.0, 1.0, -1.0]), half * np.array([-1.0, -1.0, 1.0, 1.0])
     positions = np.stack([x, y, z + tilt * x], axis=-1)
-    return Mesh(positions, np.array([[0, 2, 1], [0, 3, 2]]), **attributes)  # type: ignore[arg-type]
+    return Mesh(positions, np.array([[0, 2, 1], [0, 3, 2]]), **attributes)
 
 
 def octahedron(center: tuple[float, float, float], radius: float, **attributes: object) -> Mesh:
     """Eight triangles around a point, smooth normals."""
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-    return Mesh(np.asarray(center) + radius * axes, np.array(faces), normals=axes, **attributes)  # type: ignore[arg-type]
+    return Mesh(np.asarray(center) + radius * axes, np.array(faces), normals=axes, **attributes)
 
 
 def checker_quad(z: float) -> Mesh:
@@ -225,5 +225,5 @@ def mitsuba_frames() -> dict[str, tuple[Gaussians, Camera]]:
 def _raster(transmittance_min: float = 1e-4, depth_iso_transmittance: float = 0.7, **changes: object) -> RenderConfig:
     raster = RasterConfig(
         transmittance_min=transmittance_min, depth_iso_transmittance=depth_iso_transmittance, **changes
-    )  # type: ignore[arg-type]
+    )
     return RenderConfig(raster=raster)

@@ -57,7 +57,7 @@ def changed_rays(config: RenderConfig, **changes: object) -> RenderConfig:
     for key, value in changes.items():
         name = next((name for name, keys in groups.items() if key in keys), None)
         change = {key: value} if name is None else {name: replace(getattr(config, name), **{key: value})}
-        config = replace(config, **change)  # type: ignore[arg-type]
+        config = replace(config, **change)
     return config
 
 

@@ -21,8 +21,8 @@ def inria_camera(entry: Entry) -> Camera:
     world_from_camera[:3, :3] = number_array(entry["rotation"], (3, 3), "rotation")
     world_from_camera[:3, 3] = number_array(entry["position"], (3,), "position")
     return Camera(
-        width=width,  # type: ignore[arg-type] # Camera refuses what is not a whole number
-        height=height,  # type: ignore[arg-type]
+        width=width,  # pyright: ignore[reportArgumentType] # Camera refuses what is not a whole number
+        height=height,  # pyright: ignore[reportArgumentType]
         fx=number(entry, "fx"),
         fy=number(entry, "fy"),
         cx=0.5 * width,

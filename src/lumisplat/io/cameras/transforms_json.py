@@ -74,8 +74,8 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
     fx = number(values, "fl_x") if "fl_x" in values or not angles else _focal(angles, "camera_angle_x", width)
     fy = number(values, "fl_y") if "fl_y" in values else _focal(angles, "camera_angle_y", height, default=fx)
     return Camera(
-        width=width,  # type: ignore[arg-type] # Camera refuses what is not a whole number
-        height=height,  # type: ignore[arg-type]
+        width=width,  # pyright: ignore[reportArgumentType] # Camera refuses what is not a whole number
+        height=height,  # pyright: ignore[reportArgumentType]
         fx=fx,
         fy=fy,
         cx=number(values, "cx") if "cx" in values else 0.5 * width,

@@ -50,14 +50,14 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> P
     values["name"] = name
     position, direction = world_from_light[:3, 3], -world_from_light[:3, 2]
     if kind == "directional":
-        return LightDirectional(direction, **values)  # type: ignore[arg-type]
+        return LightDirectional(direction, **values)
     values["range"] = definition.get("range", math.inf)
     if kind == "point":
-        return LightPoint(position, **values)  # type: ignore[arg-type]
+        return LightPoint(position, **values)
     if kind == "spot":
         cone = definition.get("spot", {})
         values |= {
             f"{side}_angle": cone[f"{side}ConeAngle"] for side in ("inner", "outer") if f"{side}ConeAngle" in cone
         }
-        return LightSpot(position, direction, **values)  # type: ignore[arg-type]
+        return LightSpot(position, direction, **values)
     raise SceneError(f"type is {kind!r}, expected point, spot or directional")

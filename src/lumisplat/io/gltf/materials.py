@@ -126,7 +126,7 @@ class GltfMaterials:
             # The extension allows 0 for compatibility with older materials; below 1 it has no physical meaning.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
             transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
-            emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),  # type: ignore[arg-type]
+            emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),
             normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",
