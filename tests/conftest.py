@@ -31,7 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Before anything is collected."""
-    TWINS.recompute_all = config.getoption("recompute_twins")
+    TWINS.recompute_all = bool(config.getoption("recompute_twins"))
 
 
 def pytest_report_header() -> str:
@@ -53,7 +53,7 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A worker tells the main process how many twins it had to compute."""
     if IS_WORKER:
-        session.config.workeroutput["missing_twins"] = TWINS.missing
+        session.config.workeroutput["missing_twins"] = TWINS.missing  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -11,6 +11,7 @@ import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.demo import room as demo_room
 from lumisplat.math.color import decode_srgb
+from support.kinds import pbr_of
 
 
 def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
@@ -43,7 +44,7 @@ def test_demo_is_made_of_different_materials(demo: ls.Scene) -> None:
     gaussians = demo.splats[0].gaussians
     assert gaussians.roughness is not None
     assert np.unique(gaussians.roughness).size >= 5
-    assert any(instance.mesh.material.metallic == 1.0 for instance in demo.meshes)
+    assert any(pbr_of(instance.mesh).metallic == 1.0 for instance in demo.meshes)
 
 
 def test_baked_daylight_only_darkens_the_albedo(demo: ls.Scene) -> None:

@@ -149,13 +149,14 @@ class Facet:
 
 
 def facet(triangles: Triangles, ray: Ray, hit: MeshHit) -> Facet:
-    """What there is at a hit."""
+    """The surface at a hit."""
     number, face = int(triangles.instance[hit.triangle]), triangles.face[hit.triangle]
     instance, corners = triangles.instances[number], triangles.corners[hit.triangle]
     mesh = instance.mesh
     normal = mesh_normal(instance, face, corners, hit.weights[None], ray.direction[None])[0]
     outward = triangles.outward[hit.triangle]
     inside = bool(outward @ ray.direction > 0.0)
+    assert isinstance(mesh.material, MaterialPbr)
     curvature = 0.0
     if mesh.normals is not None:
         ends = normalized(mesh.normals[face].astype(np.float64) @ np.linalg.inv(instance.transform[:3, :3]))

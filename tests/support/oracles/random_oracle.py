@@ -1,14 +1,15 @@
-"""The random numbers of lumisplat.device.math.random once more, in NumPy over whole arrays."""
+"""The random numbers of lumisplat.device.math.random computed independently, in NumPy over whole arrays."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 LENS_RADIUS, LENS_ANGLE, BRANCH_LAST = 2**32 - 1, 2**32 - 2, 2**32 - 3
-"""Dimensions that are no Gaussian's."""
+"""Dimensions that are not the index of a Gaussian."""
 
 
-def mix(word: np.ndarray) -> np.ndarray:
+def mix(word: npt.ArrayLike) -> np.ndarray:
     """The permutation, from its published description: xorshift 16, multiply, xorshift 15, multiply, xorshift 15."""
     word = np.asarray(word, np.uint32)
     with np.errstate(over="ignore"):
@@ -17,17 +18,17 @@ def mix(word: np.ndarray) -> np.ndarray:
     return word ^ (word >> 15)
 
 
-def absorbed(sample_key: np.ndarray, counter: np.ndarray | int) -> np.ndarray:
-    """One step: the mixed counter is added, and the sum mixed."""
+def absorbed(sample_key: np.ndarray | np.uint32, counter: npt.ArrayLike) -> np.ndarray:
+    """One step: adds the mixed counter to the key and mixes the sum."""
     with np.errstate(over="ignore"):
         return mix(sample_key + mix(np.asarray(counter, np.uint32)))
 
 
-def sample_keys(pixels: np.ndarray | int, sample: np.ndarray | int = 0, seed: np.ndarray | int = 0) -> np.ndarray:
+def sample_keys(pixels: npt.ArrayLike, sample: npt.ArrayLike = 0, seed: npt.ArrayLike = 0) -> np.ndarray:
     """Keys of samples of pixels."""
     return absorbed(absorbed(absorbed(np.uint32(0x6C756D69), seed), pixels), sample)
 
 
-def draws(sample_key: np.ndarray, dimension: np.ndarray | int) -> np.ndarray:
+def draws(sample_key: np.ndarray, dimension: npt.ArrayLike) -> np.ndarray:
     """Numbers in [0, 1), float64."""
     return (absorbed(sample_key, dimension) >> 8) * 2.0**-24

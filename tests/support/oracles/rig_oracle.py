@@ -49,15 +49,18 @@ def world_matrices(rig: TubeRig, clip: str | None, time: float) -> list[np.ndarr
 def posed(rig: TubeRig, clip: str | None, time: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions and unit normals of all vertices, float64."""
     world = world_matrices(rig, clip, time)
+    assert rig.normals is not None and rig.joints is not None and rig.weights is not None
     bind = rig.joint_from_bind
     if bind is None:
         bind = np.tile(np.eye(4), (3, 1, 1))
         bind[:, 1, 3] = (0.0, -1.0, -2.0)
     joint_matrices = [world[node] @ np.asarray(matrix, float) for node, matrix in zip(JOINT_NODES, bind, strict=True)]
-    positions, normals = np.empty((2, *rig.positions.shape))
+    positions, normals = np.empty(rig.positions.shape), np.empty(rig.positions.shape)
     for v, (position, normal) in enumerate(zip(rig.positions, rig.normals, strict=True)):
         weights = rig.weights[v].astype(float) / rig.weights[v].astype(float).sum()
-        matrix = sum(w * joint_matrices[j] for j, w in zip(rig.joints[v], weights, strict=True))
+        matrix = np.zeros((4, 4))
+        for joint, weight in zip(rig.joints[v], weights, strict=True):
+            matrix += weight * joint_matrices[joint]
         positions[v] = (matrix @ [*position.astype(float), 1.0])[:3]
         turned = np.linalg.inv(matrix[:3, :3]).T @ normal.astype(float)
         normals[v] = turned / np.linalg.norm(turned)

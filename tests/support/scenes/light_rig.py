@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.materials import Material
 from support.compare.images import assert_close
 from support.scenes.light_scenes import parallelogram
 
@@ -16,7 +17,7 @@ RAYS = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRI
 
 
 def above(
-    height: float = 5.0, width: int = 64, rows: int = 48, fov_y: float = 0.6, eye: tuple = (0.7, 0.9)
+    height: float = 5.0, width: int = 64, rows: int = 48, fov_y: float = 0.6, eye: tuple[float, float] = (0.7, 0.9)
 ) -> ls.Camera:
     """A camera that looks down on the origin, a little from the side."""
     return ls.Camera.look_at(
@@ -24,7 +25,7 @@ def above(
     )
 
 
-def floor(material: object, half: float = 20.0) -> ls.Mesh:
+def floor(material: Material, half: float = 20.0) -> ls.Mesh:
     """A plane that faces up."""
     return parallelogram((-half, 0.0, half), (2.0 * half, 0.0, 0.0), (0.0, 0.0, -2.0 * half), material)
 

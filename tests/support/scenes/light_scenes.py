@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.demo.shapes import sphere, transform_mesh
+from lumisplat.scene.materials import Material
 from support.scenes.raster_scenes import similarity
 
 WIDTH, HEIGHT = 96, 72
@@ -74,7 +75,7 @@ def clear_glass(ior: float = 1.5) -> ls.MaterialPbr:
     return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=ior)
 
 
-def parallelogram(corner: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, material: object) -> ls.Mesh:
+def parallelogram(corner: npt.ArrayLike, edge_u: npt.ArrayLike, edge_v: npt.ArrayLike, material: Material) -> ls.Mesh:
     """Two triangles that face ``cross(edge_u, edge_v)``."""
     p, u, v = np.array(corner), np.array(edge_u), np.array(edge_v)
     return ls.Mesh(np.stack([p, p + u, p + u + v, p + v]), [[0, 1, 2], [0, 2, 3]], material=material)
@@ -89,7 +90,7 @@ def box(size: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
     )
 
 
-def ball_at(center: tuple[float, ...], radius: float, material: ls.MaterialPbr, rows: int = 40) -> ls.Mesh:
+def ball_at(center: tuple[float, float, float], radius: float, material: ls.MaterialPbr, rows: int = 40) -> ls.Mesh:
     """A sphere with smooth normals."""
     placed = transform_mesh(sphere(radius, rows=rows, columns=2 * rows), similarity(offset=center))
     return replace(placed, material=material, uvs=None)

@@ -65,8 +65,12 @@ def ball_frame(
     images |= {"hits": np.where(floor, 4.0 * depth, np.where(veil > 0.0, 3.0, 0.0)), "depth": depth, "normal": normal}
     images |= {"light_direct": np.stack(direct), "light_shadow": np.stack(shadow), "alpha": alpha}
     images["color"] = captured_radiance(captured, weight) + light
-    return Frame(
-        **{name: np.asarray(image, np.float32) for name, image in images.items()},
+    images = {name: np.asarray(image, np.float32) for name, image in images.items()}
+    frame = Frame(
+        color=images["color"],
+        alpha=images["alpha"],
+        depth=images["depth"],
+        normal=images["normal"],
         gaussian_index=np.where(floor, (point[..., 0] * 8).astype(int) % 97, -1).astype(np.int32),
         instance_index=np.where(ball, 1, np.where(floor, 0, -1)).astype(np.int32),
         camera=camera,
@@ -76,6 +80,7 @@ def ball_frame(
         config=RenderConfig(background=background, tone_map=tone_map),
         light_names=tuple(LIGHTS),
     )
+    return replace(frame, **images)
 
 
 def unlit(frame: Frame) -> Frame:

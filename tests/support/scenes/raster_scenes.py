@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 
 def front_camera(width: int = 64, height: int = 48, focal: float = 60.0, **changes: object) -> Camera:
-    """A camera at the origin that looks along +z, its principal point in the centre."""
-    intrinsics = {"fx": focal, "fy": focal, "cx": 0.5 * width, "cy": 0.5 * height, "camera_from_world": np.eye(4)}
-    return Camera(**{"width": width, "height": height} | intrinsics | changes)
+    """A camera at the origin that looks along +z, its principal point in the centre; ``changes`` replace its fields."""
+    cx, cy, pose = 0.5 * width, 0.5 * height, np.eye(4)
+    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=cx, cy=cy, camera_from_world=pose)
+    return replace(camera, **changes)
 
 
 def flat_sh(colors: np.ndarray) -> np.ndarray:
@@ -32,11 +33,11 @@ def one_gaussian(
     opacity: float = 0.5,
     color: tuple[float, float, float] = (0.9, 0.5, 0.1),
     rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
-    **metadata: bool,
+    **changes: object,
 ) -> Gaussians:
-    """A single Gaussian."""
+    """A single Gaussian; ``changes`` replace its fields."""
     scales = np.broadcast_to(np.asarray(scale, dtype=float), (1, 3))
-    return Gaussians([mean], [rotation], scales, [opacity], flat_sh(np.array(color)), **metadata)
+    return replace(Gaussians([mean], [rotation], scales, [opacity], flat_sh(np.array(color))), **changes)
 
 
 def joined(*sets: Gaussians) -> Gaussians:
@@ -62,20 +63,21 @@ def random_gaussians(
     center: tuple[float, float, float] = (0.0, 0.0, 4.0),
     extent: tuple[float, float, float] = (2.0, 1.5, 1.5),
     scale_range: tuple[float, float] = (0.03, 0.3),
-    **metadata: bool,
+    **changes: object,
 ) -> Gaussians:
-    """Gaussians of random place, orientation, anisotropy, opacity and colour in a box."""
+    """Gaussians of random place, orientation, anisotropy, opacity and colour in a box; ``changes`` replace fields."""
     rng = np.random.default_rng(seed)
     sh = rng.normal(0.0, 0.25, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.2, 1.6, (count, 3))
-    return Gaussians(
+    smallest, largest = np.log(scale_range)
+    gaussians = Gaussians(
         np.asarray(center) + rng.uniform(-1.0, 1.0, (count, 3)) * extent,
         rng.normal(size=(count, 4)),
-        np.exp(rng.uniform(*np.log(scale_range), (count, 3))),
+        np.exp(rng.uniform(smallest, largest, (count, 3))),
         rng.uniform(0.02, 1.0, count),
         sh,
-        **metadata,
     )
+    return replace(gaussians, **changes)
 
 
 def rotation(axis: tuple[float, float, float], angle: float) -> np.ndarray:
@@ -104,14 +106,14 @@ def quad(z: float, half: float = 1.2, tilt: float = 0.0, **attributes: object) -
     """Two triangles that face the camera of ``front_camera``; ``tilt`` adds depth along x."""
     x, y = half * np.array([-1.0, 1.0, 1.0, -1.0]), half * np.array([-1.0, -1.0, 1.0, 1.0])
     positions = np.stack([x, y, z + tilt * x], axis=-1)
-    return Mesh(positions, np.array([[0, 2, 1], [0, 3, 2]]), **attributes)
+    return replace(Mesh(positions, [[0, 2, 1], [0, 3, 2]]), **attributes)
 
 
 def octahedron(center: tuple[float, float, float], radius: float, **attributes: object) -> Mesh:
     """Eight triangles around a point, smooth normals."""
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-    return Mesh(np.asarray(center) + radius * axes, np.array(faces), normals=axes, **attributes)
+    return replace(Mesh(np.asarray(center) + radius * axes, faces, normals=axes), **attributes)
 
 
 def checker_quad(z: float) -> Mesh:
@@ -223,7 +225,5 @@ def mitsuba_frames() -> dict[str, tuple[Gaussians, Camera]]:
 
 
 def _raster(transmittance_min: float = 1e-4, depth_iso_transmittance: float = 0.7, **changes: object) -> RenderConfig:
-    raster = RasterConfig(
-        transmittance_min=transmittance_min, depth_iso_transmittance=depth_iso_transmittance, **changes
-    )
-    return RenderConfig(raster=raster)
+    raster = RasterConfig(transmittance_min=transmittance_min, depth_iso_transmittance=depth_iso_transmittance)
+    return RenderConfig(raster=replace(raster, **changes))
