@@ -111,13 +111,13 @@ def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
 def test_only_scenes_are_rendered() -> None:
     """A bare capture is refused with how to make a scene of it."""
     with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
-        ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")
+        ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # pyright: ignore[reportArgumentType]
 
 
 def test_only_cameras_show_scenes() -> None:
     """A view that is none is refused, with how to make one."""
     with pytest.raises(ls.SceneError, match=r"expected a Camera, got str: ls\.Camera\.look_at"):
-        ls.render(ls.Scene(), "front", device="cpu")
+        ls.render(ls.Scene(), "front", device="cpu")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("config", ["fast", ls.RasterConfig(), ""], ids=type)

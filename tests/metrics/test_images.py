@@ -172,7 +172,7 @@ def test_flip_checks_its_display():
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is 0"):
         ls.flip(picture(1), picture(2), pixels_per_degree=0)
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is '4K'"):
-        ls.flip(picture(1), picture(2), pixels_per_degree="4K")
+        ls.flip(picture(1), picture(2), pixels_per_degree="4K")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(("metric", "package"), [(ls.ssim, "skimage.metrics"), (ls.flip, "flip_evaluator")])

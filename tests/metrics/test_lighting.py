@@ -281,7 +281,7 @@ def test_mistakes_are_refused():
     with pytest.raises(ls.ConfigError, match="radius is nan"):
         ls.apf_y(avatar, avatar, radius=float("nan"))
     with pytest.raises(ls.ConfigError, match="radius is 'wide', expected metres"):
-        ls.paa_y(avatar, avatar, radius="wide")
+        ls.paa_y(avatar, avatar, radius="wide")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="around has 1 non-finite"):
         ls.LitPoints.of(gaussians, around=(np.nan, 0, 0), radius=1.0)
     with pytest.raises(ls.ConfigError, match="samples is 0"):
@@ -289,7 +289,7 @@ def test_mistakes_are_refused():
     with pytest.raises(ls.SceneError, match="has no Gaussians"):
         ls.LitPoints.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="take Gaussians or LitPoints, got a list"):
-        ls.LitPoints.of([gaussians])
+        ls.LitPoints.of([gaussians])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="rgb: 1 of 4,000 are negative"):
         points(np.where(np.arange(4000) == 7, -0.1, 0.1))
     with pytest.raises(ls.SceneError, match="zero points"):

@@ -169,4 +169,4 @@ def test_tolerance_is_checked():
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
         ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
     with pytest.raises(ls.ConfigError, match="tolerance is None"):
-        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=None)
+        ls.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=None)  # pyright: ignore[reportArgumentType]

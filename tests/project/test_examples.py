@@ -11,6 +11,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
 from support.files.rig_files import BEND, TubeRig
+from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"))
@@ -74,6 +75,6 @@ def test_a_walking_figure_stands_on_the_floor(tmp_path, monkeypatch):
     subject = names["figure"]()
     assert isinstance(subject, ls.RiggedGaussians)
     (instance,) = ls.Actor(subject, world_from_object=names["on_the_floor"](subject)).at(0.0)
-    heights = instance.gaussians.means[:, 1] + instance.transform[1, 3]
+    heights = expect_kind(ls.SplatInstance, instance).gaussians.means[:, 1] + instance.transform[1, 3]
     assert subject.at(0.0).means[:, 1].min() != 0.0
     np.testing.assert_allclose(heights.min(), 0.0, atol=1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -86,14 +87,14 @@ def test_errors_form_a_tree(error: str, builtin: type) -> None:
 def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
     """A setting out of range is named with its value and its range."""
     with pytest.raises(ls.ConfigError, match=message):
-        ls.RasterConfig(**settings)
+        replace(ls.RasterConfig(), **settings)
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0), (0.0, 0.0, 1.1), (0.0, -0.1, 0.0), (float("nan"), 0.0, 0.0)])
 def test_backgrounds_are_checked(background: tuple[float, ...]) -> None:
     """Three numbers in 0..1."""
     with pytest.raises(ls.ConfigError, match="background"):
-        ls.RenderConfig(background=background)
+        ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
 
 
 def test_missing_devices_are_named() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
         ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "half a turn from camera_from_world: which way"),
     ],
 )
-def test_wrong_lenses_are_refused(changes: dict[str, object], message: str) -> None:
+def test_wrong_lenses_are_refused(changes: dict[str, Any], message: str) -> None:
     """The one line says which value and what was expected."""
     with pytest.raises(ls.SceneError, match=message) as raised:
         front_camera(**changes)
@@ -186,7 +187,7 @@ def test_still_shutters_do_not_move_at_all() -> None:
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
     ],
 )
-def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, object], message: str) -> None:
+def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message: str) -> None:
     """One line names the feature, and the pipeline that supports it."""
     camera = front_camera(name="left")
     refuse_lens(camera)

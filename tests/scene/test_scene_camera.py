@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -23,7 +25,7 @@ def pixel_of(camera: ls.Camera, point: np.ndarray) -> np.ndarray:
 def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float, ...]) -> None:
     """The target lands in the image's centre at its distance, up is up and right is right."""
     offset = np.subtract(target, eye)
-    distance = np.linalg.norm(offset)
+    distance = float(np.linalg.norm(offset))
     if np.linalg.norm(np.cross(offset, (0.0, 1.0, 0.0))) < 1e-3 * distance or distance < 1e-3:
         return
     camera = ls.Camera.look_at(eye, target, width=200, height=100, fov_y=0.7)
@@ -59,7 +61,7 @@ def test_look_at_centres_the_target(eye: tuple[float, ...], target: tuple[float,
         ({"camera_from_world": np.full((4, 4), np.nan)}, "non-finite"),
     ],
 )
-def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> None:
+def test_wrong_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
     """The one line says which value and what was expected."""
     with pytest.raises(ls.SceneError, match=message):
         front_camera(**changes)
@@ -81,7 +83,7 @@ def test_wrong_cameras_are_refused(changes: dict[str, object], message: str) -> 
         {"eye": (0, 0, 0), "target": (0, 0, 1), "up": (0, float("nan"), 0)},
     ],
 )
-def test_impossible_views_are_refused(arguments: dict[str, object]) -> None:
+def test_impossible_views_are_refused(arguments: dict[str, Any]) -> None:
     """A camera needs a target, an up direction and a field of view."""
     with pytest.raises(ls.SceneError):
         ls.Camera.look_at(**arguments)

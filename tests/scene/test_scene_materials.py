@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +41,11 @@ def test_smooth_is_roughness_zero() -> None:
 def test_textures_are_kept(name: str) -> None:
     """Each texture is copied and frozen, and has to be 8-bit RGB or RGBA."""
     texels = TEXELS.copy()
-    stored = getattr(ls.MaterialPbr(**{name: texels}), name)
+    stored = getattr(replace(ls.MaterialPbr(), **{name: texels}), name)
     texels[:] = 255
     assert not stored.any() and not stored.flags.writeable
     with pytest.raises(ls.SceneError, match=rf"{name} is float32 \(2, 2, 3\), expected uint8"):
-        ls.MaterialPbr(**{name: texels.astype(np.float32)})
+        replace(ls.MaterialPbr(), **{name: texels.astype(np.float32)})
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from lumisplat.scene.triangles import check_triangles
 
-TRIANGLE = {"positions": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], "indices": [[0, 1, 2]]}
+CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+FACES = [[0, 1, 2]]
 
 
 def test_a_triangle() -> None:
     """Lists become read-only float32 and int32 arrays."""
-    mesh = ls.Mesh(**TRIANGLE)
+    mesh = ls.Mesh(CORNERS, FACES)
     assert (mesh.vertex_count, mesh.face_count) == (3, 1)
     assert mesh.positions.dtype == np.float32 and mesh.indices.dtype == np.int32
     assert not mesh.positions.flags.writeable and not mesh.indices.flags.writeable
@@ -32,7 +35,7 @@ def test_checked_arrays_cannot_change_afterwards() -> None:
 def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
     """Normals may have any length; unit ones keep their bits, zeros become the area-weighted mean of the faces."""
     unit = np.array([0.26726124, 0.5345225, 0.8017837], np.float32)
-    mesh = ls.Mesh(**TRIANGLE, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit])
+    mesh = ls.Mesh(CORNERS, FACES, normals=[[0.0, 0.0, 5.0], [1e-30, 0.0, 0.0], unit.tolist()])
     assert mesh.normals is not None and not mesh.normals.flags.writeable
     np.testing.assert_allclose(mesh.normals[:2], [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     np.testing.assert_array_equal(mesh.normals[2], unit)
@@ -59,10 +62,10 @@ def test_normals_are_made_unit_and_missing_ones_are_filled() -> None:
         ({"colors": np.full((3, 3), 255)}, "colors: 3 of 3 are outside 0..1"),
     ],
 )
-def test_wrong_meshes_are_refused(changes: dict[str, object], message: str) -> None:
+def test_wrong_meshes_are_refused(changes: dict[str, Any], message: str) -> None:
     """The one line names the array and both sides of the contradiction."""
     with pytest.raises(ls.SceneError, match=message):
-        ls.Mesh(**TRIANGLE | changes)
+        ls.Mesh(**{"positions": CORNERS, "indices": FACES} | changes)
 
 
 def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCaptureFixture) -> None:
@@ -82,10 +85,10 @@ def test_unusable_triangles_are_left_out_with_one_line(caplog: pytest.LogCapture
 def test_any_integer_is_an_index(kind: type) -> None:
     """Indices may have any integer type; those beyond 32 bits are out of range, and do not wrap round to a vertex."""
     far = np.array([[0, 1, 2], [0, 1, np.iinfo(kind).max]], dtype=kind)
-    np.testing.assert_array_equal(ls.Mesh(**TRIANGLE | {"indices": far}).indices, [[0, 1, 2]])
+    np.testing.assert_array_equal(ls.Mesh(CORNERS, far).indices, [[0, 1, 2]])
     if np.dtype(kind).itemsize == 8:
         far[1] = 2**32 + far[0]
-        assert ls.Mesh(**TRIANGLE | {"indices": far}).face_count == 1
+        assert ls.Mesh(CORNERS, far).face_count == 1
 
 
 @pytest.mark.parametrize("size", [1e-30, 1.0, 1e30])
@@ -93,7 +96,7 @@ def test_small_and_thin_triangles_stay(size: float, caplog: pytest.LogCaptureFix
     """Only the shape counts: triangles of any size stay, and so do thin ones from rounding to float32."""
     corners = np.array([[0, 0, 0], [1, 1 / 3, 0], [2, 2 / 3, 1e-7]], np.float32) * np.float32(size)
     assert ls.Mesh(corners, [[0, 1, 2]]).face_count == 1
-    assert ls.Mesh(np.float32(TRIANGLE["positions"]) * np.float32(size), [[0, 1, 2]]).face_count == 1
+    assert ls.Mesh(np.array(CORNERS, np.float32) * np.float32(size), [[0, 1, 2]]).face_count == 1
     assert not caplog.records
 
 
@@ -121,7 +124,7 @@ def test_triangles_of_many_blocks() -> None:
     indices = np.tile(np.array([[0, 1, 2]]), (200_000, 1))
     bad = np.array([0, 65_535, 65_536, 131_072, 199_999])
     indices[bad] = [[0, 0, 1], [0, 1, 9], [1, 1, 1], [0, -1, 2], [2, 1, 2]]
-    check = check_triangles(np.float32(TRIANGLE["positions"]), indices)
+    check = check_triangles(np.array(CORNERS, np.float32), indices)
     np.testing.assert_array_equal(np.flatnonzero(~check.usable), bad)
     assert (check.out_of_range, check.without_area) == (2, 3)
 
@@ -146,7 +149,7 @@ def test_triangles_of_many_blocks() -> None:
         ({"base_color_texture": np.zeros((0, 4, 3), np.uint8)}, "expected uint8"),
     ],
 )
-def test_wrong_materials_are_refused(changes: dict[str, object], message: str) -> None:
+def test_wrong_materials_are_refused(changes: dict[str, Any], message: str) -> None:
     """Values outside their physical range are named."""
     with pytest.raises(ls.SceneError, match=message):
         ls.MaterialPbr(**changes)

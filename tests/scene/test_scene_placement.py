@@ -81,15 +81,15 @@ def test_bare_assets_are_placed_at_the_origin() -> None:
 def test_strangers_are_refused() -> None:
     """A mesh among the splats, or anything else, is named."""
     with pytest.raises(ls.SceneError, match="splats holds a Mesh"):
-        ls.Scene([quad(1.0)])
+        ls.Scene([quad(1.0)])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="meshes holds a str"):
-        ls.Scene([], ["mesh"])
+        ls.Scene([], ["mesh"])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="splats is one Gaussians, expected a list"):
-        ls.Scene(random_gaussians(0, 3))
+        ls.Scene(random_gaussians(0, 3))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="gaussians is a Mesh, expected Gaussians"):
-        ls.SplatInstance(quad(1.0))
+        ls.SplatInstance(quad(1.0))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="mesh is a Gaussians, expected a Mesh"):
-        ls.MeshInstance(random_gaussians(0, 3))
+        ls.MeshInstance(random_gaussians(0, 3))  # pyright: ignore[reportArgumentType]
 
 
 def test_bounds_are_in_the_world() -> None:

@@ -286,7 +286,7 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ls.FormatError, match=f"{name}.npz: is no deep shadow map, or a damaged one$"):
             ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
     with np.load(good) as file:
-        arrays = dict(file)
+        arrays: dict[str, Any] = dict(file)
     header = json.loads(arrays["header"].tobytes())
     for name, changed in {
         "bins": arrays | {"count": arrays["count"] + 100},
@@ -299,11 +299,13 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         np.savez(tmp_path / f"{name}.npz", **changed)
         with pytest.raises(ls.FormatError, match="damaged"):
             ls.DeepShadowMap.load(tmp_path / f"{name}.npz")
-    np.savez(tmp_path / "newer.npz", **(arrays | {"header": _tampered(header, version=9)}))
+    arrays["header"] = _tampered(header, version=9)
+    np.savez(tmp_path / "newer.npz", **arrays)
     with pytest.raises(ls.FormatError, match="version 9"):
         ls.DeepShadowMap.load(tmp_path / "newer.npz")
     endless = header["atlas"] | {"size": float("inf")}
-    np.savez(tmp_path / "endless.npz", **(arrays | {"header": _tampered(header, atlas=endless)}))
+    arrays["header"] = _tampered(header, atlas=endless)
+    np.savez(tmp_path / "endless.npz", **arrays)
     with pytest.raises(ls.FormatError, match=r"is no deep shadow map, or a damaged one$"):
         ls.DeepShadowMap.load(tmp_path / "endless.npz")
 

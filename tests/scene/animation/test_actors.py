@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import lumisplat as ls
 from support.files.rig_files import BEND, CARRY, TubeRig
+from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians
 
 TURN = np.array([[0.0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -14,7 +18,7 @@ MOVE = ls.Keyframes([0.0, 2.0], positions=[[0, 0, 0], [0, 4, 0]])
 
 
 @pytest.fixture
-def rig(tmp_path):
+def rig(tmp_path: Path) -> ls.Rig:
     """A rig of two clips, of one and of two seconds."""
     return ls.load_rig(TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb"))
 
@@ -24,18 +28,19 @@ def test_keyframes_carry_what_is_placed():
     gaussians = random_gaussians(1, count=5)
     actor = ls.Actor(gaussians, MOVE, TURN, name="one")
     (instance,) = actor.at(1.0)
-    assert instance.gaussians is gaussians and instance.name == "one"
+    assert expect_kind(ls.SplatInstance, instance).gaussians is gaussians and instance.name == "one"
     np.testing.assert_allclose(instance.transform, MOVE.at(1.0) @ TURN)
     (still,) = ls.Actor(gaussians, world_from_object=TURN).at(1.0)
     np.testing.assert_array_equal(still.transform, TURN)
 
 
-def test_clips_repeat_or_hold(rig):
+def test_clips_repeat_or_hold(rig: ls.Rig) -> None:
     """A clip repeats at the actor's speed, or stays at its end."""
     rigged = ls.bind_gaussians(rig, 300)
 
-    def means(time, **settings):
-        return ls.Actor(rigged, **settings).at(time)[0].gaussians.means
+    def means(time: float, **settings: object) -> np.ndarray:
+        actor = replace(ls.Actor(rigged), **settings)
+        return expect_kind(ls.SplatInstance, actor.at(time)[0]).gaussians.means
 
     np.testing.assert_array_equal(means(0.25), rigged.at(0.25).means)
     np.testing.assert_array_equal(means(2.25), rigged.at(0.25).means)
@@ -46,16 +51,16 @@ def test_clips_repeat_or_hold(rig):
     assert ls.Actor(rigged, speed=2.0).own_duration == 0.5
 
 
-def test_every_subject_is_shown(rig):
+def test_every_subject_is_shown(rig: ls.Rig) -> None:
     """Meshes and rigs become mesh instances, scenes all of their instances, each with its own placement."""
     (posed,) = ls.Actor(rig).at(0.5)
-    np.testing.assert_array_equal(posed.mesh.positions, rig.pose(0.5).positions)
+    np.testing.assert_array_equal(expect_kind(ls.MeshInstance, posed).mesh.positions, rig.pose(0.5).positions)
     scene = ls.Scene(splats=[ls.SplatInstance(random_gaussians(1, count=3), TURN)], meshes=[rig.mesh])
     splat, mesh = ls.Actor(scene, MOVE).at(2.0)
     np.testing.assert_allclose(splat.transform, MOVE.at(2.0) @ TURN)
-    assert mesh.mesh is scene.meshes[0].mesh
+    assert expect_kind(ls.MeshInstance, mesh).mesh is scene.meshes[0].mesh
     (instance,) = ls.Actor(rig.mesh, MOVE, np.diag([1.0, 2.0, 3.0, 1.0])).at(0.0)
-    assert instance.mesh is rig.mesh
+    assert expect_kind(ls.MeshInstance, instance).mesh is rig.mesh
 
 
 def test_captures_of_a_scene_stay_as_they_are_lit():
@@ -67,7 +72,7 @@ def test_captures_of_a_scene_stay_as_they_are_lit():
     assert ls.Actor(scene, name="walker").at(1.0)[0].name == "walker"
 
 
-def test_an_animation_has_its_times(rig):
+def test_an_animation_has_its_times(rig: ls.Rig) -> None:
     """Frames have a constant distance in time, and actors are in order."""
     gaussians = random_gaussians(1, count=5)
     animation = ls.Animation(ls.Scene(), [ls.Actor(gaussians, MOVE), ls.Actor(rig)], fps=10.0, frame_count=20)
@@ -98,7 +103,7 @@ def test_bad_actors_are_refused(settings, problem):
         ls.Actor(**{"subject": random_gaussians(1, count=5), **settings})
 
 
-def test_a_clip_that_is_not_there_is_refused(rig):
+def test_a_clip_that_is_not_there_is_refused(rig: ls.Rig) -> None:
     """The message lists the clips."""
     with pytest.raises(ls.SceneError, match="no clip 'walk', it has 'bend', 'carry'"):
         ls.Actor(rig, clip="walk")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
@@ -99,7 +100,7 @@ def test_what_is_lit_as_before_keeps_its_bits() -> None:
         ([1, np.nan, np.inf, 1, 1], "2 non-finite"),
     ],
 )
-def test_bad_factors_are_refused(factors: object, said: str) -> None:
+def test_bad_factors_are_refused(factors: npt.ArrayLike, said: str) -> None:
     """Invalid shapes and numbers are refused."""
     with pytest.raises(ls.SceneError, match=said):
         scale_light(gaussians(5), factors)

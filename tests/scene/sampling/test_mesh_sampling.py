@@ -18,6 +18,7 @@ from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.scene.sampling.blue_noise import cross_pairs, neighbour_pairs
 from lumisplat.scene.sampling.creases import crease_points
 from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
+from support.kinds import present
 
 COUNT = 3000
 
@@ -103,7 +104,7 @@ def test_vertex_normals_of_zero_length_are_replaced() -> None:
     """A mesh that fills missing normals with zeros is sampled as if it had none."""
     plane = replace(shapes.plane(1.0, 1.0), normals=np.zeros((4, 3)))
     gaussians = gaussians_from_mesh(plane, 50)
-    np.testing.assert_allclose(gaussians.normals, np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
+    np.testing.assert_allclose(present(gaussians.normals), np.tile([0.0, 1.0, 0.0], (50, 1)), atol=1e-6)
 
 
 def test_centres_are_blue_noise() -> None:
@@ -195,7 +196,7 @@ def test_a_simple_material_has_no_roughness_to_pass_on() -> None:
     material = ls.MaterialSimple(base_color=(0.9, 0.8, 0.7), diffuse=1.0)
     gaussians = gaussians_from_mesh(replace(shapes.plane(1.0, 1.0), material=material), 50)
     assert gaussians.roughness is None and gaussians.metallic is None
-    np.testing.assert_allclose(gaussians.albedo, [(0.9, 0.8, 0.7)] * 50, atol=1e-6)
+    np.testing.assert_allclose(present(gaussians.albedo), [(0.9, 0.8, 0.7)] * 50, atol=1e-6)
 
 
 def textured(texture: np.ndarray) -> ls.Mesh:
@@ -222,7 +223,7 @@ def test_textures_keep_their_place_and_colour_at_every_level() -> None:
     assert gaussians.albedo is not None
     np.testing.assert_allclose(gaussians.albedo[inner, 0], u[inner], atol=0.01)
     even = gaussians_from_mesh(textured(np.full((37, 101, 4), 188, np.uint8)), 50).albedo
-    np.testing.assert_allclose(even, decode_srgb(np.full((50, 3), 188 / 255.0)), rtol=1e-5)
+    np.testing.assert_allclose(present(even), decode_srgb(np.full((50, 3), 188 / 255.0)), rtol=1e-5)
 
 
 def test_degenerate_triangles_are_skipped() -> None:
@@ -247,11 +248,11 @@ def test_impossible_requests_are_refused() -> None:
     with pytest.raises(ls.SceneError, match="count is 0"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 0)
     with pytest.raises(ls.SceneError, match=r"count is 10\.5, expected a whole number"):
-        gaussians_from_mesh(shapes.plane(1.0, 1.0), 10.5)
+        gaussians_from_mesh(shapes.plane(1.0, 1.0), 10.5)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="from 1 to 50,000,000"):
         gaussians_from_mesh(shapes.plane(1.0, 1.0), 10**12)
     with pytest.raises(ls.SceneError, match=r"takes a Mesh, got a Scene: give scene\.meshes\[0\]\.mesh"):
-        gaussians_from_mesh(ls.Scene([], [shapes.plane(1.0, 1.0)]))
+        gaussians_from_mesh(ls.Scene([], [shapes.plane(1.0, 1.0)]))  # pyright: ignore[reportArgumentType]
 
 
 def test_creases_are_sharp_and_open_edges_only() -> None:
