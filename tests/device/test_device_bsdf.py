@@ -12,6 +12,7 @@ import warp as wp
 
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSample
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.oracles.bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
 from support.probes import probe_light_kernels
@@ -46,7 +47,7 @@ def simple(shininess: float, diffuse: float = 0.5, specular: float = 0.3, tint: 
 
 def rows(material: Material, count: int) -> npt.NDArray[Any]:
     """The material as kernels read it, ``count`` times."""
-    table = np.zeros(count, dtype=np.dtype(Bsdf.numpy_dtype()))
+    table = np.zeros(count, dtype=table_dtype(Bsdf))
     table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
     for name in ("diffuse", "specular", "grazing", "alpha", "shininess"):
         table[name] = material[name]
@@ -67,7 +68,7 @@ def on_device(
     return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
 
 
-def picks(material: Material, view: Array, randoms: Array, device: str = "cpu") -> npt.NDArray[Any]:
+def picks(material: Material, view: Array, randoms: npt.NDArray[Any], device: str = "cpu") -> npt.NDArray[Any]:
     """Directions picked for the frame's normal, with weights and densities."""
     count = len(randoms)
     normals, views = (np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (NORMAL, view))

@@ -12,7 +12,7 @@ from lumisplat.device.math.directions import angle_of, around
 
 AXES = [np.array(axis) for axis in ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0))]
 AXES += [v / np.linalg.norm(v) for v in np.random.default_rng(0).normal(size=(20, 3))]
-AXES += [v / np.linalg.norm(v) for v in ((1e-6, 2e-6, -1.0), (1e-6, -2e-6, 1.0), (1.0, 1.0, -1e-7))]
+AXES += [v / np.linalg.norm(v) for v in np.array([(1e-6, 2e-6, -1.0), (1e-6, -2e-6, 1.0), (1.0, 1.0, -1e-7)])]
 
 
 @pytest.mark.parametrize("axis", AXES)

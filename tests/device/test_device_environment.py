@@ -48,7 +48,7 @@ class Sky:
         )
         return radiances.numpy().astype(np.float64), densities.numpy().astype(np.float64)
 
-    def picks(self, u: Array) -> Any:
+    def picks(self, u: npt.NDArray[Any]) -> Any:
         """Samples as a structured array."""
         given = wp.array(u.astype(np.float32), dtype=wp.vec2, device=self.device)
         samples = wp.zeros(len(u), dtype=LightSample, device=self.device)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -20,8 +22,8 @@ rotations = st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q)
 
 
 def camera_data(**changes: object) -> CameraData:
-    """What kernels see of a camera."""
-    camera = front_camera(**changes)
+    """The camera as kernels read it."""
+    camera = replace(front_camera(), **changes)
     data = CameraData()
     row = camera_table(camera)[0]
     for name in ("focal", "raster_center", "jacobian_min", "jacobian_max"):

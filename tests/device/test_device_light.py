@@ -21,6 +21,7 @@ from lumisplat.device.structs.light import (
     LightSample,
 )
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.light_oracle import Array, cap, cone, first_hit, polygon_irradiance, window
 from support.probes import probe_light_kernels
 
@@ -33,7 +34,7 @@ KINDS = (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_RECT, LIGHT_HEADLIGHT
 
 def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
     """A row as kernels read it: 3, 2 and 1 candela, lux or units of radiance, without end, unless given."""
-    table = np.zeros(1, dtype=np.dtype(LightData.numpy_dtype()))
+    table = np.zeros(1, dtype=table_dtype(LightData))
     if kind == LIGHT_RECT:
         values.setdefault("direction", np.cross(values["edge_u"], values["edge_v"]))
         values["direction"] = values["direction"] / np.linalg.norm(values["direction"])

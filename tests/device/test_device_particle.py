@@ -16,6 +16,8 @@ from lumisplat.device.structs.scene import KernelData
 from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
+from support.kinds import present
 from support.oracles import raster_oracle as oracles
 from support.probes import probe_tree_kernels
 from support.scenes.raster_scenes import random_gaussians
@@ -41,11 +43,11 @@ def response(degree: int, distance: np.ndarray | float) -> np.ndarray:
 def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, device: str) -> tuple[np.ndarray, ...]:
     """Squared reaches, and alphas at the distances."""
     count = len(opacities)
-    table = np.zeros(count, np.dtype(KernelData.numpy_dtype()))
-    for name in table.dtype.names:
+    table = np.zeros(count, table_dtype(KernelData))
+    for name in present(table.dtype.names):
         table[name] = getattr(kernel, name)
     reaches, alphas = (wp.zeros(count, dtype=float, device=device) for _ in range(2))
-    inputs = [wp.array(np.float32(values), dtype=float, device=device) for values in (opacities, distances)]
+    inputs = [wp.array(values.astype(np.float32), dtype=float, device=device) for values in (opacities, distances)]
     kernels = wp.array(table, dtype=KernelData, device=device)
     Launcher(device, threads=1).run(probe_tree_kernels.probe_responses, count, kernels, *inputs, reaches, alphas)
     return reaches.numpy().astype(np.float64), alphas.numpy().astype(np.float64)
@@ -54,8 +56,8 @@ def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, devi
 def probe_gaussians(
     kernel: KernelData, gaussians: ls.Gaussians, origins: np.ndarray, directions: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What rays, one a Gaussian, are told of them."""
-    rays = [wp.array(np.float32(values), dtype=wp.vec3, device="cpu") for values in (origins, directions)]
+    """Particles, boxes and normals of Gaussians, each for a ray of its own."""
+    rays = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (origins, directions)]
     kinds = {"particles": Particle, "boxes": Box, "normals": wp.vec3}
     out = {name: wp.zeros(gaussians.count, dtype=kind, device="cpu") for name, kind in kinds.items()}
     Launcher("cpu", threads=1).run(
@@ -92,7 +94,7 @@ def test_alpha_is_opacity_times_response(degree: int, device: str) -> None:
     reaches, _ = probe(kernel_of(degree), opacities, shares, device)
     distances = shares * np.sqrt(reaches)
     _, alphas = probe(kernel_of(degree), opacities, distances, device)
-    expected = np.minimum(np.float32(opacities) * response(degree, np.float32(distances)), ALPHA_MAX)
+    expected = np.minimum(opacities.astype(np.float32) * response(degree, distances.astype(np.float32)), ALPHA_MAX)
     # At the end of its support the linear response is a small difference of large numbers.
     np.testing.assert_allclose(alphas, expected, rtol=1e-5, atol=3e-7 if degree == 0 else 0.0)
     assert alphas[-2] == np.float32(ALPHA_MAX)
@@ -171,7 +173,8 @@ def test_boxes_are_tight_around_all_that_counts(degree: int, offset: float) -> N
     random = np.random.default_rng(3)
     turns = random.normal(size=(600, 4)) * [1.0, 1e-3, 1e-3, 1e-3]
     turns[:200] = random.normal(size=(200, 4))
-    scales = np.exp(random.uniform(*np.log((1e-8, 1e2)), (600, 3)))
+    thinnest, thickest = np.log((1e-8, 1e2))
+    scales = np.exp(random.uniform(thinnest, thickest, (600, 3)))
     means = random.normal(size=(600, 3)) + offset
     gaussians = ls.Gaussians(means, turns, scales, random.uniform(0.01, 1.0, 600), np.zeros((600, 1, 3)))
     kernel = kernel_of(degree)

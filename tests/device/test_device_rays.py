@@ -17,6 +17,7 @@ from lumisplat.device.structs.rays import Ray
 from lumisplat.renderer.scene.camera_table import camera_table, subpixel
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
+from support.kinds import present
 from support.oracles.camera_oracle import camera_rays, unit
 from support.probes import probe_kernels
 from support.scenes.raster_scenes import front_camera, rotation
@@ -317,4 +318,4 @@ def test_the_table_is_the_struct() -> None:
     """Every field of the struct is filled: a forgotten one would stay zero."""
     table = camera_table(lens_camera(FISHEYE), subpixel(4))
     assert table.shape == (1,) and table.dtype == table_dtype(CameraData)
-    assert [name for name in table.dtype.names if not np.any(table[name])] == []
+    assert [name for name in present(table.dtype.names) if not np.any(table[name])] == []

@@ -6,26 +6,15 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.device.math.sh import sh_color
 from support.oracles import raster_oracle as oracles
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def evaluate(
-    sh: wp.array(dtype=wp.vec3), degree: int, directions: wp.array(dtype=wp.vec3), colors_out: wp.array(dtype=wp.vec3)
-):
-    """Colour of one set of coefficients in many directions."""
-    i = wp.tid()
-    colors_out[i] = sh_color(sh, 0, degree, directions[i])
+from support.probes.probe_sh_kernels import probe_sh_colors
 
 
 def colors(sh: np.ndarray, degree: int, directions: np.ndarray) -> np.ndarray:
     """What the device computes, shape (N, 3)."""
-    result = wp.empty(len(directions), dtype=wp.vec3, device="cpu")
+    result = wp.zeros(len(directions), dtype=wp.vec3, device="cpu")
     arrays = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (sh, directions)]
-    wp.launch(evaluate, len(directions), inputs=[arrays[0], degree, arrays[1], result], device="cpu")
+    wp.launch(probe_sh_colors, len(directions), inputs=[arrays[0], degree, arrays[1], result], device="cpu")
     return result.numpy()
 
 

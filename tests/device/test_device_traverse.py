@@ -18,6 +18,7 @@ from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.renderer.scene.bvh_scene import empty_node
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
 from support.oracles.raster_oracle import normalized
 from support.probes import probe_tree_kernels
 from support.scenes.raster_scenes import rotation
@@ -50,8 +51,8 @@ class Found:
 
 
 def placed(world_from_object: np.ndarray) -> np.ndarray:
-    """Rows of TreeInstance as the scene writes them, (B,)."""
-    table = np.zeros(len(world_from_object), np.dtype(SplatInstanceData.numpy_dtype()))
+    """Rows of SplatInstanceData as the scene writes them, shape (B,)."""
+    table = np.zeros(len(world_from_object), table_dtype(SplatInstanceData))
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
     table["object_from_world_offset"] = object_from_world[:, :3, 3]
@@ -92,7 +93,7 @@ def random_bundles(seed: int, spread: float, far: float = 0.0, count: int = COUN
         world_from_object[i, :3, :3] *= 10.0 ** random.uniform(-3.0, 3.0)
         world_from_object[i, :3, 3] = place[i, 0] + size[i, 0] * random.normal(size=3)
     begins = np.zeros(count, np.float32)
-    return Bundles(np.float32(origins), np.float32(directions), alive, placed(world_from_object), begins)
+    return Bundles(origins.astype(np.float32), directions.astype(np.float32), alive, placed(world_from_object), begins)
 
 
 def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
@@ -102,7 +103,7 @@ def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
     rows = np.arange(count)[:, None]
     lane = np.where(bundles.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
     lane = lane.astype(int)
-    origin, direction = (np.float64(values[rows, lane]) for values in (found.origins, found.directions))
+    origin, direction = (values[rows, lane].astype(np.float64) for values in (found.origins, found.directions))
     per_world = np.cbrt(np.linalg.det(bundles.instances["object_from_world"].astype(np.float64)))[:, None, None]
     length = np.linalg.norm(bundles.origins - bundles.origins.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
     size = np.maximum(np.abs(found.origins).max(axis=(1, 2)), (length * per_world[:, 0, 0]))[:, None, None]
@@ -144,7 +145,7 @@ def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high
 
     No line is ever inside an inverted box.
     """
-    origins, directions = np.float64(origins), np.float64(directions)
+    origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - origins) / directions, (high - origins) / directions
     first, last = np.minimum(a, b), np.maximum(a, b)
@@ -158,8 +159,8 @@ def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high
 
 def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the children's boxes, float64, (B, 1, C, 3)."""
-    sides = [np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high")]
-    return np.float64(sides[0])[:, None], np.float64(sides[1])[:, None]
+    low, high = (np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high"))
+    return low[:, None].astype(np.float64), high[:, None].astype(np.float64)
 
 
 def setting(spread: float, far: float = 0.0, device: str = "cpu") -> tuple[Bundles, np.ndarray, Found]:
@@ -183,12 +184,13 @@ def test_slabs_hold_the_rays(spread: float, far: float) -> None:
     """At any distance, every ray alive lies between the planes of its bundle, in the instance's space."""
     bundles, _, found = setting(spread, far)
     up, down = (
-        1.0 / np.float64(found.slabs[f"{side}_far"] + found.slabs[f"{side}_near"])[:, None] for side in ("up", "down")
+        1.0 / (found.slabs[f"{side}_far"] + found.slabs[f"{side}_near"]).astype(np.float64)[:, None]
+        for side in ("up", "down")
     )
-    low, high = (np.float64(found.slabs[side])[:, None] for side in ("low", "high"))
+    low, high = (found.slabs[side].astype(np.float64)[:, None] for side in ("low", "high"))
     scale = np.abs(bundles.origins).max(axis=(1, 2)).astype(np.float64)[:, None, None]
     for t in (0.0, 1e-3, 1.0, 1e3):
-        points = np.float64(found.origins) + t * scale * np.float64(found.directions)
+        points = found.origins.astype(np.float64) + t * scale * found.directions.astype(np.float64)
         inside = ((low + up * t * scale <= points) & (points <= high - down * t * scale)).all(axis=-1)
         assert inside[bundles.alive].all(), f"{np.count_nonzero(~inside & bundles.alive)} rays outside at {t}"
 
@@ -202,7 +204,7 @@ def test_no_ray_is_in_a_box_before_its_bundle(spread: float, far: float, device:
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
     meets = (first <= last) & (last >= bundles.begins[:, None, None]) & bundles.alive[:, :, None]
-    entries = np.broadcast_to(np.float64(found.entries)[:, None], meets.shape)
+    entries = np.broadcast_to(found.entries.astype(np.float64)[:, None], meets.shape)
     for name, where in {
         "ahead": meets & (first > bundles.begins[:, None, None]),
         "around the origin": meets & (first < 0.0),
@@ -221,8 +223,8 @@ def test_single_rays_are_tight(device: str) -> None:
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
     first, last = (values[:, 0] for values in crossings(origins, directions, low, high))
     begins = bundles.begins[:, None]
-    reach = np.abs(np.float64(origins)).max(axis=-1)[:, 0]
-    speed = np.linalg.norm(np.float64(directions), axis=-1)[:, 0]
+    reach = np.abs(origins.astype(np.float64)).max(axis=-1)[:, 0]
+    speed = np.linalg.norm(directions.astype(np.float64), axis=-1)[:, 0]
     ahead = (first <= last) & (first > begins) & (first > 0.0)
     steep = (np.abs(directions[:, 0]) > 0.2 * speed[..., None]).all(axis=-1)
     late = first - found.entries
@@ -253,7 +255,11 @@ def test_bundles_are_not_boundless() -> None:
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
     instance = placed(np.eye(4)[None])
     bundles = Bundles(
-        np.zeros((1, LANES, 3), np.float32), np.float32(directions), np.ones((1, LANES), bool), instance, np.zeros(1)
+        np.zeros((1, LANES, 3), np.float32),
+        directions.astype(np.float32),
+        np.ones((1, LANES), bool),
+        instance,
+        np.zeros(1),
     )
     node = empty_node()
     for c, (x, z) in enumerate(((0.0, 5.0), (5.0 * np.tan(np.radians(10.0)), 5.0), (0.0, -5.0))):
@@ -270,9 +276,10 @@ def test_bundles_gather_what_is_near_the_first(device: str) -> None:
     """Of the rays that wait, in whatever lane: it itself, and those within the radius and the spread of it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
-    origins = np.float32(random.normal(0.0, 0.06, (count, LANES, 3)))
-    directions = np.float32(normalized(np.array([0.0, 0.6, 0.8]) + random.normal(0.0, 0.07, (count, LANES, 3))))
-    waiting = np.float32(np.where(random.random((count, LANES)) < 0.6, random.uniform(1.0, 2.0, (count, LANES)), -1.0))
+    origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)
+    directions = normalized(np.array([0.0, 0.6, 0.8]) + random.normal(0.0, 0.07, (count, LANES, 3))).astype(np.float32)
+    waiting = np.where(random.random((count, LANES)) < 0.6, random.uniform(1.0, 2.0, (count, LANES)), -1.0)
+    waiting = waiting.astype(np.float32)
     rays = Buffers(device).struct("rays", RayData, count * LANES)
     rays.origin.assign(origins.reshape(-1, 3))
     rays.direction.assign(directions.reshape(-1, 3))

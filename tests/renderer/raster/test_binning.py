@@ -14,6 +14,7 @@ from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes import raster_scenes as scenes
 
@@ -85,7 +86,7 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
     """Every tile lists exactly its items, in depth order; in the parallel schedule also after its lists overflowed."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
-    table = np.zeros(count, dtype=np.dtype(TileRect.numpy_dtype()))
+    table = np.zeros(count, dtype=table_dtype(TileRect))
     for axis, tiles in (("x", tiles_x), ("y", tiles_y)):
         first = random.integers(0, tiles, count)
         table[axis + "0"] = first
@@ -111,7 +112,7 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
 def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
     """Pairs that 32 bits cannot count end in one line, not in a wrapped sum, a cut list or a write out of bounds."""
     tiles_x, tiles_y, count = 4096, 3, 180_000
-    table = np.zeros(count, dtype=np.dtype(TileRect.numpy_dtype()))
+    table = np.zeros(count, dtype=table_dtype(TileRect))
     table["x1"], table["y1"] = tiles_x, tiles_y
     rects = wp.array(table, dtype=TileRect, device="cpu")
     order = make_order(parallel)
