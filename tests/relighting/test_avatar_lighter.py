@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting import avatar_lighter
+from lumisplat.scene.lights import Light
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
 
@@ -40,11 +42,11 @@ def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
 
 def config(**changes: object) -> ls.AvatarLightingConfig:
     """Small maps, all light direct, nothing relit."""
-    return ls.AvatarLightingConfig(**{"shadow_map": SHADOW, "direct": 1.0, "relight": False} | changes)
+    return replace(ls.AvatarLightingConfig(shadow_map=SHADOW, direct=1.0, relight=False), **changes)
 
 
-def lighter(scene: ls.Scene, lights: object = (LIGHT,), **changes: object) -> ls.AvatarLighter:
-    """One for the CPU."""
+def lighter(scene: ls.Scene, lights: Sequence[Light] | None = (LIGHT,), **changes: object) -> ls.AvatarLighter:
+    """A lighter on the CPU; ``changes`` as for ``config``."""
     return ls.AvatarLighter(scene, lights, config(**changes), device="cpu")
 
 
@@ -355,7 +357,7 @@ def test_shadows_can_be_switched_off() -> None:
         (ls.Scene(splats=[floor()]), None, [puppet()], "no light found"),
     ],
 )
-def test_bad_scenes_are_told(scene: ls.Scene, lights: object, actors: object, said: str) -> None:
+def test_bad_scenes_are_told(scene: Any, lights: Any, actors: Any, said: str) -> None:
     """No captured sets, no lights, no actors of a kind that there is."""
     with pytest.raises(ls.SceneError, match=said):
         lighter(scene, lights).light(actors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ def receivers(points: npt.ArrayLike, linear: tuple[float, float, float] = (0.4, 
     return captured(np.atleast_2d(points), np.array(linear))
 
 
-def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.float64]:
+def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.floating]:
     """Mean colours, decoded."""
     return decode_srgb(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5)
 
@@ -112,9 +113,9 @@ def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )
-def test_bad_shadows_are_told(change: dict[str, object], error: type[Exception], said: str) -> None:
+def test_bad_shadows_are_told(change: dict[str, Any], error: type[Exception], said: str) -> None:
     """What does not fit."""
-    arguments = {
+    arguments: dict[str, Any] = {
         "receivers": receivers([(0, 0, 0), (1, 0, 0)]),
         "lights": [ls.LightPoint((0, 0, 3))],
         "transmittances": [[0.5, 0.5]],

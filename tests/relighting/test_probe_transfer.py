@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -176,12 +178,16 @@ def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
     assert shown.max() > 0.3
 
 
+AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", {"gamma": 2}, "pca"))
+"""Arguments of wrong types."""
+
+
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda: ls.relight("avatar", some_probe()), ls.SceneError, "takes Gaussians or a SplatInstance, got a str"),
-        (lambda: ls.relight(one_gaussian(), "probe"), ls.SceneError, "expected an EnvironmentProbe, got a str"),
-        (lambda: ls.relight(one_gaussian(), some_probe(), {"gamma": 2}), ls.ConfigError, "expected a RelightConfig"),
+        (lambda: ls.relight(AVATAR, some_probe()), ls.SceneError, "takes Gaussians or a SplatInstance, got a str"),
+        (lambda: ls.relight(one_gaussian(), PROBE), ls.SceneError, "expected an EnvironmentProbe, got a str"),
+        (lambda: ls.relight(one_gaussian(), some_probe(), CONFIG), ls.ConfigError, "expected a RelightConfig"),
         (
             lambda: ls.relight(one_gaussian(), some_probe(), normals=np.eye(3)),
             ls.SceneError,
@@ -192,11 +198,11 @@ def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
         (lambda: ls.RelightConfig(exponent=0.0), ls.ConfigError, "exponent is 0.0, expected 0.1 to 64.0"),
         (lambda: ls.RelightConfig(scale_max=-1.0), ls.ConfigError, "scale_max is -1.0"),
         (lambda: ls.RelightConfig(gamma=np.inf), ls.ConfigError, "gamma is inf"),
-        (lambda: ls.RelightConfig(normals="pca"), ls.ConfigError, "such as NormalEstimate.PCA"),
+        (lambda: ls.RelightConfig(normals=PCA), ls.ConfigError, "such as NormalEstimate.PCA"),
         (lambda: ls.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )
-def test_mistakes_are_told(call, error: type[Exception], message: str) -> None:
+def test_mistakes_are_told(call: Callable[[], object], error: type[Exception], message: str) -> None:
     """In one line that names what is wrong."""
     with pytest.raises(error) as caught:
         call()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import test_lit_frames
 import warp as wp
 
 import lumisplat as ls
+from support.scenes import lit_scene, trace_scenes
 from support.scenes import raster_scenes as scenes
-from support.scenes import trace_scenes
 
 pytestmark = [
     pytest.mark.gpu,
@@ -44,8 +43,8 @@ def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 def test_cuda_lights_what_the_cpu_lights(pipeline: ls.Pipeline) -> None:
     """A lit CUDA frame, with soft shadows, mirrors and glass, equals the CPU's but where a decision is rounding's."""
-    config = test_lit_frames.config(pipeline, shadows=ls.Shadows.SOFT, samples=2)
-    scene, camera = test_lit_frames.scene(*test_lit_frames.LAMPS, test_lit_frames.SKY), test_lit_frames.camera()
+    config = lit_scene.config(pipeline, shadows=ls.Shadows.SOFT, samples=2)
+    scene, camera = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
     cpu, cuda = (ls.render(scene, camera, config, device=device) for device in ("cpu", "cuda"))
     for name in ("color", "captured", "light", "alpha"):
         difference = np.abs(getattr(cpu, name) - getattr(cuda, name))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +21,8 @@ ORIGIN = np.zeros((1, 3))
 
 def tracer(**trace: object) -> ls.Renderer:
     """A renderer that traces on the CPU."""
-    config = ls.TraceConfig(**trace)
-    return ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config), "cpu")
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=replace(ls.TraceConfig(), **trace))
+    return ls.create_renderer(config, "cpu")
 
 
 def stack(*opacities: float) -> ls.Gaussians:
@@ -145,7 +147,7 @@ def test_colors_beyond_numbers_are_black_and_said(caplog: pytest.LogCaptureFixtu
         (ORIGIN, [[1j, 0, 0]], "directions are not numbers"),
     ],
 )
-def test_bad_rays_are_refused(origins: object, directions: object, message: str) -> None:
+def test_bad_rays_are_refused(origins: Any, directions: Any, message: str) -> None:
     """With one line that counts them, and no warning of NumPy's."""
     with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
         warnings.simplefilter("error")
@@ -161,7 +163,7 @@ def test_bad_rays_are_refused(origins: object, directions: object, message: str)
         ("far", "max_distance are not numbers"),
     ],
 )
-def test_bad_distances_are_refused(distance: object, message: str) -> None:
+def test_bad_distances_are_refused(distance: Any, message: str) -> None:
     """Likewise."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")

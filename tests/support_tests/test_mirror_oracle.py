@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +21,9 @@ from support.scenes.raster_scenes import one_gaussian, quad, random_gaussians, s
 from support.scenes.trace_scenes import AXIS, GLASS, MIRROR, ball, random_ray, slab, trace_config
 
 
-def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: object) -> Traced:
+def traced(scene: Scene, ray: Ray = AXIS, background: float = 0.0, **settings: Any) -> Traced:
     """What a ray shows before a grey background; ``settings`` are those of ``trace_config``."""
-    return trace_one(scene, ray, trace_config((background,) * 3, **settings))
+    return trace_one(scene, ray, trace_config((background, background, background), **settings))
 
 
 def test_nearest_triangle() -> None:
@@ -84,7 +85,7 @@ def test_snell(angle: float) -> None:
     assert through == pytest.approx([np.sin(angle) / 1.5, 0.0, np.sqrt(1.0 - (np.sin(angle) / 1.5) ** 2)])
 
 
-def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: object) -> list[Ray]:
+def watched(scene: Scene, ray: Ray, monkeypatch: pytest.MonkeyPatch, **changes: Any) -> list[Ray]:
     """All rays that a ray becomes, in the order in which they are followed."""
     rays: list[Ray] = []
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,12 +32,12 @@ from support.scenes.raster_scenes import (
 from support.scenes.trace_scenes import AXIS, GLASS, random_ray, trace_config
 
 
-def traced(scene: Scene, ray: Ray = AXIS, **settings: object) -> Traced:
+def traced(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Traced:
     """What a ray shows; ``settings`` are those of ``trace_config``."""
     return trace_one(scene, ray, trace_config(**settings))
 
 
-def found_on(scene: Scene, ray: Ray = AXIS, **settings: object) -> Hits:
+def found_on(scene: Scene, ray: Ray = AXIS, **settings: Any) -> Hits:
     """The Gaussians that count on a ray."""
     every = hits(world_of(scene, trace_config(**settings)), ray)
     return picked(every, every.counts)
@@ -51,7 +53,7 @@ def random_world() -> Scene:
 # --- Hits ---
 
 
-def golden_section(f: object, low: float, high: float) -> float:
+def golden_section(f: Callable[[float], float], low: float, high: float) -> float:
     """Where a function of one number with one minimum has it."""
     ratio = 0.5 * (np.sqrt(5.0) - 1.0)
     for _ in range(100):
@@ -115,7 +117,7 @@ def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float])
         direction = oracles.normalized(rng.normal(size=3))
         canonical = world.whiten[0] @ direction
         offset = oracles.normalized(np.cross(canonical, rng.normal(size=3))) * 1.5
-        through = world.mean[0] + axes @ (offset * np.float32(scales).astype(float))
+        through = world.mean[0] + axes @ (offset * np.array(scales, np.float32).astype(float))
         ray = Ray(through - 3.0 * direction, direction)
         found = hits(world, ray)
         assert found.d2 == pytest.approx([2.25], rel=1e-5)
@@ -210,11 +212,11 @@ def test_normals_are_gradients() -> None:
             for normal, i in zip(found.normal, found.index, strict=True):
                 at = ray.origin if method is NormalMethod.PLANE else ray.at(entry.t[entry.index == i][0])
                 step = 1e-6 * np.eye(3)
-                ends = [
-                    [np.sum((world.whiten[i] @ (at + sign * e - world.mean[i])) ** 2) for e in step]
+                after, before = (
+                    np.array([np.sum((world.whiten[i] @ (at + sign * e - world.mean[i])) ** 2) for e in step])
                     for sign in (1.0, -1.0)
-                ]
-                gradient = oracles.normalized(np.subtract(*ends))
+                )
+                gradient = oracles.normalized(after - before)
                 np.testing.assert_allclose(normal, gradient, atol=1e-5)
                 assert normal @ ray.direction < 0.0
 

@@ -12,6 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.demo.shapes import join_meshes, rounded_box, sphere, torus, transform_mesh
 from support.compare.images import assert_close
+from support.kinds import present
 from support.scenes.light_rig import PIPELINES, lit
 from support.scenes.light_scenes import ball_at, box, matte, parallelogram
 from support.scenes.raster_scenes import random_gaussians, similarity
@@ -90,7 +91,7 @@ def test_mesh_and_gaussians_are_shadowed_alike(name: str, pipeline: ls.Pipeline)
     assert mesh.light_shadow is not None
     assert splats.light_shadow is not None
     assert mesh.light_direct is not None
-    dark, dark_too = (frame.light_shadow[0].mean(axis=2) < 0.5 for frame in (mesh, splats))
+    dark, dark_too = (present(frame.light_shadow)[0].mean(axis=2) < 0.5 for frame in (mesh, splats))
 
     # Splat instances are numbered before meshes: the floor is 0 in one frame and 1 in the other.
     floor = (mesh.instance_index == 0) & (splats.instance_index == 1) & (splats.gaussian_index < 0)
@@ -121,7 +122,7 @@ def test_mesh_and_gaussians_are_shaded_alike(name: str, pipeline: ls.Pipeline) -
     assert mesh.light_direct is not None
     assert splats.light_direct is not None
     whole = inner((mesh.instance_index == 1) & (splats.instance_index == 0), mesh.normal)
-    shone, shone_too = (frame.light_direct[0][whole].mean(axis=1) for frame in (mesh, splats))
+    shone, shone_too = (present(frame.light_direct)[0][whole].mean(axis=1) for frame in (mesh, splats))
     total, each = (0.01, 0.03) if pipeline is ls.Pipeline.TRACE else (0.06, 0.1)
     assert shone_too.mean() == pytest.approx(shone.mean(), rel=total)
     assert np.abs(shone_too - shone).mean() < each * shone.mean()

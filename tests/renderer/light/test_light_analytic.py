@@ -105,7 +105,7 @@ def test_lights_add_up_and_are_told_apart(pipeline: ls.Pipeline) -> None:
     alone = [lit(ls.Scene((), meshes, [light]), camera, pipeline, aovs=("lights",)) for light in lights]
     assert frame.light_direct is not None
     assert frame.light_shadow is not None
-    assert_close(frame.color, sum(one.color for one in alone), atol=1e-5)
+    assert_close(frame.color, np.sum([one.color for one in alone], axis=0), atol=1e-5)
     assert_close(frame.color, (frame.light_direct * frame.light_shadow).sum(axis=0), atol=1e-5)
     assert (frame.light_shadow[0] == 0.0).any()
     assert (frame.light_shadow[1] == 1.0).all()

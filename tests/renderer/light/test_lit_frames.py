@@ -11,50 +11,8 @@ import lumisplat as ls
 from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
 from support.compare.ways import WAYS, renderer_of
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.raster_scenes import one_gaussian, similarity
-
-LAMPS = (
-    ls.LightPoint((0.8, 1.6, -0.4), color=(1.0, 0.8, 0.6), intensity=6.0, radius=0.1, name="bulb"),
-    ls.LightSpot((-1.2, 1.8, -0.5), (0.8, -1.6, 0.8), intensity=8.0, outer_angle=0.6),
-    ls.LightDirectional((0.2, -1.0, 0.4), intensity=0.5, casts_shadow=False),
-)
-SKY = ls.LightEnvironment(color=(0.2, 0.3, 0.5), name="sky", visible=False)
-
-
-def scene(*lights: ls.LightPoint | ls.LightSpot | ls.LightDirectional | ls.LightEnvironment) -> ls.Scene:
-    """Splats and meshes on a floor of splats: a plain ball, a mirror, glass, and a capture that stays as it is."""
-    paper = ls.MaterialPbr(base_color=(0.8, 0.7, 0.6), roughness=0.7)
-    ball = sphere(0.35, rows=10, columns=16)
-    floor = ls.Mesh(
-        np.array([[-2.0, 0.0, -1.0], [2.0, 0.0, -1.0], [2.0, 0.0, 3.0], [-2.0, 0.0, 3.0]]), [[0, 2, 1], [0, 3, 2]]
-    )
-    ground = ls.gaussians_from_mesh(floor, 900, seed=3)
-    toy = ls.gaussians_from_mesh(ball, 700, seed=4)
-    mirror = ls.MaterialPbr(base_color=(0.95, 0.9, 0.8), metallic=1.0, roughness=0.0)
-    glass = ls.MaterialPbr(base_color=(0.7, 1.0, 0.9), roughness=0.0, transmission=1.0)
-    return ls.Scene(
-        splats=[
-            ls.SplatInstance(ground, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(0.8, 0.8, 0.8))),
-            ls.SplatInstance(toy, similarity(offset=(-0.7, 0.4, 0.9))),
-        ],
-        meshes=[
-            ls.MeshInstance(replace(ball, material=paper), similarity(offset=(0.0, 0.35, 0.6))),
-            ls.MeshInstance(replace(ball, material=mirror), similarity(offset=(0.8, 0.35, 1.0))),
-            ls.MeshInstance(replace(ball, material=glass), similarity(offset=(-0.3, 0.3, 0.0), scale=0.8)),
-        ],
-        lights=lights or LAMPS,
-    )
-
-
-def camera(width: int = 48, height: int = 32) -> ls.Camera:
-    """From above the front."""
-    return ls.Camera.look_at((0.1, 1.0, -2.2), (0.0, 0.25, 0.7), width=width, height=height, fov_y=0.8)
-
-
-def config(pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.RenderConfig:
-    """Some settings that show a lot."""
-    given: dict = {"pipeline": pipeline, "background": (0.1, 0.2, 0.3)} | settings
-    return ls.RenderConfig(**given)
 
 
 def checked(image: np.ndarray | None) -> np.ndarray:

@@ -34,12 +34,12 @@ def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: 
     colors = extras.pop("colors", np.tile([0.7, 0.5, 0.3], (count, 1)))
     wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     filled = {name: np.broadcast_to(values, (count, *np.shape(values))) for name, values in extras.items()}
-    return ls.Gaussians(means, wxyz, scales, np.full(count, opacity), flat_sh(colors), **filled)
+    return replace(ls.Gaussians(means, wxyz, scales, np.full(count, opacity), flat_sh(colors)), **filled)
 
 
 def lit(scene: ls.Scene, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
     """A small frame from the front, lights on."""
-    config = ls.RenderConfig(pipeline=pipeline, lighting=True, **settings)
+    config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
     return ls.render(scene, front_camera(24, 18, 30.0), config, device="cpu")
 
 
@@ -55,7 +55,7 @@ def texture(*rgb: int) -> np.ndarray:
 
 def diffuse(**changes: object) -> ls.MaterialPbr:
     """White paper."""
-    return ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0, **changes)
+    return replace(ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0), **changes)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
@@ -87,9 +87,8 @@ def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
 def test_metallic_roughness_texture_multiplies() -> None:
     """Green is roughness, blue metallic: a texture looks as the factors that it comes to."""
     light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
-    held = {"base_color": (0.9, 0.6, 0.3)}
-    mapped = ls.MaterialPbr(roughness=0.8, metallic=1.0, metallic_roughness_texture=texture(0, 102, 204), **held)
-    plain = ls.MaterialPbr(roughness=0.8 * 0.4, metallic=0.8, **held)
+    plain = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.8 * 0.4, metallic=0.8)
+    mapped = replace(plain, roughness=0.8, metallic=1.0, metallic_roughness_texture=texture(0, 102, 204))
     seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[light]))) for m in (mapped, plain)]
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
 

@@ -14,7 +14,8 @@ from support.compare.ways import WAYS, renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, random_gaussians, rotation
 
-Draw = Callable[..., SimpleNamespace | ls.Frame]
+Drawn = SimpleNamespace | ls.Frame
+Draw = Callable[..., Drawn]
 CENTRE = (24, 32)
 NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 
@@ -23,7 +24,7 @@ NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 def draw(request: pytest.FixtureRequest) -> Draw:
     """Draws Gaussians with the twin or in a way of the renderer."""
 
-    def call(gaussians: ls.Gaussians, camera: ls.Camera, config: ls.RenderConfig | None = None) -> object:
+    def call(gaussians: ls.Gaussians, camera: ls.Camera, config: ls.RenderConfig | None = None) -> Drawn:
         scene = ls.Scene([gaussians])
         if request.param == "twin":
             return SimpleNamespace(**oracles.render(scene, camera, config))

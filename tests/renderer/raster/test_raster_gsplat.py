@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from support.compare.images import assert_images_alike
+from support.files.splat_files import load_gaussians
 from support.scenes.raster_scenes import gsplat_frames
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference"
@@ -47,6 +48,6 @@ def test_synthetic_captures(renderer: ls.Renderer, name: str) -> None:
 @pytest.mark.parametrize("name", ["biker_front", "biker_close"])
 def test_a_real_capture(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
     """The biker, whole and close."""
-    biker = ls.load(data_dir / "splats" / "biker.compressed.ply")
+    biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     image, camera = reference(name)
     assert_like_gsplat(renderer.render(ls.Scene([biker]), camera), image)

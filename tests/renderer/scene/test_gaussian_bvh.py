@@ -108,8 +108,10 @@ def inputs() -> dict[str, ls.Gaussians]:
         "all faint": replace(faint, opacities=np.full(300, 0.0039)),
         "all sizes": random_gaussians(3, 1000, scale_range=(1e-7, 1e3)),
         "far away": random_gaussians(4, 500, center=(1e6, -1e6, 1e6)),
-        "tiny": random_gaussians(5, 300, center=(0.0, 0.0, 0.0), extent=(1e-15,) * 3, scale_range=(1e-18, 1e-16)),
-        "huge": random_gaussians(6, 300, center=(0.0, 0.0, 0.0), extent=(1e12,) * 3, scale_range=(1e10, 1e12)),
+        "tiny": random_gaussians(
+            5, 300, center=(0.0, 0.0, 0.0), extent=(1e-15, 1e-15, 1e-15), scale_range=(1e-18, 1e-16)
+        ),
+        "huge": random_gaussians(6, 300, center=(0.0, 0.0, 0.0), extent=(1e12, 1e12, 1e12), scale_range=(1e10, 1e12)),
     }
 
 

@@ -124,7 +124,7 @@ def test_environment(rig: Rig) -> None:
     data = rig.table.environment
     assert (data.exists, data.visible, data.width, data.height) == (1, 0, 8, 4)
     np.testing.assert_array_equal(data.texels.numpy().reshape(IMAGE.shape), IMAGE)
-    np.testing.assert_allclose(data.power, (2.0, 1.0, 0.5))
+    np.testing.assert_allclose(np.array(data.power), (2.0, 1.0, 0.5))
     np.testing.assert_allclose(
         np.array(data.world_from_environment).reshape(3, 3), np.diag([1.0, -1.0, -1.0]), atol=1e-7
     )

@@ -29,11 +29,11 @@ def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipe
     turn = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
     if shape == "tilted":
         turn = rotation((0.3, 0.8, -0.5), 0.9) @ turn
-    corners = np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ turn[:3, :3].T
+    corner, *edges = np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ turn[:3, :3].T
     eye, up = np.array([0.2, 3.0, 0.7]) @ turn[:3, :3].T, turn[:3, :3] @ [0.0, 0.0, -1.0]
     camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), up, width=96, height=64, fov_y=0.8)
     lights = [ls.LightPoint(tuple(np.array(at) @ turn[:3, :3].T)) for at in ((1.6, 2.6, 1.4), (-3.0, 0.4, 0.2))]
-    plane = parallelogram(*corners, matte(0.8))
+    plane = parallelogram(corner, edges[0], edges[1], matte(0.8))
     frame = lit(ls.Scene((), [plane], lights), camera, pipeline, aovs=("lights",))
     assert frame.light_shadow is not None
     assert (frame.instance_index == 0).sum() > 40
@@ -294,7 +294,7 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
 def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
     """The plane as Gaussians, of one colour, with normals that point up."""
     disc = parallelogram((-1.0, 0.0, 1.0), (2.0, 0.0, 0.0), (0.0, 0.0, -2.0), matte(0.5, 0.4, 0.3))
-    return ls.SplatInstance(ls.gaussians_from_mesh(disc, count), **changes)
+    return replace(ls.SplatInstance(ls.gaussians_from_mesh(disc, count)), **changes)
 
 
 @PIPELINES

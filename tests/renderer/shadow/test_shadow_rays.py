@@ -15,6 +15,7 @@ from lumisplat.config import ShadowMethod
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.shadow import stochastic_bvh
+from support.files.splat_files import load_gaussians
 from support.oracles import shadow_oracle
 from support.oracles.raster_oracle import normalized
 from support.scenes.raster_scenes import checker_quad, joined, one_gaussian, quad, random_gaussians, similarity
@@ -40,8 +41,8 @@ def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)
 
 def glass(**changes: Any) -> ls.MaterialPbr:
     """White glass that reflects nothing, unless told otherwise."""
-    settings = {"base_color": (1.0, 1.0, 1.0), "roughness": 0.0, "transmission": 1.0, "specular": 0.0}
-    return ls.MaterialPbr(**(settings | changes))
+    clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, specular=0.0)
+    return replace(clear, **changes)
 
 
 def rays_around(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +119,8 @@ def test_settings_of_the_tracer_do_not_steer_shadows(rig: ShadowRig) -> None:
     """Nor those of the rasteriser: the same bits, of the product and of the first hits."""
     trace = ls.TraceConfig(hit_distance=ls.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
-    for shadow in ({"color_strength": 1.0}, {"method": FIRST, "hits": 4}):
+    shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}]
+    for shadow in shadows:
         plain, same = (rig.light(placed_scene(), *rays_around(22), config, **shadow) for config in (None, others))
         np.testing.assert_array_equal(plain, same)
 
@@ -149,7 +151,8 @@ def test_threads_do_not_change_a_bit() -> None:
     """Bands over any number of threads give the same."""
     origins, along = rays_around(40)
     scene = placed_scene()
-    for shadow in ({"color_strength": 1.0}, {"method": FIRST, "hits": 4}, {"method": STOCHASTIC}):
+    shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}, {"method": STOCHASTIC}]
+    for shadow in shadows:
         one, three = (ShadowRig("cpu", threads).light(scene, origins, along, **shadow) for threads in (1, 3))
         np.testing.assert_array_equal(one, three)
 
@@ -530,7 +533,7 @@ def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
 
 def test_samples_near_the_exact_shadow_of_a_capture(data_dir: Path) -> None:
     """64 samples of the biker's shadows on itself and around: 35 dB over an image of them."""
-    scene = ls.Scene([ls.load(data_dir / "splats" / "biker.compressed.ply")])
+    scene = ls.Scene([load_gaussians(data_dir / "splats" / "biker.compressed.ply")])
     camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)
     directions = (camera.ray_directions() @ camera.camera_from_world[:3, :3]).reshape(-1, 3)
     depth = ls.trace_rays(scene, camera.eye, directions, device="cpu").depth

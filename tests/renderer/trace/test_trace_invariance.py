@@ -39,7 +39,7 @@ def way(request: pytest.FixtureRequest) -> str:
 
 def settings(strategy: ls.TraceStrategy = SORTED, seed: int = 0, **changes: object) -> ls.RenderConfig:
     """Settings of the ray tracer; ``changes`` are fields of ``TraceConfig``."""
-    trace = ls.TraceConfig(strategy=strategy, **changes)
+    trace = replace(ls.TraceConfig(strategy=strategy), **changes)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, seed=seed)
 
 
@@ -374,7 +374,8 @@ def test_raster_and_trace_agree_on_small_gaussians(way: str) -> None:
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
     count = x.size
     means = np.stack([x.ravel(), y.ravel(), random.uniform(3.8, 4.2, count)], axis=-1)
-    scales = np.exp(random.uniform(*np.log((0.01, 0.025)), (count, 3)))
+    smallest, largest = np.log((0.01, 0.025))
+    scales = np.exp(random.uniform(smallest, largest, (count, 3)))
     sh = random.uniform(-1.0, 1.0, (count, 4, 3)) * np.reshape([1.0, 0.3, 0.3, 0.3], (4, 1))
     gaussians = ls.Gaussians(means, random.normal(size=(count, 4)), scales, random.uniform(0.3, 1.0, count), sh)
     camera = front_camera(128, 96, 600.0)

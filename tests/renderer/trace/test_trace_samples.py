@@ -238,7 +238,7 @@ def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> N
 def test_resume_takes_frames_only() -> None:
     """What is none is named, not looked into."""
     with pytest.raises(ls.ConfigError, match=r"^resume is 'a\.png', expected a Frame$"):
-        renderer("cpu").render(scene(), view(), resume="a.png")
+        renderer("cpu").render(scene(), view(), resume="a.png")  # pyright: ignore[reportArgumentType]
 
 
 def test_transparent_frames_resume(way: str) -> None:

@@ -39,7 +39,7 @@ def random_case(name: str, strategy: ls.TraceStrategy, **changes: object) -> Cas
 
 def samples_of(case: Case) -> int:
     """Samples a seed; fewer where each takes many waves of rays."""
-    return 32 if any(one.mesh.material.roughness == 0.0 for one in case.scene.meshes) else 128
+    return 32 if any(one.mesh.material.is_smooth for one in case.scene.meshes) else 128
 
 
 @cache
@@ -96,7 +96,7 @@ def test_mean_is_the_expectation(name: str, strategy: ls.TraceStrategy, device: 
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     count = len(frames) * samples_of(CASES[name])
     for image, most in (("color", brightest(CASES[name])), ("alpha", 1.0)):
-        mean = np.mean([getattr(frame, image) for frame in frames], axis=0, dtype=np.float64)
+        mean = np.stack([getattr(frame, image) for frame in frames]).mean(axis=0, dtype=np.float64)
         expected, variance = twin[image], twin[f"{image}_variance"]
         slack = twin["slack"].reshape(*twin["slack"].shape, *(1,) * (mean.ndim - 2))
         room = excess(mean, expected, variance, count, most) - slack

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import lumisplat as ls
@@ -42,7 +43,7 @@ def lit(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline = ls.Pipeline.
     return ls.render(scene, camera, replace(config, **settings), device="cpu")
 
 
-def towards(point: tuple[float, float, float], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def towards(point: npt.ArrayLike, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions to a point, shape (H, W, 3), and distances, (H, W)."""
     away = np.array(point) - points
     distances = np.linalg.norm(away, axis=-1)

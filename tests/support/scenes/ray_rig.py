@@ -1,4 +1,4 @@
-"""Rays among meshes without Gaussians: what the ray tracer does around its Gaussian kernel, for tests of just that."""
+"""Rays through meshes alone: what the ray tracer does around its kernel for Gaussians, to be tested on its own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
@@ -23,7 +24,7 @@ from support.scenes.raster_scenes import front_camera
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays meet, one row a ray."""
+    """The nearest triangle of each ray, a row for each."""
 
     t: np.ndarray  # inf: nothing
     face: np.ndarray  # among the faces of all meshes; -1: none
@@ -37,8 +38,8 @@ class RayRig:
     Args:
         device: Warp device name.
         threads: CPU threads.
-        color: What the Gaussians before every mesh give a ray.
-        transmittance: What they leave of the light behind them.
+        color: Colour of the Gaussians that lie before every mesh, the same for each ray.
+        transmittance: Transmittance of these Gaussians.
     """
 
     def __init__(
@@ -57,7 +58,9 @@ class RayRig:
         self.waves: list[SimpleNamespace] = []
         """The rays of each wave of the last call: the fields of ``RayData`` as NumPy arrays, and where they end."""
 
-    def hits(self, scene: Scene, origins: np.ndarray, directions: np.ndarray, **limits: float | np.ndarray) -> Hits:
+    def hits(
+        self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, **limits: float | np.ndarray
+    ) -> Hits:
         """The nearest triangles; ``t_min`` and ``t_max`` are 0 and infinite unless given."""
         self._sync(scene, RenderConfig(pipeline=Pipeline.TRACE))
         rays = self._rays(origins, directions, **limits)
@@ -71,8 +74,8 @@ class RayRig:
     def colors(
         self,
         scene: Scene,
-        origins: np.ndarray,
-        directions: np.ndarray,
+        origins: npt.ArrayLike,
+        directions: npt.ArrayLike,
         *,
         bounces: int = 3,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -106,14 +109,15 @@ class RayRig:
 
     def _rays(
         self,
-        origins: np.ndarray,
-        directions: np.ndarray,
+        origins: npt.ArrayLike,
+        directions: npt.ArrayLike,
         t_min: float | np.ndarray = 0.0,
         t_max: float | np.ndarray = np.inf,
     ) -> RayData:
+        origins = np.asarray(origins, np.float32)
         count = len(origins)
         rays = self.buffers.struct("test.rays", RayData, count)
-        rays.origin.assign(np.asarray(origins, np.float32))
+        rays.origin.assign(origins)
         rays.direction.assign(np.asarray(directions, np.float32))
         rays.is_active.assign(np.broadcast_to(np.greater(t_max, t_min), count))
         rays.t_min.assign(np.full(count, t_min, np.float32))
