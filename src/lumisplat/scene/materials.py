@@ -78,13 +78,13 @@ class MaterialPbr:
             ior: float = 1.5,
             transmission: float = 0.0,
             emissive: npt.ArrayLike = (0.0, 0.0, 0.0),
-            base_color_texture: npt.ArrayLike | None = None,
-            metallic_roughness_texture: npt.ArrayLike | None = None,
-            normal_texture: npt.ArrayLike | None = None,
+            base_color_texture: Texture | None = None,
+            metallic_roughness_texture: Texture | None = None,
+            normal_texture: Texture | None = None,
             normal_scale: float = 1.0,
-            occlusion_texture: npt.ArrayLike | None = None,
+            occlusion_texture: Texture | None = None,
             occlusion_strength: float = 1.0,
-            emissive_texture: npt.ArrayLike | None = None,
+            emissive_texture: Texture | None = None,
             name: str = "",
         ) -> None: ...
 
@@ -145,7 +145,7 @@ class MaterialSimple:
             specular: npt.ArrayLike = (0.0, 0.0, 0.0),
             shininess: float = 32.0,
             base_color: npt.ArrayLike = (1.0, 1.0, 1.0),
-            base_color_texture: npt.ArrayLike | None = None,
+            base_color_texture: Texture | None = None,
             name: str = "",
         ) -> None: ...
 
