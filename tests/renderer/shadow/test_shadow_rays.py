@@ -426,12 +426,14 @@ def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int) -> None:
     assert abs(float(np.mean(mean - exact))) < 0.02
 
 
+@pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
-def test_draws_are_independent(rig: ShadowRig, other: str) -> None:
+def test_draws_are_independent(rig: ShadowRig, other: str, samples: int) -> None:
     """Two Gaussians at one place each let light through half the time: together a quarter, not half."""
     pane = stack(0.5)
     scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
-    assert chances(rig, scene, (np.zeros((1, 3)), AHEAD), 1024)[0] == pytest.approx(0.25, abs=4 * 0.0135)
+    sigma = math.sqrt(0.25 * 0.75 / samples)
+    assert chances(rig, scene, (np.zeros((1, 3)), AHEAD), samples)[0] == pytest.approx(0.25, abs=4.0 * sigma)
 
 
 def test_samples_are_stratified(rig: ShadowRig) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 import lumisplat as ls
 from support.oracles import trace_oracle
+from support.twins import TWINS
 
 RAYS = 60
 PLACES = {"biker.compressed.ply": (0.2, -0.1, -0.7), "logo_sog": (0.3, -0.2, -1.2)}
@@ -39,7 +40,7 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
     directions = camera.ray_directions().reshape(-1, 3)[chosen] @ camera.camera_from_world[:3, :3]
     origins = np.broadcast_to(camera.eye, directions.shape)
     hits = ls.trace_rays(scene, origins, directions, device="cpu")
-    twin = trace_oracle.trace_rays(scene, origins, directions)
+    twin = TWINS.result(trace_oracle.trace_rays, scene, origins, directions)
     assert np.abs(hits.radiance - twin["radiance"]).mean() < 1e-3
     assert np.abs(hits.transmittance - twin["transmittance"]).mean() < 1e-3
     found = np.isfinite(twin["depth"])
@@ -49,10 +50,11 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.parametrize("width", [80, pytest.param(160, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_frames_converge(data_dir: Path, strategy: ls.TraceStrategy) -> None:
+def test_stochastic_frames_converge(data_dir: Path, strategy: ls.TraceStrategy, width: int) -> None:
     """The mean of 256 is 40 dB from the sorted frame, of 64 six less: the error falls as the root of their number."""
-    scene, camera = view_of(data_dir, "biker.compressed.ply", 160)
+    scene, camera = view_of(data_dir, "biker.compressed.ply", width)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
     exact = ls.render(scene, camera, config, device="cpu").color
     random = replace(config, trace=ls.TraceConfig(strategy=strategy), samples=64)

@@ -17,6 +17,7 @@ from support.oracles import trace_oracle
 from support.oracles.particle_oracle import world_of
 from support.oracles.trace_oracle import background_of, camera_rays, outcomes_on, trace
 from support.scenes.trace_scenes import Case, changed_rays, copies, small_camera, stochastic_cases, trace_config
+from support.twins import TWINS
 
 HIT, PASS = ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS
 CASES = {case.name: case for case in stochastic_cases()}
@@ -54,7 +55,7 @@ def frames_of(name: str, strategy: ls.TraceStrategy, device: str) -> list[ls.Fra
 def twin_of(name: str, strategy: ls.TraceStrategy) -> dict[str, np.ndarray]:
     """Expectation and variance of a case."""
     case = random_case(name, strategy)
-    return trace_oracle.render(case.scene, case.camera, case.config)
+    return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
 
 def critical_z(tests: int) -> float:
@@ -179,7 +180,7 @@ def test_every_sample_is_an_outcome(name: str, strategy: ls.TraceStrategy, devic
 def test_scaled_acceptance(device: str) -> None:
     """Scaled random numbers accept with alpha over the scale: opaquer than sorting, exactly as much as that says."""
     case = random_case("overlapping", HIT, acceptance_scale=0.5)
-    twin = trace_oracle.render(case.scene, case.camera, case.config)
+    twin = TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
     frame = renderer_of(device, replace(case.config, samples=500)).render(case.scene, case.camera)
     args = frame.color.reshape(-1, 3), twin["color"].reshape(-1, 3), twin["color_variance"].reshape(-1, 3), 500
     assert (excess(*args, brightest(case)) <= twin["slack"].reshape(-1, 1)).all()

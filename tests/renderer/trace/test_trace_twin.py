@@ -12,6 +12,7 @@ from support.compare.ways import renderer_of
 from support.oracles import trace_oracle
 from support.scenes.raster_scenes import quad
 from support.scenes.trace_scenes import Case, cases, mirror_scene, placed_scene, trace_config
+from support.twins import TWINS
 
 CASES = {case.name: case for case in cases()}
 WORLD = trace_config((0.3, 0.5, 0.9))
@@ -23,7 +24,7 @@ SURE = 0.75
 def twin_of(name: str) -> dict[str, np.ndarray]:
     """The twin's frame of a case, the same for every way."""
     case = CASES[name]
-    return trace_oracle.render(case.scene, case.camera, case.config)
+    return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
@@ -43,7 +44,7 @@ def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndar
     scene = ls.Scene(placed_scene().splats, mirror_scene().meshes + ls.Scene([], [quad(3.4, 0.6, tilt=0.4)]).meshes)
     origins = rng.normal((0.0, 0.0, 4.0), 2.5, (600, 3)).astype(np.float32)
     directions = rng.normal((0.0, 0.0, 4.0), 0.8, (600, 3)).astype(np.float32) - origins
-    return scene, origins, directions, trace_oracle.trace_rays(scene, origins, directions, WORLD)
+    return scene, origins, directions, TWINS.result(trace_oracle.trace_rays, scene, origins, directions, WORLD)
 
 
 def test_rays_equal_twin(way: str) -> None:
