@@ -38,14 +38,14 @@ def table(rows: list[dict]) -> list[str]:
 
 
 def bars_line(rows: list[dict]) -> str:
-    """What was to be reached, in unlit raster frames."""
+    """The figures that have a target, in unlit raster frames."""
     ratios = {row["preset"]: row["ratio"] for row in rows}
-    told = [
+    figures = [
         f"{label} {ratios[name]:.2f} ({'below' if ratios[name] < most else 'NOT below'} the {most:g} aimed at)"
         for name, (label, most) in BARS.items()
         if name in ratios
     ]
-    return "In unlit raster frames: " + ", ".join(told) + "."
+    return "In unlit raster frames: " + ", ".join(figures) + "."
 
 
 def shadow_line(name: str, row: dict) -> str:

@@ -136,7 +136,7 @@ def describe_machine() -> dict:
 
 
 def cpu_name() -> str:
-    """The processor's model name, where the system tells."""
+    """The processor's model name, where the system reports it."""
     for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()

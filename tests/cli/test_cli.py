@@ -133,7 +133,7 @@ def test_options_are_at_the_defaults_of_the_settings(work, monkeypatch):
 
 
 def test_bench_settings(work, monkeypatch):
-    """Bench times the pipeline and the strategy that it is told."""
+    """Bench times the pipeline and the strategy of its options."""
     args = ("bench", "@mesh.obj", "--pipeline", "trace", "--strategy", "stochastic-hit")
     trace = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
     assert configured(work, monkeypatch, *args) == ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)

@@ -128,7 +128,7 @@ MATERIALS = [
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
 def test_twin(number: int, device: str) -> None:
-    """Values and densities are the books', as far as directions in float32 tell them."""
+    """Values and densities are those of the oracle, as exactly as directions in float32 allow."""
     material = MATERIALS[number]
     normals, views, lights = pairs(3000, material["alpha"], number)
     values, densities = on_device(material, normals, views, lights, device)
@@ -365,7 +365,7 @@ def test_directions_are_as_dense_as_said(material: Material, cos: float) -> None
 
 
 def test_the_comparison_can_fail() -> None:
-    """A density of a highlight a little wider is told apart, and one of a little more diffuse light."""
+    """The test rejects the density of a slightly wider highlight, and of slightly more diffuse light."""
     metal = pbr(0.09, diffuse=0.0)
     assert compared(metal, pbr(0.1, diffuse=0.0), 0.7, 0.2) > LIMIT
     assert compared(pbr(0.09), pbr(0.09, diffuse=0.6), 0.3, 0.2) > LIMIT

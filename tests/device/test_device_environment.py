@@ -111,7 +111,7 @@ def test_a_quarter_turn_about_y() -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 3), (17, 40), (128, 256)])
 def test_twin(shape: tuple[int, int], device: str) -> None:
-    """Bilinear lookups are the twin's, as far as directions in float32 tell; factors apply."""
+    """Bilinear lookups are the twin's, as exactly as directions in float32 allow; factors apply."""
     image = np.random.default_rng(3).random((*shape, 3), dtype=np.float32)
     sky = Sky(image, device, rotation_wxyz=TURNED, color=(1.0, 0.5, 0.25), intensity=2.0)
     # Not those next to the poles, where rounding turns them a long way.

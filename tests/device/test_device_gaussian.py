@@ -92,7 +92,7 @@ def test_normal_is_that_of_the_max_density_plane(
     expected = axes / scales**2 @ axes.T @ np.array(to_eye)
     expected /= np.linalg.norm(expected)
     assert actual @ to_eye > -1e-6
-    # Where to_eye all but lies in a thin Gaussian's plane, float32 cannot tell the direction.
+    # Where to_eye all but lies in a thin Gaussian's plane, float32 cannot resolve the direction.
     local = np.abs(axes.T @ to_eye)
     if local[scales.argmin()] > 1e-3:
         np.testing.assert_allclose(actual, expected, atol=1e-3)

@@ -52,7 +52,7 @@ def bounce(
     shading: np.ndarray | None = None,
     base: tuple[float, ...] = (1.0, 1.0, 1.0),
 ) -> Bounce:
-    """What a surface does; the shading normal is the triangle's unless given."""
+    """How a surface splits light; the shading normal is the triangle's unless given."""
     shading = face if shading is None else shading
     return bounce_of(material, wp.vec3(*base), wp.vec3(*face), wp.vec3(*shading), wp.vec3(*direction), False)
 
@@ -154,7 +154,7 @@ def test_schlick() -> None:
 def test_white_dielectrics_lose_nothing(
     direction: tuple[float, ...], face: tuple[float, ...], ior: float, transmission: float
 ) -> None:
-    """What is reflected, let through and shown adds up to one, from either side."""
+    """Reflected, refracted and diffuse shares add up to one, from either side."""
     d, n = unit(direction), unit(face)
     for side in (n, -n):
         result = bounce(smooth(ior=ior, transmission=transmission), d, side)

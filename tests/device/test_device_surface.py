@@ -62,7 +62,7 @@ def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
 
 
 def test_blend_stops_and_says_so() -> None:
-    """The splat that would cross the minimum is dropped, and the sign of the transmittance tells."""
+    """The splat that would cross the minimum is dropped, and the transmittance becomes negative."""
     pixel = blended([0.9, 0.9, 0.99, 0.5])
     assert pixel.transmittance == pytest.approx(-0.01, rel=1e-4)
     assert pixel.color[0] == pytest.approx(0.09, rel=1e-4)

@@ -31,7 +31,7 @@ NEVER = 2.0 * np.float64(np.float32(FAR))
 
 @dataclass
 class Bundles:
-    """Rays of bundles, what is alive of them, and where instances are."""
+    """Rays of bundles, which of them are alive, and the transforms of instances."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -42,7 +42,7 @@ class Bundles:
 
 @dataclass
 class Found:
-    """What the device says: bundles in object space, and distances to boxes."""
+    """Results of the device: bundles in object space, and distances to boxes."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -119,7 +119,7 @@ def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
 
 
 def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
-    """Asks the device."""
+    """Runs the device functions on bundles and boxes."""
     count = len(bundles.begins)
     buffers = Buffers(device)
     rays = buffers.struct("rays", RayData, count * LANES)
@@ -158,7 +158,7 @@ def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high
 
 
 def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the children's boxes, float64, (B, 1, C, 3)."""
+    """Lower and upper corners of the children's boxes, float64, shape (B, 1, C, 3)."""
     low, high = (np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high"))
     return low[:, None].astype(np.float64), high[:, None].astype(np.float64)
 
@@ -217,7 +217,7 @@ def test_no_ray_is_in_a_box_before_its_bundle(spread: float, far: float, device:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_single_rays_are_tight(device: str) -> None:
-    """What is met is met at most a few roundings too early, and boxes missed by more than that are missed."""
+    """Entries into boxes are at most a few roundings too early; boxes missed by more than that are missed."""
     bundles, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
@@ -242,7 +242,7 @@ def test_single_rays_are_tight(device: str) -> None:
 
 
 def test_empty_children_are_never_met() -> None:
-    """Nor are the inverted boxes of Gaussians that never count; by no bundle of any spread and scale."""
+    """No bundle of any spread and scale enters empty boxes or the inverted boxes of Gaussians that never count."""
     for spread in SPREADS:
         bundles = random_bundles(5, spread)
         found = probe(bundles, np.concatenate([empty_node()] * COUNT))
@@ -273,7 +273,7 @@ def test_bundles_are_not_boundless() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_bundles_gather_what_is_near_the_first(device: str) -> None:
-    """Of the rays that wait, in whatever lane: it itself, and those within the radius and the spread of it."""
+    """Of the waiting rays, in any lane, it gathers the first and those within the radius and the spread of it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
     origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)

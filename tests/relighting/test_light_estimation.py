@@ -98,7 +98,7 @@ def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
 def test_steadiness_counts() -> None:
     """Of two colours that vary alike over all directions, the one wins that varies less across the viewpoints."""
     places = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
-    # Gradients of one size: along the line of sight, where viewpoints hardly tell, and across. By mean and maximum
+    # Gradients of one size: along the line of sight, where viewpoints hardly matter, and across. By mean and maximum
     # luminance the second is brighter, by 3 %.
     steady, unsteady = lamp(tuple(places[0]), (0.67, 0.67, 0.67)), lamp(tuple(places[1]), (0.8, 0.8, 0.8))
     steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()

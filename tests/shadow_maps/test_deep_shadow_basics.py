@@ -181,7 +181,7 @@ def test_no_receivers_are_told_and_all_is_lit(receivers: Any, caplog: pytest.Log
 
 
 def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
-    """Receivers beyond the region stay lit; where none is left, that is told."""
+    """Receivers beyond the region stay lit; a log line says if there is none within it."""
     points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
     config = replace(SMALL, region_radius=2.0)
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, points, config, device="cpu")

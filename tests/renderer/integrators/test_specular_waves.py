@@ -93,7 +93,7 @@ def test_scenes_without_meshes(rig: RayRig) -> None:
 
 
 def test_a_mirror_at_45_degrees(rig: RayRig) -> None:
-    """Looks up to where it should, from where it should, in the mirror's colour."""
+    """The reflected ray has the expected origin and direction, and the colour of the mirror."""
     gold = replace(MIRROR, base_color=(1.0, 0.7, 0.3))
     scene = ls.Scene([], [quad(2.0, tilt=1.0, material=gold)])
     seen = rig.colors(scene, [[0.25, 0.1, 0.0]], FORWARD, background=(0.5, 0.5, 0.5))
@@ -177,7 +177,7 @@ def test_a_prism_turns_light_round_the_corner(rig: RayRig) -> None:
 
 
 def test_gaussians_before_each_surface_count(rig: RayRig) -> None:
-    """What they show and what they leave is applied on every stretch of the way."""
+    """Their colour and transmittance apply on every segment of the path."""
     rig.color, rig.transmittance = (0.1, 0.2, 0.3), 0.5
     fog, sky = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.6, 0.8])
     for material in (MIRROR, replace(GLASS, ior=1.0)):
@@ -287,7 +287,7 @@ def test_closed_mirrors_keep_light_in(rig: RayRig, name: str, scale: float, offs
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
 def test_what_enters_glass_meets_it_from_inside(rig: RayRig, name: str, scale: float, offset: float) -> None:
-    """Refracted rays cross the body: they neither meet the surface they entered through nor miss the other one."""
+    """Refracted rays cross the body: they neither hit the surface they entered through nor miss the other one."""
     mesh, matrix = shape(name, GLASS), placed(scale, offset)
     rng = np.random.default_rng(5)
     origins = moved(normalized(rng.normal(size=(8000, 3))) * 3.0, matrix)
@@ -302,7 +302,7 @@ def test_what_enters_glass_meets_it_from_inside(rig: RayRig, name: str, scale: f
 
 
 def test_mirrored_instances_keep_their_inside(rig: RayRig) -> None:
-    """An instance that mirrors a body of glass looks as the mirrored body: rays still enter it from outside."""
+    """A mirroring instance of a glass body renders as the mirrored body: rays still enter it from outside."""
     mesh = shapes.rounded_box((1.0, 2.0, 0.8), 0.2)
     lens = replace(mesh, material=replace(GLASS, base_color=(0.9, 0.7, 0.4)))
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -359,6 +359,6 @@ def test_warm_buffers_are_used_again(rig: RayRig) -> None:
 
 
 def test_no_rays_at_all(rig: RayRig) -> None:
-    """Nothing is asked, nothing is answered."""
+    """No rays give no colours."""
     seen = rig.colors(ls.Scene([], [quad(2.0, material=MIRROR)]), np.zeros((0, 3)), np.zeros((0, 3)))
     assert seen.shape == (0, 3)

@@ -111,7 +111,7 @@ def test_headlight(rig: Rig) -> None:
 
 
 def test_no_environment_has_arrays(rig: Rig) -> None:
-    """Kernels get arrays that exist, and are told not to look."""
+    """Kernels get arrays of one element and a flag that there is no environment."""
     rig.sync(LightPoint((0, 0, 0)))
     data = rig.table.environment
     assert not data.exists

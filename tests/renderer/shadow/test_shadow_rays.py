@@ -40,7 +40,7 @@ def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)
 
 
 def glass(**changes: Any) -> ls.MaterialPbr:
-    """White glass that reflects nothing, unless told otherwise."""
+    """White glass that reflects nothing; ``changes`` replace fields."""
     clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, specular=0.0)
     return replace(clear, **changes)
 
@@ -161,7 +161,7 @@ def test_threads_do_not_change_a_bit() -> None:
 
 
 def test_threshold_stretches_what_is_above(rig: ShadowRig) -> None:
-    """Black at and below the threshold, unchanged where nothing is in the way, linear between."""
+    """Black at and below the threshold, unchanged where the ray is not blocked, linear between."""
     light = rig.light(
         ls.Scene([stack(0.2, 0.5, 0.5)]),
         np.zeros((4, 3)),
@@ -216,7 +216,7 @@ def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
 
 
 def test_first_hits_at_one_distance_go_by_number(rig: ShadowRig) -> None:
-    """Copies are told apart by their place in the scene."""
+    """Copies are ordered by their place in the scene."""
     same = copies(12, 60)
     aim = normalized(np.array([0.1, -0.2, 4.0]))
     light = rig.light(ls.Scene([same]), ORIGIN, aim, method=FIRST, hits=8)[0]
@@ -224,7 +224,7 @@ def test_first_hits_at_one_distance_go_by_number(rig: ShadowRig) -> None:
 
 
 def test_first_hits_never_darken_more(rig: ShadowRig) -> None:
-    """What is not counted is not in the way; where few are, all are counted."""
+    """Gaussians that are not counted do not darken; where a ray crosses few, all are counted."""
     origins, along = rays_around(61)
     scene = ls.Scene([random_gaussians(62, 400)])
     exact = rig.light(scene, origins, along)[:, 0]
@@ -362,7 +362,7 @@ def test_opaque_asks_for_no_glass(rig: ShadowRig) -> None:
 
 
 def test_rays_skip_shadow_only_instances(rig: ShadowRig) -> None:
-    """Those that are told to; the others of the packet do not, and all see the rest of the scene."""
+    """Only marked rays skip them, not the others of the packet; all intersect the rest of the scene."""
     scene = ls.Scene(
         [
             ls.SplatInstance(stack(0.5), shadow_only=True),

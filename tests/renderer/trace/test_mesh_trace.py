@@ -123,7 +123,7 @@ def test_the_first_of_equally_near_ones_wins(rig: RayRig) -> None:
 
 
 def test_scenes_without_meshes(rig: RayRig) -> None:
-    """Nothing is met, and nothing is needed for it."""
+    """No ray hits anything, and no tree is needed."""
     hits = rig.hits(ls.Scene(), np.zeros((3, 3)), np.eye(3))
     assert np.isinf(hits.t).all() and (hits.face == -1).all()
 
@@ -208,7 +208,7 @@ def test_threads_do_not_change_a_bit() -> None:
 
 
 def test_trees_are_built_once_and_follow_the_scene(rig: RayRig) -> None:
-    """Moving an instance builds nothing; a mesh that leaves the scene is forgotten, and a new one is met."""
+    """Moving an instance builds nothing; a mesh that leaves the scene is freed, and a new one is hit."""
     mesh = quad(2.0)
     ray = ([[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
     assert rig.hits(ls.Scene([], [mesh]), *ray).t[0] == 2.0
