@@ -1,8 +1,8 @@
 """Types of the parts of pygltflib that Lumisplat uses.
 
-Values come from a file unchecked: where the format demands a number or text, it may be None all the same. Lists not
-not marked as optional are empty if the file lacks them; a ``null`` in their place is an error when they are used.
-Fields have defaults in their classes; only their names may be used in calls, as their order is another one.
+Values come from a file unchecked: a number or text that the format demands may be None. Lists without ``| None`` are
+empty if the file lacks them; using one that is ``null`` in the file raises a TypeError. Calls name all fields, whose
+order in the package is another one.
 """
 
 from dataclasses import dataclass
