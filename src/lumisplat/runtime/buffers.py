@@ -120,7 +120,8 @@ class Buffers:
             DeviceError: The device is out of memory.
         """
         array = self.get(name, dtype, len(values))
-        array.assign(values)
+        if len(values):
+            array.assign(values)
         return array
 
     def split(

@@ -18,10 +18,7 @@ def table_dtype(struct: type[object]) -> np.dtype[np.void]:
 
 
 def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
-    """An array of structs, some of whose fields may be arrays, which the caller must keep.
-
-    Bytes are copied as they are: Warp's own conversion of such structs takes milliseconds.
-    """
+    """An array of structs, some of whose fields may be arrays; without rows, one of an empty struct."""
     instances: Any = rows
     values: list[Any] = [row.__ctype__() for row in instances]
     packed: Any = (values[0].__class__ * len(values))(*values)

@@ -1,6 +1,6 @@
 """Running means of samples: sample n moves a mean by 1 / (n + 1) of the way.
 
-What is captured and what is light stay apart: docs/method/lighting.md#captured-and-added-light.
+Captured colours and light are kept apart: docs/method/lighting.md#captured-and-added-light.
 """
 
 import warp as wp
@@ -49,7 +49,7 @@ def add_sample(
 
 @wp.func
 def add_light(pixel: int, sample: int, captured_weight: float, light: wp.vec3, film: wp.array[FilmData]):
-    """Adds a sample's light, and its share of what was captured, to a lit pixel."""
+    """Adds a sample's light, and the weight of its captured colour, to a lit pixel."""
     if sample == 0:
         film[0].lit.captured_weight[pixel] = captured_weight
         film[0].lit.light[pixel] = light

@@ -98,7 +98,7 @@ def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
 def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
     """Whether a triangle counts that a ray hits exactly on an edge or a corner.
 
-    Otherwise, those who count crossings would count each triangle at the edge, or all around the corner.
+    Otherwise, a count of crossings would include each triangle at the edge, or all around the corner.
     """
     flat_a = flat_corner(v0, origin, shear)
     flat_b = flat_corner(v1, origin, shear)

@@ -61,8 +61,7 @@ class SplatRaster:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
-        self._settings = buffers.get("raster.settings", RasterData, 1)
-        self._settings.assign(raster_table(config))
+        self._settings = buffers.upload("raster.settings", RasterData, raster_table(config))
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
         """The splats of all Gaussians of the scene."""

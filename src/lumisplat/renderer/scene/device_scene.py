@@ -138,9 +138,5 @@ class DeviceScene:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
         meshes = mesh_instance_table(scene, self._meshes, camera)
-        self.splat_instances = self._buffers.get("splat_instances", SplatInstanceData, len(splats))
-        self.mesh_instances = self._buffers.get("mesh_instances", MeshInstanceData, len(meshes))
-        if len(splats):
-            self.splat_instances.assign(splats)
-        if len(meshes):
-            self.mesh_instances.assign(meshes)
+        self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
+        self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)

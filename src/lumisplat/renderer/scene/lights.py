@@ -79,8 +79,7 @@ class LightTable:
         if is_lit and not scene.lights:
             self.names, table = ("headlight",), headlight_table(camera)
         self.count = len(table)
-        self.lights = buffers.get("lights", LightData, max(self.count, 1))
-        self.lights.assign(table if self.count else np.zeros(1, table.dtype))
+        self.lights = buffers.upload("lights", LightData, table if self.count else np.zeros(1, table.dtype))
         environment = next((light for _, light in lights if isinstance(light, LightEnvironment)), None)
         self._sync_environment(environment, buffers)
 
@@ -114,9 +113,7 @@ class LightTable:
             ("row_ends", wp.float32, rows),
             ("column_ends", wp.float32, columns.reshape(-1)),
         ):
-            array = buffers.get(f"environment.{name}", dtype, len(values))
-            array.assign(np.ascontiguousarray(values))
-            setattr(data, name, array)
+            setattr(data, name, buffers.upload(f"environment.{name}", dtype, np.ascontiguousarray(values)))
         self._brightest = max(1.0, float(image.max()))
 
 

@@ -88,12 +88,6 @@ class ShadingTables:
         row.environment = self._table.environment
         self.data = upload_structs([row], ShadingScene, self._device)
 
-    def _write(self, name: str, struct: type[object], rows: np.ndarray) -> DeviceArray:
-        array = self._buffers.get(name, struct, len(rows))
-        if len(rows):
-            array.assign(rows)
-        return array
-
     def _sync_attributes(self, assets: list[SplatAsset]) -> None:
         identities = [id(asset.data) for asset in assets]
         if identities != self._attributes_of:
