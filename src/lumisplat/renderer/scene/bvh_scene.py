@@ -44,8 +44,8 @@ class BvhScene:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
         self._held: list[HeldBvh] = []
-        self.assets: DeviceArray
-        """What the instances place, as AssetBvh; written by ``sync``."""
+        self.assets: DeviceArray | None = None
+        """What the instances place, as AssetBvh."""
         self.tlas_nodes: DeviceArray
         """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
         self._placed: object = None

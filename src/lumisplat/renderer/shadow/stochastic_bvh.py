@@ -7,8 +7,6 @@ only save time: what rays hit in them is decided by the numbers themselves.
 
 from __future__ import annotations
 
-from typing import Any
-
 from lumisplat.constants import SHRINK_INSTANCES_MAX, SHRINK_RAYS_PER_GAUSSIAN
 from lumisplat.device.structs.bvh import AssetBvh, Node
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -31,7 +29,7 @@ class StochasticBvh:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: DeviceArray | None = None
         """The assets whose hierarchies were shrunk."""
-        self._assets: Any = None
+        self._assets: DeviceArray | None = None
         self._nodes: list[DeviceArray] = []
         self._is_fresh = False
         self._rays = 0
@@ -41,7 +39,7 @@ class StochasticBvh:
         """Before the rays of another sample."""
         self._is_fresh, self._rays = False, 0
 
-    def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray:
+    def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray | None:
         """The scene's assets for the sample in ``settings``: whole as long as shrinking costs more than it saves."""
         whole = scene.bvh.assets
         if whole is self._whole and self._is_fresh:
