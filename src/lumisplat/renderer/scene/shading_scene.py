@@ -80,10 +80,9 @@ class ShadingTables:
         self.has_headlight = plan.is_lit and not scene.lights
         self._sync_attributes(assets)
         row.attributes = self._attributes
-        row.materials = self._write(
-            "shading.materials", MaterialData, material_table(scene, texture_first, is_lit=plan.is_lit)
-        )
-        row.settings = self._write("shading.settings", ShadingSettings, self._settings(plan))
+        materials = material_table(scene, texture_first, is_lit=plan.is_lit)
+        row.materials = self._buffers.upload("shading.materials", MaterialData, materials)
+        row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(plan))
         row.lights = self._table.lights
         row.environment = self._table.environment
         self.data = upload_structs([row], ShadingScene, self._device)
@@ -92,8 +91,7 @@ class ShadingTables:
         identities = [id(asset.data) for asset in assets]
         if identities != self._attributes_of:
             rows = [attribute_row(asset, self._device) for asset in assets]
-            # An array without elements has no address.
-            self._attributes = upload_structs(rows or [SplatAttributes()], SplatAttributes, self._device)
+            self._attributes = upload_structs(rows, SplatAttributes, self._device)
             self._attributes_of = identities
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
