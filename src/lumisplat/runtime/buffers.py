@@ -25,6 +25,8 @@ if TYPE_CHECKING:
         shape: tuple[int, ...]
         ptr: int
         capacity: int
+        kept: object
+        """What lives at least as long as the array does, because its elements point there."""
         device: wp.Device
 
         def __getitem__(self, key: slice) -> DeviceArray:

@@ -25,4 +25,5 @@ def upload_structs(rows: Sequence[object], struct: type[object], device: str) ->
     address = ctypes.addressof(packed)
     table = DeviceArray(shape=len(rows), dtype=struct, device=device)
     table.assign(DeviceArray(ptr=address, dtype=struct, shape=len(rows), device="cpu", copy=False))
+    table.kept = instances
     return table

@@ -1,0 +1,48 @@
+"""Tables of structs on the device."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import warp as wp
+
+from lumisplat.device.structs.shading import SplatAttributes
+from lumisplat.runtime.struct_tables import upload_structs
+
+
+def attributes(count: int) -> SplatAttributes:
+    """A row with one array."""
+    row = SplatAttributes()
+    row.scales = wp.zeros(count, dtype=wp.vec3, device="cpu")
+    return row
+
+
+def test_rows_arrive_in_order() -> None:
+    """Each row of the table is the struct that was given, with the addresses of its arrays."""
+    rows = [attributes(count) for count in (3, 1, 2)]
+    table = upload_structs(rows, SplatAttributes, "cpu")
+    stored = table.numpy()
+    np.testing.assert_array_equal(stored["scales"]["shape"][:, 0], [3, 1, 2])
+    np.testing.assert_array_equal(stored["scales"]["data"], [row.scales.ptr for row in rows])
+
+
+def test_a_table_without_rows_has_an_address() -> None:
+    """It has one struct whose arrays are empty."""
+    table = upload_structs([], SplatAttributes, "cpu")
+    assert table.ptr
+    assert table.numpy()["scales"]["data"].tolist() == [0]
+
+
+def test_tables_keep_the_arrays_of_their_rows() -> None:
+    """A table holds addresses: what is there must not be freed before the table is."""
+    row = attributes(4)
+    array = weakref.ref(row.scales)
+    table = upload_structs([row], SplatAttributes, "cpu")
+    del row
+    gc.collect()
+    assert array() is not None
+    del table
+    gc.collect()
+    assert array() is None
