@@ -26,7 +26,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.follows_rays:
         modules += [gaussian_bvh_kernels]
     if plan.traces_rays:
-        modules += [mesh_trace_kernels, trace_kernel_of(launcher, config).module, specular_wave_kernels]
+        modules += [mesh_trace_kernels, trace_kernel_of(launcher).module, specular_wave_kernels]
     if plan.is_lit:
         modules += [unshadowed_light_kernels, direct_light_kernels]
     if plan.is_lit and config.shadows is not Shadows.OFF:

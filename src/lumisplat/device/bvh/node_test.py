@@ -1,8 +1,8 @@
-"""Where bundles of rays enter boxes.
+"""Where packets of rays enter boxes.
 
-A bundle is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
-ray go. Seen from there, a box's six planes move, and each bounds the distances at which the bundle can be inside by a
-linear inequality. A single ray is a bundle of no width.
+A packet is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
+ray go. Seen from there, a box's six planes move, and each bounds the distances at which the packet can be inside by a
+linear inequality. A single ray is a packet of no width.
 
 The equations are in docs/method/ray_tracing.md#traversal.
 """
@@ -10,7 +10,8 @@ The equations are in docs/method/ray_tracing.md#traversal.
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs
+from lumisplat.device.structs.bvh import FAR, Children, Node
+from lumisplat.device.structs.packet import Slabs
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -67,7 +68,7 @@ def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> S
 
 @wp.func
 def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
-    """No ray of the bundle is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
+    """No ray of the packet is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
 
     -FAR where some may start inside: slabs are no bound of what lies behind rays.
 

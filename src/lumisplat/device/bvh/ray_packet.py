@@ -1,8 +1,8 @@
-"""A bundle of rays side by side: what bounds it, and where its rays meet a Gaussian.
+"""A packet of rays side by side: which rays are traced together, and how they go through the trees.
 
-Loops over the lanes become vector instructions, so a bundle's types and functions are made for its number of rays.
-
-The equations are in docs/method/ray_tracing.md#hits.
+Loops over the lanes become vector instructions, so a packet's types and functions are made for its number of lanes.
+A CUDA thread has a single lane. What functions share of a packet are arrays on the stack of its thread, which lie in a
+variable of the kernel: to read one number of a vector in a struct, Warp copies the vector.
 """
 
 import functools
@@ -10,9 +10,12 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD
-from lumisplat.device.bvh.node_test import larger, slabs_around
-from lumisplat.device.structs.bvh import FAR, Particle, Slabs
+from lumisplat.constants import COHERENT_SPREAD, TRAVERSE_STACK
+from lumisplat.device.bvh.node_stack import push_children
+from lumisplat.device.bvh.node_test import enter_children, larger, slabs_around
+from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Node, SceneBvh
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.packet import PacketPlace, PacketRays, Slabs, WaitingNode
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -24,159 +27,220 @@ PACKET_OPTIONS = {
     "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
     " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
 }
-"""Of the modules that follow bundles."""
+"""Of the modules that trace packets."""
 
+STACK = wp.constant(TRAVERSE_STACK)
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
 
+def room_for(noun: Any, count: int) -> Any:
+    """The vector type of a variable that has room for ``count`` structs: an array on the stack of a thread.
+
+    A kernel's own ``wp.zeros`` makes one, too, but clears it three times, and hides from the optimiser where it lies.
+    """
+    return wp.types.vector(length=count * wp.types.type_size_in_bytes(noun) // 4, dtype=wp.int32)
+
+
+StackRoom = room_for(WaitingNode, TRAVERSE_STACK)
+
+
+@wp.func
+def stack_in(room: wp.ref[StackRoom]) -> wp.array(dtype=WaitingNode):
+    """The stack whose nodes lie in a variable."""
+    return wp.array(ptr=wp.address_of(room), shape=(STACK,), dtype=WaitingNode)
+
+
 class RayPacket(NamedTuple):
-    """Types and functions for a number of rays."""
+    """Types and functions for a number of lanes."""
 
     floats: Any
     """Vector of a number a ray."""
     ints: Any
-    gather: Any
+    vec3s: Any
+    """Matrix of a 3-vector a ray, the rays being its columns."""
+    rays_room: Any
+    """The variable in which PacketRays lie."""
+    rays_in: Any
+    ends_of: Any
+    largest: Any
+    take_coherent: Any
+    begin_packet: Any
     slabs_of: Any
-    meet_particle: Any
-    pass_particle: Any
+    enter_instance: Any
+    visit_node: Any
 
 
 @functools.cache
 def packet_of(lanes: int) -> RayPacket:
-    """What ``lanes`` rays side by side need."""
+    """What packets of up to ``lanes`` rays need."""
     LANES = lanes
     Floats = wp.types.vector(length=lanes, dtype=wp.float32)
     Ints = wp.types.vector(length=lanes, dtype=wp.int32)
+    Vec3s = wp.types.matrix(shape=(3, lanes), dtype=wp.float32)
+
+    @struct
+    class RaysRoom:
+        """The variable in which PacketRays lie."""
+
+        origin: Vec3s
+        direction: Vec3s
+        t_min: Floats
+        limit: Floats
+        t_max: Floats
 
     @wp.func
-    def gather(rays: RayData, first: int, waiting: Floats, radius_max: float) -> Floats:
-        """The next bundle: of the rays whose number is positive, the first, and those that start and point as it does.
+    def rays_in(room: wp.ref[RaysRoom]) -> PacketRays:
+        """The rays that lie in a variable."""
+        packet = PacketRays()
+        packet.origin = wp.array(ptr=wp.address_of(room.origin), shape=(3, LANES), dtype=float)
+        packet.direction = wp.array(ptr=wp.address_of(room.direction), shape=(3, LANES), dtype=float)
+        packet.t_min = wp.array(ptr=wp.address_of(room.t_min), shape=(LANES,), dtype=float)
+        packet.limit = wp.array(ptr=wp.address_of(room.limit), shape=(LANES,), dtype=float)
+        packet.t_max = wp.array(ptr=wp.address_of(room.t_max), shape=(LANES,), dtype=float)
+        return packet
 
-        Nearly so, that is. Returns their numbers, and -FAR for the others.
+    @wp.func
+    def ends_of(rays: RayData, limits: wp.array(dtype=float), first: int) -> Floats:
+        """Where rays end, at most FAR; -FAR for those that end before they begin, which are none."""
+        ends = Floats(-FAR)
+        for lane in range(LANES):
+            if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
+                ends[lane] = wp.min(limits[first + lane], FAR)
+        return ends
+
+    @wp.func
+    def largest(numbers: Any) -> float:
+        """The largest of a number a ray, in a vector or an array; at least -FAR."""
+        most = float(-FAR)
+        for lane in range(LANES):
+            most = larger(most, numbers[lane])
+        return most
+
+    @wp.func
+    def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
+        """Takes the first of the rays that wait, and those that start and point nearly as it does.
+
+        Args:
+            rays: The rays.
+            first: The ray of lane 0.
+            waiting: Positive for rays that wait; becomes -FAR for those that are taken.
+            radius_max: How far apart rays may start.
+
+        Returns:
+            The numbers of the rays that are taken, and -FAR for the others.
         """
+        numbers = waiting
         origin = wp.vec3()
         along = wp.vec3()
         found = int(0)
-        members = Floats(-FAR)
+        taken = Floats(-FAR)
         for lane in range(LANES):
-            if waiting[lane] > 0.0:
+            if numbers[lane] > 0.0:
                 if found == 0:
                     origin = rays.origin[first + lane]
                     along = rays.direction[first + lane]
                 apart = wp.length(rays.origin[first + lane] - origin)
                 bend = wp.length(rays.direction[first + lane] - along)
                 if found == 0 or (apart <= radius_max and bend <= SPREAD_MAX):
-                    members[lane] = waiting[lane]
+                    taken[lane] = numbers[lane]
+                    numbers[lane] = -FAR
                 found = int(1)
-        return members
+        waiting = numbers
+        return taken
 
     @wp.func
-    def slabs_of(limit: Floats, ox: Floats, oy: Floats, oz: Floats, dx: Floats, dy: Floats, dz: Floats) -> Slabs:
+    def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
+        """Takes rays that wait, as ``take_coherent`` does; their numbers are where they end."""
+        ends = take_coherent(rays, first, waiting, radius_max)
+        for lane in range(LANES):
+            packet.t_min[lane] = rays.t_min[first + lane]
+            packet.t_max[lane] = ends[lane]
+            packet.limit[lane] = ends[lane]
+
+    @wp.func
+    def slabs_of(packet: PacketRays) -> Slabs:
         """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes."""
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)
         slow = wp.vec3(FAR)
         fast = wp.vec3(-FAR)
         for lane in range(LANES):
-            if limit[lane] > 0.0:
-                origin = wp.vec3(ox[lane], oy[lane], oz[lane])
-                direction = wp.vec3(dx[lane], dy[lane], dz[lane])
-                low = wp.min(low, origin)
-                high = wp.max(high, origin)
-                slow = wp.min(slow, direction)
-                fast = wp.max(fast, direction)
+            if packet.limit[lane] > 0.0:
+                o = wp.vec3(packet.origin[0, lane], packet.origin[1, lane], packet.origin[2, lane])
+                d = wp.vec3(packet.direction[0, lane], packet.direction[1, lane], packet.direction[2, lane])
+                low = wp.min(low, o)
+                high = wp.max(high, o)
+                slow = wp.min(slow, d)
+                fast = wp.max(fast, d)
         return slabs_around(low, high, slow, fast)
 
     @wp.func
-    def meet_particle(
-        particle: Particle,
-        hull: int,
-        ox: Floats,
-        oy: Floats,
-        oz: Floats,
-        dx: Floats,
-        dy: Floats,
-        dz: Floats,
-        t_min: Floats,
-        t_max: Floats,
+    def enter_instance(
+        place: wp.ref[PacketPlace],
+        packet: PacketRays,
+        number: int,
+        scene: SceneBvh,
+        rays: RayData,
+        first: int,
     ):
-        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there.
+        """Goes to the tree of another instance, or to that of the instances for WORLD.
 
-        Its response must peak between ``t_min`` and ``t_max``, wherever on its hull it counts as hit.
+        Args:
+            place: Becomes the instance and the bound of the rays.
+            packet: Receives the origins and directions in the space of the instance.
+            number: The instance.
+            scene: The trees.
+            rays: The rays in the world.
+            first: The ray of lane 0.
         """
-        w = particle.canonical_from_object
-        mean = particle.mean
-        t = Floats()
-        distance2 = Floats()
+        place.number = number
+        object_from_world = wp.identity(n=3, dtype=wp.float32)
+        offset = wp.vec3(0.0)
+        if number != WORLD:
+            place.instance = scene.instances[number]
+            object_from_world = place.instance.object_from_world
+            offset = place.instance.object_from_world_offset
         for lane in range(LANES):
-            x = ox[lane] - mean[0]
-            y = oy[lane] - mean[1]
-            z = oz[lane] - mean[2]
-            cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
-            cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
-            cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
-            ex = w[0, 0] * dx[lane] + w[0, 1] * dy[lane] + w[0, 2] * dz[lane]
-            ey = w[1, 0] * dx[lane] + w[1, 1] * dy[lane] + w[1, 2] * dz[lane]
-            ez = w[2, 0] * dx[lane] + w[2, 1] * dy[lane] + w[2, 2] * dz[lane]
-            per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
-            ex = ex * per_unit
-            ey = ey * per_unit
-            ez = ez * per_unit
-            # A cross product: c + t e would cancel for thin Gaussians.
-            kx = cy * ez - cz * ey
-            ky = cz * ex - cx * ez
-            kz = cx * ey - cy * ex
-            d2 = kx * kx + ky * ky + kz * kz
-            peak = -(cx * ex + cy * ey + cz * ez) * per_unit
-            inside = particle.reach2 - d2
-            back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
-            met = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > t_min[lane], 1, 0)
-            met = met & wp.where(peak < t_max[lane], 1, 0)
-            t[lane] = wp.where(met != 0, peak - back, FAR)
-            distance2[lane] = d2
-        return t, distance2
+            o = object_from_world * rays.origin[first + lane] + offset
+            d = object_from_world * rays.direction[first + lane]
+            for k in range(3):
+                packet.origin[k, lane] = o[k]
+                packet.direction[k, lane] = d[k]
+        place.slabs = slabs_of(packet)
 
     @wp.func
-    def pass_particle(
-        particle: Particle,
-        ox: Floats,
-        oy: Floats,
-        oz: Floats,
-        dx: Floats,
-        dy: Floats,
-        dz: Floats,
-        t_min: Floats,
-        t_max: Floats,
-    ):
-        """Whether each ray hits a Gaussian, as ``meet_particle`` does, without telling where.
+    def visit_node(
+        stack: wp.array(dtype=WaitingNode),
+        top: wp.ref[int],
+        leaves: wp.ref[ChildLinks],
+        place: wp.ref[PacketPlace],
+        scene: SceneBvh,
+        begin: float,
+        reach: float,
+        order: float,
+    ) -> int:
+        """Pushes the children of a node that was popped; as ``push_children``, which returns the number of leaves.
 
-        Returns 0 or 1, and two numbers whose quotient is the squared canonical distance: most rays do not need it.
+        Args:
+            stack: The stack; the node lies just above its top.
+            top: Its height.
+            leaves: Receives the places of the Gaussians among the children.
+            place: The tree that the node is of.
+            scene: The trees.
+            begin: Children that the packet leaves nearer are left out.
+            reach: Children that it enters farther away are left out.
+            order: NEAR_FIRST or FAR_FIRST.
         """
-        w = particle.canonical_from_object
-        mean = particle.mean
-        met = Ints()
-        across2 = Floats()
-        along2 = Floats()
-        for lane in range(LANES):
-            x = ox[lane] - mean[0]
-            y = oy[lane] - mean[1]
-            z = oz[lane] - mean[2]
-            cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
-            cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
-            cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
-            ex = w[0, 0] * dx[lane] + w[0, 1] * dy[lane] + w[0, 2] * dz[lane]
-            ey = w[1, 0] * dx[lane] + w[1, 1] * dy[lane] + w[1, 2] * dz[lane]
-            ez = w[2, 0] * dx[lane] + w[2, 1] * dy[lane] + w[2, 2] * dz[lane]
-            kx = cy * ez - cz * ey
-            ky = cz * ex - cx * ez
-            kz = cx * ey - cy * ex
-            k2 = kx * kx + ky * ky + kz * kz
-            e2 = ex * ex + ey * ey + ez * ez
-            peak = -(cx * ex + cy * ey + cz * ez)
-            hit = wp.where(k2 <= particle.reach2 * e2, 1, 0) & wp.where(peak > t_min[lane] * e2, 1, 0)
-            met[lane] = hit & wp.where(peak < t_max[lane] * e2, 1, 0)
-            across2[lane] = k2
-            along2[lane] = e2
-        return met, across2, along2
+        link = stack[top].link
+        node = Node()
+        if place.number == WORLD:
+            node = scene.tlas_nodes[link]
+        else:
+            node = scene.assets[place.instance.asset].nodes[link]
+        entries = enter_children(node, place.slabs, begin)
+        return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 
-    return RayPacket(Floats, Ints, gather, slabs_of, meet_particle, pass_particle)
+    return RayPacket(
+        *(Floats, Ints, Vec3s, RaysRoom, rays_in),
+        *(ends_of, largest, take_coherent, begin_packet, slabs_of, enter_instance, visit_node),
+    )

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.bvh.node_test import larger
 from lumisplat.device.gaussian.compositing import empty_pixel, instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.gaussian.projection import towards
@@ -90,4 +91,26 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
     pixel.transmittance = 0.0
     if pixel.surface < 0:
         pixel.surface = last
+    return pixel
+
+
+@wp.func
+def close_pass(
+    pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, t: float, last: int
+) -> BlendState:
+    """``end_pass`` of a ray, whose depth follows the pixel's surface.
+
+    Args:
+        pixel: What the pass has blended.
+        hits: Receives the depth.
+        ray: The ray.
+        sample_key: Key of its random numbers.
+        t: Distance of the pass's farthest Gaussian.
+        last: That Gaussian.
+    """
+    pixel = end_pass(pixel, sample_key, last)
+    if pixel.surface < 0:
+        hits.depth[ray] = wp.inf
+    elif pixel.surface == last:
+        hits.depth[ray] = larger(t, 0.0)
     return pixel

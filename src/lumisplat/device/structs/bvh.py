@@ -1,10 +1,10 @@
-"""Data of ray tracing: Gaussians as rays meet them, the trees that hold them, and bundles of rays."""
+"""Data of Gaussians as rays hit them: the trees that rays traverse, and the settings of those rays."""
 
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
@@ -14,6 +14,12 @@ NO_CHILD: int = wp.constant(2**31 - 1)
 
 FAR: float = wp.constant(wp.float32(1.0e30))
 """Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
+
+WORLD = wp.constant(-1)
+"""Stands for an instance where the tree of the instances is traversed, in world space."""
+
+NOWHERE = wp.constant(-2)
+"""Stands for an instance before any tree is entered."""
 
 
 @struct
@@ -67,9 +73,23 @@ class AssetBvh:
 
 
 @struct
+class SceneBvh:
+    """What rays traverse: a tree over the instances, whose leaves stand for the trees of their assets."""
+
+    tlas_nodes: wp.array(dtype=Node)
+    """Top level: the tree over the instances, the root first."""
+    instances: wp.array(dtype=SplatInstanceData)
+    assets: wp.array(dtype=AssetBvh)
+    packet_radius: float
+    """Rays that start farther apart than this are not traced together, world space."""
+
+
+@struct
 class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
+    hits: int
+    """Nearest Gaussians that count, where only the first do."""
     stochastic: int
     """1: Gaussians block all or nothing, by chance."""
     hull: int
@@ -89,9 +109,11 @@ class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """SORTED, HIT or PASS of the integrator."""
+    """SORTED, HIT or PASS of the tracer."""
     hits_per_pass: int
     """Of the stochastic pass."""
+    hits_kept: int
+    """Nearest hits that a ray keeps sorted while it traverses the trees."""
     hull: int
     """1: Gaussians are hit where rays enter their ellipsoid."""
     ellipsoid_normal: int
@@ -101,25 +123,3 @@ class TraceData:
     acceptance_scale: float
     sh_degree: int
     """Highest that is evaluated."""
-
-
-@struct
-class Slabs:
-    """The bound of a bundle of rays, made ready to be cut with boxes.
-
-    Six planes, up and down along three axes. As the bundle widens, each bounds t by ``b * factor + term``, b being its
-    distance from the box's plane: from above (far) where the bundle leaves the slab through it, from below (near)
-    where it comes in. Factors and terms of the bound that a plane does not give make it void.
-    """
-
-    low: wp.vec3
-    """Lower corner of a box around the origins."""
-    high: wp.vec3
-    up_far: wp.vec3
-    up_far_void: wp.vec3
-    up_near: wp.vec3
-    up_near_void: wp.vec3
-    down_far: wp.vec3
-    down_far_void: wp.vec3
-    down_near: wp.vec3
-    down_near_void: wp.vec3

@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
@@ -56,6 +56,17 @@ class BvhScene:
     def bytes(self) -> int:
         """Memory of the BVHs, bytes."""
         return self._buffers.bytes + sum(held.bvh.bytes for held in self._held)
+
+    def data(self, instances: Any) -> SceneBvh:
+        """What kernels traverse.
+
+        Args:
+            instances: The scene's, an array of SplatInstanceData.
+        """
+        row = SceneBvh()
+        row.tlas_nodes, row.instances, row.assets = self.tlas_nodes, instances, self.assets
+        row.packet_radius = self.packet_radius
+        return row
 
     @property
     def held(self) -> list[HeldBvh]:

@@ -1,9 +1,11 @@
 """What of a light comes through Gaussians.
 
-One item is one packet of ``lanes`` consecutive rays, as in ``trace_kernels``. Shares of light multiply, so nothing has
-to be in order, and one walk through the trees is enough. It goes far from the points first: what the light shines on
-first blocks it from all that is behind, while around the points themselves there is much that hardly does. Where only
-the first hits count, it goes near first, and a list keeps the nearest.
+One item is ``lanes`` consecutive rays, in packets of those that start and point alike, as in
+``gaussian_trace_kernels``. Transmittances multiply, so nothing has to be in order, and the trees are traversed once.
+
+``shadow_by_all`` goes far from the points first: what the light shines on first blocks it from all that is behind,
+while around the points themselves there is much that hardly does. ``shadow_by_first_hits`` goes near first, and keeps
+the nearest hits in lists.
 
 The equations are in docs/method/shadows.md.
 """
@@ -13,241 +15,330 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
-from lumisplat.device.bvh.node_test import enter_children, larger, lesser
-from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.constants import HITS_PER_PASS_MAX
+from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
+from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, begin_traversal
+from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, StackRoom, packet_of, room_for, stack_in
 from lumisplat.device.gaussian.compositing import instance_of
-from lumisplat.device.gaussian.particle import alpha_of_degree
-from lumisplat.device.gaussian.projection import alpha_from_log
+from lumisplat.device.gaussian.packet_hits import packet_hits_of
 from lumisplat.device.light.shadow import shadow_key, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node, ShadowData, Slabs
+from lumisplat.device.structs.bvh import FAR, ChildLinks, Particle, SceneBvh, ShadowData
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.packet import Hit, HitList, PacketPlace, PacketRays, WaitingNode
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options(PACKET_OPTIONS)
 
-WIDTH = wp.constant(NODE_WIDTH)
 
-StackFloats = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.float32)
-StackInts = wp.types.vector(length=TRAVERSE_STACK, dtype=wp.int32)
-Picks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
+@struct
+class Absorption:
+    """What a packet has gone through, one lane a ray; arrays on the stack of a thread."""
+
+    transmittance: wp.array(dtype=float)
+    """0 for rays that are not of the packet."""
+    tint: wp.array(dtype=float, ndim=2)
+    """Sum of linear colours, weighted by alpha: red, green and blue, and the lane."""
+
+
+@struct
+class FirstHits:
+    """The nearest hits of a packet, one lane a ray; arrays on the stack of a thread."""
+
+    lists: wp.array(dtype=HitList)
+    hits: wp.array(dtype=Hit)
+    """The slots of the lists of all rays."""
+    cut_t: wp.array(dtype=float)
+    """Hits from (cut_t, cut_index) on do not count."""
+    cut_index: wp.array(dtype=int)
+
+
+@wp.func
+def begin_absorption(absorption: Absorption, packet: PacketRays):
+    """Nothing absorbed yet."""
+    for lane in range(absorption.transmittance.shape[0]):
+        absorption.transmittance[lane] = wp.where(packet.limit[lane] > 0.0, 1.0, 0.0)
+        for k in range(3):
+            absorption.tint[k, lane] = 0.0
+
+
+@wp.func
+def begin_first_hits(first_hits: FirstHits):
+    """No hits yet."""
+    lanes = first_hits.lists.shape[0]
+    for lane in range(lanes):
+        first_hits.lists[lane] = empty_list(lane * (first_hits.hits.shape[0] // lanes))
+        first_hits.cut_t[lane] = FAR
+        first_hits.cut_index[lane] = -1
+
+
+@wp.func
+def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array(dtype=wp.bool), first: int):
+    """Ends rays at their limits; those that skip shadow-only instances do not see such a one."""
+    for lane in range(packet.t_max.shape[0]):
+        is_skipped = instance.shadow_only != 0 and skips[first + lane]
+        packet.t_max[lane] = wp.where(is_skipped, -FAR, packet.limit[lane])
+
+
+@wp.func
+def nearest_begin(packet: PacketRays) -> float:
+    """The least distance at which a hit may count."""
+    begin = float(FAR)
+    for lane in range(packet.t_min.shape[0]):
+        if packet.limit[lane] > 0.0:
+            begin = lesser(begin, packet.t_min[lane])
+    return begin
+
+
+@wp.func
+def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
+    """The largest distance at which a hit may count."""
+    reach = float(-FAR)
+    for lane in range(first_hits.cut_t.shape[0]):
+        reach = larger(reach, lesser(first_hits.cut_t[lane], packet.limit[lane]))
+    return reach
+
+
+@wp.func
+def shadow_of_list(view: ShadowData, scene: SceneBvh, hits: wp.array(dtype=Hit), kept: HitList) -> wp.vec3:
+    """Factor of the light that comes through the hits of a list."""
+    transmittance = float(1.0)
+    tint = wp.vec3()
+    for j in range(kept.head, kept.tail):
+        alpha = hits[j].alpha
+        transmittance = transmittance * (1.0 - alpha)
+        if view.color_strength > 0.0:
+            index = hits[j].index
+            instance = scene.instances[instance_of(scene.instances, index)]
+            tint += alpha * tint_of(scene.assets[instance.asset].gaussians, index - instance.first)
+    return shadow_of(view, transmittance, tint)
 
 
 @functools.cache
-def shadow_kernel(lanes: int, hits: int) -> Any:
-    """The kernel for packets of ``lanes`` rays, of whose hits the nearest ``hits`` count; 0: all."""
+def shadow_kernel(lanes: int) -> Any:
+    """The kernel of shadows by all Gaussians, for items of ``lanes`` rays."""
     LANES = lanes
-    HITS = max(hits, 1)
-    FIRST = hits > 0
-    ORDER = 1.0 if hits > 0 else -1.0  # of the distances at which nodes are entered
-    Floats, Ints, gather, slabs_of, meet_particle, pass_particle = packet_of(lanes)
-    HitFloats = wp.types.vector(length=LANES * HITS, dtype=wp.float32)
-    HitInts = wp.types.vector(length=LANES * HITS, dtype=wp.int32)
+    tools, hit_tools = packet_of(lanes), packet_hits_of(lanes)
+    Floats, Vec3s = tools.floats, tools.vec3s
+    RaysRoom, rays_in, begin_packet = tools.rays_room, tools.rays_in, tools.begin_packet
+    ends_of, largest = tools.ends_of, tools.largest
+    enter_instance, visit_node = tools.enter_instance, tools.visit_node
+    hit_responses, alphas_at = hit_tools.hit_responses, hit_tools.alphas_at
+
+    @struct
+    class AbsorptionRoom:
+        """The variable in which an Absorption lies."""
+
+        transmittance: Floats
+        tint: Vec3s
+
+    @wp.func
+    def absorption_in(room: wp.ref[AbsorptionRoom]) -> Absorption:
+        """What lies in a variable."""
+        absorption = Absorption()
+        absorption.transmittance = wp.array(ptr=wp.address_of(room.transmittance), shape=(LANES,), dtype=float)
+        absorption.tint = wp.array(ptr=wp.address_of(room.tint), shape=(3, LANES), dtype=float)
+        return absorption
+
+    @wp.func
+    def absorb(
+        absorption: Absorption,
+        packet: PacketRays,
+        particle: Particle,
+        instance: SplatInstanceData,
+        view: ShadowData,
+        scene: SceneBvh,
+        key: wp.uint32,
+    ) -> int:
+        """Adds what a Gaussian absorbs; returns 1 if a ray hits it, else 0."""
+        is_hit, across2, along2 = hit_responses(particle, packet)
+        found = int(0)
+        for lane in range(LANES):
+            found = found | is_hit[lane]
+        if found == 0:
+            return 0
+        distance2 = Floats()
+        for lane in range(LANES):
+            distance2[lane] = across2[lane] / along2[lane]
+        alpha = alphas_at(instance.kernel, particle, distance2)
+        if view.stochastic != 0:
+            number = draw_stratified(key, view.sample, instance.first + particle.index)
+            for lane in range(LANES):
+                alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
+        for lane in range(LANES):
+            alpha[lane] = wp.where(is_hit[lane] != 0, alpha[lane], 0.0)
+            absorption.transmittance[lane] = absorption.transmittance[lane] * (1.0 - alpha[lane])
+        if view.color_strength > 0.0 and view.stochastic == 0:
+            color = tint_of(scene.assets[instance.asset].gaussians, particle.index)
+            for lane in range(LANES):
+                for k in range(3):
+                    absorption.tint[k, lane] = absorption.tint[k, lane] + alpha[lane] * color[k]
+        return 1
 
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
-    def shade_by_gaussians(
+    def shadow_by_all(
         start: int,
-        settings: wp.array[ShadowData],
-        instances: wp.array[SplatInstanceData],
-        assets: wp.array[AssetBvh],
-        tlas_nodes: wp.array[Node],
-        radius_max: float,
+        settings: wp.array(dtype=ShadowData),
+        scene: SceneBvh,
         rays: RayData,
-        limits: wp.array[float],
-        skips: wp.array[wp.bool],
-        light_inout: wp.array[wp.vec3],
+        limits: wp.array(dtype=float),
+        skips: wp.array(dtype=wp.bool),
+        light_inout: wp.array(dtype=wp.vec3),
     ):
         """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES
         view = settings[0]
-        least = wp.max(view.transmittance_min, view.threshold)
+        black = wp.max(view.transmittance_min, view.threshold)
         key = shadow_key(view)
-        tints = view.color_strength > 0.0 and view.stochastic == 0
+        waiting = ends_of(rays, limits, first)
+        if largest(waiting) < 0.0:
+            return
 
-        waiting = Floats(-FAR)  # limits of the rays that have not been followed yet
-        live = int(0)
-        for lane in range(LANES):
-            if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
-                waiting[lane] = wp.min(limits[first + lane], FAR)
-                live += 1
-        while live > 0:
-            limit = gather(rays, first, waiting, radius_max)  # negative: there is no ray
-            t_min = Floats()
-            left = Floats()  # transmittances of the rays that there are
-            begin = float(FAR)
-            reach = float(-FAR)
-            for lane in range(LANES):
-                t_min[lane] = rays.t_min[first + lane]
-                if limit[lane] > 0.0:
-                    waiting[lane] = -FAR
-                    live -= 1
-                    begin = lesser(begin, t_min[lane])
-                    reach = larger(reach, limit[lane])
-                    left[lane] = 1.0
-            # Sums of linear colours, weighted by alpha.
-            red = Floats()
-            green = Floats()
-            blue = Floats()
-            # The nearest hits, in their order; those from (cut_t, cut_index) on do not count.
-            hit_t = HitFloats()
-            hit_alpha = HitFloats()
-            hit_index = HitInts()
-            held = Ints()
-            cut_t = Floats(FAR)
-            cut_index = Ints(-1)
-
-            # The nodes that wait.
-            ranks = StackFloats()
-            link = StackInts()
-            owner = StackInts()  # instance whose tree the node is of; -1: the tree of the instances
-            owner[0] = -1
-            top = int(1)
-            current = int(-2)
-            instance = SplatInstanceData()
-            slabs = Slabs()
-            end = Floats()
-            ox = Floats()
-            oy = Floats()
-            oz = Floats()
-            dx = Floats()
-            dy = Floats()
-            dz = Floats()
+        absorption_room = AbsorptionRoom()
+        absorption = absorption_in(absorption_room)
+        packet_room = RaysRoom()
+        packet = rays_in(packet_room)
+        stack_room = StackRoom()
+        stack = stack_in(stack_room)
+        leaves = ChildLinks()
+        place = PacketPlace()
+        while largest(waiting) > 0.0:
+            begin_packet(packet, waiting, rays, first, scene.packet_radius)
+            begin_absorption(absorption, packet)
+            begin = nearest_begin(packet)
+            reach = largest(packet.limit)
+            top = begin_traversal(stack, place)
             while top > 0:
                 top -= 1
-                if FIRST and ranks[top] > reach:
-                    continue
-                if owner[top] != current:
-                    current = owner[top]
-                    to_object = wp.identity(n=3, dtype=wp.float32)
-                    offset = wp.vec3(0.0)
-                    blind = int(0)
-                    if current >= 0:
-                        instance = instances[current]
-                        to_object = instance.object_from_world
-                        offset = instance.object_from_world_offset
-                        blind = instance.shadow_only
-                    for lane in range(LANES):
-                        o = to_object * rays.origin[first + lane] + offset
-                        d = to_object * rays.direction[first + lane]
-                        ox[lane] = o[0]
-                        oy[lane] = o[1]
-                        oz[lane] = o[2]
-                        dx[lane] = d[0]
-                        dy[lane] = d[1]
-                        dz[lane] = d[2]
-                        end[lane] = limit[lane]
-                        if blind != 0 and skips[first + lane]:
-                            end[lane] = -FAR
-                    slabs = slabs_of(limit, ox, oy, oz, dx, dy, dz)
-                node = Node()
-                if current < 0:
-                    node = tlas_nodes[link[top]]
-                else:
-                    node = assets[instance.asset].nodes[link[top]]
-                links = node.link
-                entries = enter_children(node, slabs, begin)
-                pick = Picks()
-                picks = int(0)
-                base = int(top)
-                for c in range(WIDTH):
-                    # Rays without a direction enter all boxes, also those of no child.
-                    if entries[c] <= reach and links[c] != NO_CHILD:
-                        if links[c] >= 0 or current < 0:
-                            # A node waits in its place among its siblings; an instance as its root.
-                            rank = ORDER * entries[c]
-                            j = int(top)
-                            while j > base and ranks[wp.max(j - 1, 0)] < rank:
-                                ranks[j] = ranks[j - 1]
-                                link[j] = link[j - 1]
-                                owner[j] = owner[j - 1]
-                                j -= 1
-                            ranks[j] = rank
-                            link[j] = wp.max(links[c], 0)
-                            owner[j] = wp.where(links[c] < 0, ~links[c], current)
-                            top += 1
-                        else:
-                            pick[picks] = ~links[c]
-                            picks += 1
-                changed = int(0)
-                for p in range(picks):
-                    particle = assets[instance.asset].particles[pick[p]]
-                    t = Floats(FAR)
-                    distance2 = Floats()
-                    along2 = Floats(1.0)
-                    met = Ints()
-                    found = int(0)
-                    if FIRST:
-                        t, distance2 = meet_particle(particle, view.hull, ox, oy, oz, dx, dy, dz, t_min, end)
-                        for lane in range(LANES):
-                            met[lane] = wp.where(t[lane] < FAR, 1, 0)
-                    else:
-                        met, distance2, along2 = pass_particle(particle, ox, oy, oz, dx, dy, dz, t_min, end)
-                    for lane in range(LANES):
-                        found = found | met[lane]
-                    if found != 0:
-                        changed = int(1)
-                        alpha = Floats()
-                        for lane in range(LANES):
-                            distance2[lane] = distance2[lane] / along2[lane]
-                            alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
-                        if instance.kernel.degree != 2:
-                            for lane in range(LANES):
-                                alpha[lane] = alpha_of_degree(instance.kernel, particle.log_opacity, distance2[lane])
-                        if FIRST:
-                            index = instance.first + particle.index
-                            reach = float(-FAR)
-                            for lane in range(LANES):
-                                if t[lane] < cut_t[lane] or (t[lane] == cut_t[lane] and index < cut_index[lane]):
-                                    bottom = lane * HITS
-                                    j = wp.min(held[lane], HITS - 1) + bottom
-                                    while j > bottom and (
-                                        hit_t[wp.max(j - 1, 0)] > t[lane]
-                                        or (hit_t[wp.max(j - 1, 0)] == t[lane] and hit_index[wp.max(j - 1, 0)] > index)
-                                    ):
-                                        hit_t[j] = hit_t[j - 1]
-                                        hit_alpha[j] = hit_alpha[j - 1]
-                                        hit_index[j] = hit_index[j - 1]
-                                        j -= 1
-                                    hit_t[j] = t[lane]
-                                    hit_alpha[j] = alpha[lane]
-                                    hit_index[j] = index
-                                    held[lane] = wp.min(held[lane] + 1, HITS)
-                                    if held[lane] == HITS:
-                                        cut_t[lane] = hit_t[bottom + HITS - 1]
-                                        cut_index[lane] = hit_index[bottom + HITS - 1]
-                                reach = larger(reach, lesser(cut_t[lane], limit[lane]))
-                        else:
-                            if view.stochastic != 0:
-                                number = draw_stratified(key, view.sample, instance.first + particle.index)
-                                for lane in range(LANES):
-                                    alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
-                            for lane in range(LANES):
-                                alpha[lane] = wp.where(met[lane] != 0, alpha[lane], 0.0)
-                                left[lane] = left[lane] * (1.0 - alpha[lane])
-                            if tints:
-                                color = tint_of(assets[instance.asset].gaussians, particle.index)
-                                for lane in range(LANES):
-                                    red[lane] = red[lane] + alpha[lane] * color[0]
-                                    green[lane] = green[lane] + alpha[lane] * color[1]
-                                    blue[lane] = blue[lane] + alpha[lane] * color[2]
-                if changed != 0:
-                    most = float(0.0)
-                    for lane in range(LANES):
-                        most = larger(most, left[lane])
-                    if most <= least:
-                        top = int(0)
+                number = stack[top].instance
+                if number != place.number:
+                    enter_instance(place, packet, number, scene, rays, first)
+                    end_rays(packet, place.instance, skips, first)
+                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST)
+                found = int(0)
+                for leaf in range(leaf_count):
+                    particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
+                    found = found | absorb(absorption, packet, particle, place.instance, view, scene, key)
+                if found != 0 and largest(absorption.transmittance) <= black:
+                    top = int(0)
             for lane in range(LANES):
-                if limit[lane] > 0.0:
-                    transmittance = left[lane]
-                    tint = wp.vec3(red[lane], green[lane], blue[lane])
-                    for j in range(lane * HITS, lane * HITS + held[lane]):
-                        transmittance = transmittance * (1.0 - hit_alpha[j])
-                        if tints:
-                            index = hit_index[j]
-                            placed = instances[instance_of(instances, index)]
-                            tint += hit_alpha[j] * tint_of(assets[placed.asset].gaussians, index - placed.first)
-                    shade = shadow_of(view, transmittance, tint)
-                    light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shade)
+                if packet.limit[lane] > 0.0:
+                    tint = wp.vec3(absorption.tint[0, lane], absorption.tint[1, lane], absorption.tint[2, lane])
+                    shadow = shadow_of(view, absorption.transmittance[lane], tint)
+                    light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shadow)
 
-    return shade_by_gaussians
+    return shadow_by_all
+
+
+@functools.cache
+def first_hits_shadow_kernel(lanes: int) -> Any:
+    """The kernel of shadows by the nearest Gaussians, for items of ``lanes`` rays."""
+    LANES = lanes
+    HITS = lanes * HITS_PER_PASS_MAX
+    tools, hit_tools = packet_of(lanes), packet_hits_of(lanes)
+    Floats, Ints = tools.floats, tools.ints
+    RaysRoom, rays_in, begin_packet = tools.rays_room, tools.rays_in, tools.begin_packet
+    ends_of, largest = tools.ends_of, tools.largest
+    enter_instance, visit_node = tools.enter_instance, tools.visit_node
+    hit_distances, alphas_at = hit_tools.hit_distances, hit_tools.alphas_at
+
+    @struct
+    class FirstHitsRoom:
+        """The variable in which FirstHits lie."""
+
+        lists: room_for(HitList, lanes)
+        hits: room_for(Hit, HITS)
+        cut_t: Floats
+        cut_index: Ints
+
+    @wp.func
+    def first_hits_in(room: wp.ref[FirstHitsRoom]) -> FirstHits:
+        """The hits that lie in a variable."""
+        first_hits = FirstHits()
+        first_hits.lists = wp.array(ptr=wp.address_of(room.lists), shape=(LANES,), dtype=HitList)
+        first_hits.hits = wp.array(ptr=wp.address_of(room.hits), shape=(HITS,), dtype=Hit)
+        first_hits.cut_t = wp.array(ptr=wp.address_of(room.cut_t), shape=(LANES,), dtype=float)
+        first_hits.cut_index = wp.array(ptr=wp.address_of(room.cut_index), shape=(LANES,), dtype=int)
+        return first_hits
+
+    @wp.func
+    def keep_hits(
+        first_hits: FirstHits, packet: PacketRays, particle: Particle, instance: SplatInstanceData, view: ShadowData
+    ) -> int:
+        """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
+        t, distance2 = hit_distances(particle, view.hull, packet)
+        found = int(0)
+        for lane in range(LANES):
+            found = found | wp.where(t[lane] < FAR, 1, 0)
+        if found == 0:
+            return 0
+        alpha = alphas_at(instance.kernel, particle, distance2)
+        hit = Hit()
+        hit.index = instance.first + particle.index
+        for lane in range(LANES):
+            cut_t = first_hits.cut_t[lane]
+            cut_index = first_hits.cut_index[lane]
+            if is_before(t[lane], hit.index, cut_t, cut_index):
+                hit.t = t[lane]
+                hit.alpha = alpha[lane]
+                keep_hit(first_hits.hits, first_hits.lists[lane], view.hits, hit, cut_t, cut_index)
+                # The farthest hit of a full list is the cut: it is in the list, and none behind it will be.
+                kept = first_hits.lists[lane]
+                if kept.tail == kept.begin + view.hits:
+                    first_hits.cut_t[lane] = first_hits.hits[kept.tail - 1].t
+                    first_hits.cut_index[lane] = first_hits.hits[kept.tail - 1].index
+        return 1
+
+    @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
+    def shadow_by_first_hits(
+        start: int,
+        settings: wp.array(dtype=ShadowData),
+        scene: SceneBvh,
+        rays: RayData,
+        limits: wp.array(dtype=float),
+        skips: wp.array(dtype=wp.bool),
+        light_inout: wp.array(dtype=wp.vec3),
+    ):
+        """Multiplies the light of each ray with what the nearest Gaussians up to its limit let through."""
+        first = (start + wp.tid()) * LANES
+        view = settings[0]
+        waiting = ends_of(rays, limits, first)
+        if largest(waiting) < 0.0:
+            return
+
+        first_hits_room = FirstHitsRoom()
+        first_hits = first_hits_in(first_hits_room)
+        packet_room = RaysRoom()
+        packet = rays_in(packet_room)
+        stack_room = StackRoom()
+        stack = stack_in(stack_room)
+        leaves = ChildLinks()
+        place = PacketPlace()
+        while largest(waiting) > 0.0:
+            begin_packet(packet, waiting, rays, first, scene.packet_radius)
+            begin_first_hits(first_hits)
+            begin = nearest_begin(packet)
+            reach = farthest_reach(first_hits, packet)
+            top = begin_traversal(stack, place)
+            while top > 0:
+                top -= 1
+                if stack[top].entry <= reach:
+                    number = stack[top].instance
+                    if number != place.number:
+                        enter_instance(place, packet, number, scene, rays, first)
+                        end_rays(packet, place.instance, skips, first)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, NEAR_FIRST)
+                    found = int(0)
+                    for leaf in range(leaf_count):
+                        particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
+                        found = found | keep_hits(first_hits, packet, particle, place.instance, view)
+                    if found != 0:
+                        reach = farthest_reach(first_hits, packet)
+            for lane in range(LANES):
+                if packet.limit[lane] > 0.0:
+                    shadow = shadow_of_list(view, scene, first_hits.hits, first_hits.lists[lane])
+                    light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shadow)
+
+    return shadow_by_first_hits

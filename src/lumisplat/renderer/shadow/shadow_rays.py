@@ -66,14 +66,13 @@ class ShadowRays:
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
-        assets = scene.bvh.assets
+        bvh = scene.bvh.data(scene.splat_instances)
         if self._is_stochastic:
-            assets = self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
+            bvh.assets = self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
         run(
             self._kernel,
             count // self._lanes,
-            *(self._settings, scene.splat_instances, assets, scene.bvh.tlas_nodes, scene.bvh.packet_radius),
-            *(rays, limits, skips, light),
+            *(self._settings, bvh, rays, limits, skips, light),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return light
@@ -96,8 +95,10 @@ class ShadowRays:
 
 def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     """The kernel that takes shadow rays through Gaussians on a device."""
-    hits = config.shadow_rays.hits if config.shadow_rays.method is ShadowMethod.FIRST_HITS else 0
-    return gaussian_shadow_kernels.shadow_kernel(1 if launcher.is_parallel else PACKET_RAYS, hits)
+    lanes = 1 if launcher.is_parallel else PACKET_RAYS
+    if config.shadow_rays.method is ShadowMethod.FIRST_HITS:
+        return gaussian_shadow_kernels.first_hits_shadow_kernel(lanes)
+    return gaussian_shadow_kernels.shadow_kernel(lanes)
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
@@ -105,6 +106,7 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
     row["stochastic"] = config.shadow_rays.method is ShadowMethod.STOCHASTIC
     is_first = config.shadow_rays.method is ShadowMethod.FIRST_HITS
+    row["hits"] = config.shadow_rays.hits
     row["hull"] = is_first and config.shadow_rays.hit_distance is HitDistance.HULL
     row["transmittance_min"] = config.shadow_rays.transmittance_min
     row["threshold"] = config.shadow_rays.transmittance_threshold

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import HITS_HELD_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
+from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
 from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -36,9 +36,9 @@ class GaussianTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._kernel = trace_kernel_of(launcher, config)
+        self._kernel = trace_kernel_of(launcher)
         self._settings = buffers.get("trace.settings", TraceData, 1)
-        self._settings.assign(trace_table(config.trace))
+        self._settings.assign(trace_table(launcher, config.trace))
 
     def find(self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
@@ -51,37 +51,34 @@ class GaussianTracer:
         """
         count = len(rays.t_max)
         hits = self._buffers.struct(name, GaussianHits, count)
-        bvh = scene.bvh
         self._launcher.run_banded(
             self._kernel,
             count // self._lanes,
-            *(self._settings, scene.splat_instances, bvh.assets, bvh.tlas_nodes, bvh.packet_radius),
-            *(rays, limits, hits),
+            *(self._settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return hits
 
 
-def trace_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
-    """The kernel that follows rays on a device, for these settings."""
-    hits = config.trace.hits_per_pass
-    if launcher.is_parallel:
-        return gaussian_trace_kernels.gaussian_trace_kernel(1, hits)
-    return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS, max(hits, HITS_HELD_CPU))
+def trace_kernel_of(launcher: Launcher) -> Any:
+    """The kernel that follows rays through Gaussians on a device."""
+    return gaussian_trace_kernels.gaussian_trace_kernel(1 if launcher.is_parallel else PACKET_RAYS)
 
 
-def trace_table(config: TraceConfig) -> np.ndarray:
+def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     """The 1-element table that kernels read the tracer's settings from."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
+    is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
+    hits_kept = config.hits_per_pass if launcher.is_parallel else HITS_KEPT_CPU
     is_sorted = config.strategy is TraceStrategy.SORTED
     row["strategy"] = _STRATEGIES[config.strategy]
     row["hits_per_pass"] = config.hits_per_pass
+    row["hits_kept"] = 1 if is_hit else hits_kept
     row["hull"] = config.hit_distance is HitDistance.HULL
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
     # Ending early would bias a stochastic ray, which ends when its lottery is won: at 0.
     row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
     # A stochastic hit is a surface, whatever the threshold.
-    is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
     row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
     row["acceptance_scale"] = config.acceptance_scale
     row["sh_degree"] = config.sh_degree

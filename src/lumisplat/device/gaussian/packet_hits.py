@@ -1,0 +1,119 @@
+"""Where the rays of a packet hit a Gaussian, and how much each is absorbed there (docs/method/ray_tracing.md#hits)."""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from lumisplat.device.bvh.node_test import larger
+from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.gaussian.particle import alpha_of_degree
+from lumisplat.device.gaussian.projection import alpha_from_log
+from lumisplat.device.structs.bvh import FAR, Particle
+from lumisplat.device.structs.packet import PacketRays
+from lumisplat.device.structs.scene import KernelData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+class PacketHits(NamedTuple):
+    """Functions for a number of lanes."""
+
+    hit_distances: Any
+    hit_responses: Any
+    alphas_at: Any
+
+
+@functools.cache
+def packet_hits_of(lanes: int) -> PacketHits:
+    """What hits of packets of up to ``lanes`` rays need."""
+    LANES = lanes
+    Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
+
+    @wp.func
+    def hit_distances(particle: Particle, hull: int, packet: PacketRays):
+        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there.
+
+        Its response must peak between ``t_min`` and ``t_max``, wherever on its hull it counts as hit.
+        """
+        origin = packet.origin
+        direction = packet.direction
+        w = particle.canonical_from_object
+        mean = particle.mean
+        t = Floats()
+        distance2 = Floats()
+        for lane in range(LANES):
+            x = origin[0, lane] - mean[0]
+            y = origin[1, lane] - mean[1]
+            z = origin[2, lane] - mean[2]
+            cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
+            cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
+            cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
+            ex = w[0, 0] * direction[0, lane] + w[0, 1] * direction[1, lane] + w[0, 2] * direction[2, lane]
+            ey = w[1, 0] * direction[0, lane] + w[1, 1] * direction[1, lane] + w[1, 2] * direction[2, lane]
+            ez = w[2, 0] * direction[0, lane] + w[2, 1] * direction[1, lane] + w[2, 2] * direction[2, lane]
+            per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
+            ex = ex * per_unit
+            ey = ey * per_unit
+            ez = ez * per_unit
+            # A cross product: c + t e would cancel for thin Gaussians.
+            kx = cy * ez - cz * ey
+            ky = cz * ex - cx * ez
+            kz = cx * ey - cy * ex
+            d2 = kx * kx + ky * ky + kz * kz
+            peak = -(cx * ex + cy * ey + cz * ez) * per_unit
+            inside = particle.reach2 - d2
+            back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
+            is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > packet.t_min[lane], 1, 0)
+            is_hit = is_hit & wp.where(peak < packet.t_max[lane], 1, 0)
+            t[lane] = wp.where(is_hit != 0, peak - back, FAR)
+            distance2[lane] = d2
+        return t, distance2
+
+    @wp.func
+    def hit_responses(particle: Particle, packet: PacketRays):
+        """Whether each ray hits a Gaussian, as ``hit_distances`` has it, without the distance.
+
+        Returns 0 or 1, and two numbers whose quotient is the squared canonical distance: most rays do not need it.
+        """
+        origin = packet.origin
+        direction = packet.direction
+        w = particle.canonical_from_object
+        mean = particle.mean
+        is_hit = Ints()
+        across2 = Floats()
+        along2 = Floats()
+        for lane in range(LANES):
+            x = origin[0, lane] - mean[0]
+            y = origin[1, lane] - mean[1]
+            z = origin[2, lane] - mean[2]
+            cx = w[0, 0] * x + w[0, 1] * y + w[0, 2] * z
+            cy = w[1, 0] * x + w[1, 1] * y + w[1, 2] * z
+            cz = w[2, 0] * x + w[2, 1] * y + w[2, 2] * z
+            ex = w[0, 0] * direction[0, lane] + w[0, 1] * direction[1, lane] + w[0, 2] * direction[2, lane]
+            ey = w[1, 0] * direction[0, lane] + w[1, 1] * direction[1, lane] + w[1, 2] * direction[2, lane]
+            ez = w[2, 0] * direction[0, lane] + w[2, 1] * direction[1, lane] + w[2, 2] * direction[2, lane]
+            kx = cy * ez - cz * ey
+            ky = cz * ex - cx * ez
+            kz = cx * ey - cy * ex
+            k2 = kx * kx + ky * ky + kz * kz
+            e2 = ex * ex + ey * ey + ez * ez
+            peak = -(cx * ex + cy * ey + cz * ez)
+            hit = wp.where(k2 <= particle.reach2 * e2, 1, 0) & wp.where(peak > packet.t_min[lane] * e2, 1, 0)
+            is_hit[lane] = hit & wp.where(peak < packet.t_max[lane] * e2, 1, 0)
+            across2[lane] = k2
+            along2[lane] = e2
+        return is_hit, across2, along2
+
+    @wp.func
+    def alphas_at(kernel: KernelData, particle: Particle, distance2: Floats) -> Floats:
+        """Alphas of a Gaussian at squared canonical distances within its reach."""
+        alpha = Floats()
+        for lane in range(LANES):
+            alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
+        if kernel.degree != 2:
+            for lane in range(LANES):
+                alpha[lane] = alpha_of_degree(kernel, particle.log_opacity, distance2[lane])
+        return alpha
+
+    return PacketHits(hit_distances, hit_responses, alphas_at)
