@@ -9,6 +9,7 @@ from lumisplat.config.checks import check_enum, check_flag, check_range, check_w
 from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
+    HIT_COUNTS,
     HITS_PER_PASS,
     KERNEL_DEGREE_MAX,
     SH_DEGREE_MAX,
@@ -16,8 +17,6 @@ from lumisplat.constants import (
     TRANSMITTANCE_MIN,
 )
 from lumisplat.errors import ConfigError
-
-_HIT_COUNTS = (4, 8, 16, 32)
 
 
 class TraceStrategy(Enum):
@@ -173,5 +172,5 @@ class ShadowConfig:
 
 def _check_hits(name: str, value: object) -> None:
     """Raises ConfigError unless ``value`` is one of the numbers of hits that kernels hold."""
-    if not is_whole(value) or value not in _HIT_COUNTS:
+    if not is_whole(value) or value not in HIT_COUNTS:
         raise ConfigError(f"{name} is {quoted(value)}, expected 4, 8, 16 or 32")

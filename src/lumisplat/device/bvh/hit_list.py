@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.structs.bvh import FAR
 from lumisplat.device.structs.packet import Hit, HitList
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -24,36 +25,29 @@ def empty_list(begin: int) -> HitList:
 
 
 @wp.func
-def keep_hit(
-    hits: wp.array(dtype=Hit),
-    kept: wp.ref[HitList],
-    slots: int,
-    hit: Hit,
-    cut_t: wp.ref[float],
-    cut_index: wp.ref[int],
-):
+def keep_hit(hits: wp.array(dtype=Hit), kept: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
     """Adds a hit to a list; if that is full, the farthest hit is dropped.
 
     Args:
         hits: The slots of all lists.
         kept: The list.
-        slots: How many hits it can hold.
-        hit: The hit; nearer than the cut.
-        cut_t: Distance of the nearest hit that was dropped; set where one is.
-        cut_index: Index of that hit.
+        slots: How many hits it may hold.
+        hit: The hit.
+
+    Returns:
+        The hit that was dropped; its distance is FAR if none was.
     """
     if kept.tail == kept.begin + slots:
         move_to_begin(hits, kept)
+    dropped = Hit()
+    dropped.t = FAR
     if kept.tail == kept.begin + slots:
-        farthest = hits[kept.tail - 1]
-        if not is_before(hit.t, hit.index, farthest.t, farthest.index):
-            cut_t = hit.t
-            cut_index = hit.index
-            return
-        cut_t = farthest.t
-        cut_index = farthest.index
+        dropped = hits[kept.tail - 1]
+        if not is_before(hit.t, hit.index, dropped.t, dropped.index):
+            return hit
         kept.tail -= 1
     insert_hit(hits, kept, hit)
+    return dropped
 
 
 @wp.func

@@ -2,29 +2,38 @@
 
 import warp as wp
 
-from lumisplat.constants import NODE_WIDTH
+from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
+from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import lesser
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, NOWHERE, WORLD, ChildLinks, Children, Node
-from lumisplat.device.structs.packet import PacketPlace, WaitingNode
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, WORLD, ChildLinks, Children, Node
+from lumisplat.device.structs.packet import WaitingNode
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 WIDTH = wp.constant(NODE_WIDTH)
+STACK = wp.constant(TRAVERSE_STACK)
 
 NEAR_FIRST = wp.constant(wp.float32(1.0))
-"""Order in which the child that is entered nearest is visited first."""
+"""Order of siblings: the one that is entered nearest is visited first."""
 
 FAR_FIRST = wp.constant(wp.float32(-1.0))
-"""Order in which it is visited last."""
+"""It is visited last."""
+
+NodeStackStorage = storage_of(WaitingNode, TRAVERSE_STACK)
 
 
 @wp.func
-def begin_traversal(stack: wp.array(dtype=WaitingNode), place: wp.ref[PacketPlace]) -> int:
-    """Pushes the root of the tree of the instances; returns the height of the stack."""
+def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array(dtype=WaitingNode):
+    """The stack whose nodes lie in a variable."""
+    return wp.array(ptr=wp.address_of(storage), shape=(STACK,), dtype=WaitingNode)
+
+
+@wp.func
+def push_root(stack: wp.array(dtype=WaitingNode)) -> int:
+    """Makes the root of the tree over the instances all that waits; returns the height of the stack, 1."""
     root = WaitingNode()
     root.instance = WORLD
     stack[0] = root
-    place.number = NOWHERE
     return 1
 
 
@@ -39,14 +48,14 @@ def push_children(
     reach: float,
     order: float,
 ) -> int:
-    """Pushes the children of a node that have to be visited, and collects those that are Gaussians.
+    """Pushes the children of a node that are nodes, and collects those that are Gaussians.
 
     Args:
         stack: The stack.
         top: Its height.
-        leaves: Receives the places of the Gaussians in the order of the tree.
+        leaves: Receives the places of the Gaussians among the particles of the asset.
         node: The node.
-        instance: Whose tree it is of, or WORLD.
+        instance: The instance whose tree it is of, or WORLD.
         entries: Distances at which the packet enters the children.
         reach: Children that are entered farther away are left out.
         order: NEAR_FIRST or FAR_FIRST.

@@ -1,8 +1,7 @@
-"""A packet of rays side by side: which rays are traced together, and how they go through the trees.
+"""A packet of rays side by side: which rays are traced together, and how they traverse the trees.
 
-Loops over the lanes become vector instructions, so a packet's types and functions are made for its number of lanes.
-A CUDA thread has a single lane. What functions share of a packet are arrays on the stack of its thread, which lie in a
-variable of the kernel: to read one number of a vector in a struct, Warp copies the vector.
+Loops over the lanes become vector instructions, so types and functions are made for a number of lanes: ``PACKET_RAYS``
+on the CPU; a CUDA thread has a single one.
 """
 
 import functools
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, TRAVERSE_STACK
+from lumisplat.constants import COHERENT_SPREAD
 from lumisplat.device.bvh.node_stack import push_children
 from lumisplat.device.bvh.node_test import enter_children, larger, slabs_around
 from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Node, SceneBvh
@@ -29,25 +28,7 @@ PACKET_OPTIONS = {
 }
 """Of the modules that trace packets."""
 
-STACK = wp.constant(TRAVERSE_STACK)
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
-
-
-def room_for(noun: Any, count: int) -> Any:
-    """The vector type of a variable that has room for ``count`` structs: an array on the stack of a thread.
-
-    A kernel's own ``wp.zeros`` makes one, too, but clears it three times, and hides from the optimiser where it lies.
-    """
-    return wp.types.vector(length=count * wp.types.type_size_in_bytes(noun) // 4, dtype=wp.int32)
-
-
-StackRoom = room_for(WaitingNode, TRAVERSE_STACK)
-
-
-@wp.func
-def stack_in(room: wp.ref[StackRoom]) -> wp.array(dtype=WaitingNode):
-    """The stack whose nodes lie in a variable."""
-    return wp.array(ptr=wp.address_of(room), shape=(STACK,), dtype=WaitingNode)
 
 
 class RayPacket(NamedTuple):
@@ -58,9 +39,9 @@ class RayPacket(NamedTuple):
     ints: Any
     vec3s: Any
     """Matrix of a 3-vector a ray, the rays being its columns."""
-    rays_room: Any
-    """The variable in which PacketRays lie."""
-    rays_in: Any
+    rays_storage: Any
+    """The type of a variable in which PacketRays lie."""
+    packet_rays: Any
     ends_of: Any
     largest: Any
     take_coherent: Any
@@ -79,7 +60,7 @@ def packet_of(lanes: int) -> RayPacket:
     Vec3s = wp.types.matrix(shape=(3, lanes), dtype=wp.float32)
 
     @struct
-    class RaysRoom:
+    class RaysStorage:
         """The variable in which PacketRays lie."""
 
         origin: Vec3s
@@ -89,19 +70,19 @@ def packet_of(lanes: int) -> RayPacket:
         t_max: Floats
 
     @wp.func
-    def rays_in(room: wp.ref[RaysRoom]) -> PacketRays:
+    def packet_rays(storage: wp.ref[RaysStorage]) -> PacketRays:
         """The rays that lie in a variable."""
         packet = PacketRays()
-        packet.origin = wp.array(ptr=wp.address_of(room.origin), shape=(3, LANES), dtype=float)
-        packet.direction = wp.array(ptr=wp.address_of(room.direction), shape=(3, LANES), dtype=float)
-        packet.t_min = wp.array(ptr=wp.address_of(room.t_min), shape=(LANES,), dtype=float)
-        packet.limit = wp.array(ptr=wp.address_of(room.limit), shape=(LANES,), dtype=float)
-        packet.t_max = wp.array(ptr=wp.address_of(room.t_max), shape=(LANES,), dtype=float)
+        packet.origin = wp.array(ptr=wp.address_of(storage.origin), shape=(3, LANES), dtype=float)
+        packet.direction = wp.array(ptr=wp.address_of(storage.direction), shape=(3, LANES), dtype=float)
+        packet.t_min = wp.array(ptr=wp.address_of(storage.t_min), shape=(LANES,), dtype=float)
+        packet.limit = wp.array(ptr=wp.address_of(storage.limit), shape=(LANES,), dtype=float)
+        packet.t_max = wp.array(ptr=wp.address_of(storage.t_max), shape=(LANES,), dtype=float)
         return packet
 
     @wp.func
     def ends_of(rays: RayData, limits: wp.array(dtype=float), first: int) -> Floats:
-        """Where rays end, at most FAR; -FAR for those that end before they begin, which are none."""
+        """Where rays end, at most FAR; -FAR for those that are not active or end before they begin."""
         ends = Floats(-FAR)
         for lane in range(LANES):
             if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
@@ -183,12 +164,12 @@ def packet_of(lanes: int) -> RayPacket:
         rays: RayData,
         first: int,
     ):
-        """Goes to the tree of another instance, or to that of the instances for WORLD.
+        """Goes on to another tree.
 
         Args:
-            place: Becomes the instance and the bound of the rays.
-            packet: Receives the origins and directions in the space of the instance.
-            number: The instance.
+            place: Becomes that tree.
+            packet: Receives the origins and directions in its space.
+            number: The instance whose tree it is, or WORLD.
             scene: The trees.
             rays: The rays in the world.
             first: The ray of lane 0.
@@ -219,17 +200,20 @@ def packet_of(lanes: int) -> RayPacket:
         reach: float,
         order: float,
     ) -> int:
-        """Pushes the children of a node that was popped; as ``push_children``, which returns the number of leaves.
+        """Pushes the children of the node just above the top of the stack, as ``push_children``.
 
         Args:
-            stack: The stack; the node lies just above its top.
+            stack: The stack, from which the node was popped.
             top: Its height.
-            leaves: Receives the places of the Gaussians among the children.
+            leaves: Receives the Gaussians among the children.
             place: The tree that the node is of.
             scene: The trees.
             begin: Children that the packet leaves nearer are left out.
             reach: Children that it enters farther away are left out.
             order: NEAR_FIRST or FAR_FIRST.
+
+        Returns:
+            The number of leaves.
         """
         link = stack[top].link
         node = Node()
@@ -241,6 +225,6 @@ def packet_of(lanes: int) -> RayPacket:
         return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 
     return RayPacket(
-        *(Floats, Ints, Vec3s, RaysRoom, rays_in),
+        *(Floats, Ints, Vec3s, RaysStorage, packet_rays),
         *(ends_of, largest, take_coherent, begin_packet, slabs_of, enter_instance, visit_node),
     )

@@ -16,10 +16,7 @@ FAR: float = wp.constant(wp.float32(1.0e30))
 """Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
 
 WORLD = wp.constant(-1)
-"""Stands for an instance where the tree of the instances is traversed, in world space."""
-
-NOWHERE = wp.constant(-2)
-"""Stands for an instance before any tree is entered."""
+"""In place of an instance: the tree is that over the instances, in world space."""
 
 
 @struct
@@ -89,7 +86,7 @@ class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
     hits: int
-    """Nearest Gaussians that count, where only the first do."""
+    """How many of the nearest Gaussians count; read where not all do."""
     stochastic: int
     """1: Gaussians block all or nothing, by chance."""
     hull: int
@@ -104,16 +101,21 @@ class ShadowData:
     """Its number, which stochastic shadows depend on."""
 
 
+STRATEGY_SORTED = wp.constant(0)
+STRATEGY_HIT = wp.constant(1)
+STRATEGY_PASS = wp.constant(2)
+
+
 @struct
 class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """SORTED, HIT or PASS of the tracer."""
+    """One of the constants above."""
     hits_per_pass: int
     """Of the stochastic pass."""
     hits_kept: int
-    """Nearest hits that a ray keeps sorted while it traverses the trees."""
+    """How many of its nearest hits a ray keeps sorted while it traverses the trees."""
     hull: int
     """1: Gaussians are hit where rays enter their ellipsoid."""
     ellipsoid_normal: int

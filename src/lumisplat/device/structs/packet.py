@@ -1,8 +1,7 @@
-"""Data of packets: rays that traverse the trees together, and the lists of what they still visit and blend."""
+"""Data of packets, the rays that traverse the trees together: the nodes that wait for them, and the hits they keep."""
 
 import warp as wp
 
-from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.scene import SplatInstanceData
 
@@ -31,28 +30,28 @@ class Slabs:
 
 @struct
 class PacketRays:
-    """The rays of a packet, one lane each; arrays on the stack of a thread."""
+    """The rays of a packet, one lane each; local arrays of a kernel."""
 
     origin: wp.array(dtype=float, ndim=2)
-    """x, y and z, and the lane; in the space of the packet's place."""
+    """x, y and z by lane, in the space of the tree that is traversed."""
     direction: wp.array(dtype=float, ndim=2)
     t_min: wp.array(dtype=float)
     limit: wp.array(dtype=float)
-    """End of the ray; -FAR: it is not of the packet, or opaque."""
+    """How far the ray is traced; -FAR: no farther, or not at all."""
     t_max: wp.array(dtype=float)
-    """End of the ray at the packet's place; -FAR: it does not see the Gaussians there."""
+    """Gaussians of the tree that is traversed count up to here; -FAR: none does."""
 
 
 @struct
 class PacketPlace:
-    """Where a packet of rays is in the trees of a scene."""
+    """Which of the trees of a scene a packet traverses."""
 
     number: int
-    """The instance whose tree it traverses, or WORLD or NOWHERE."""
+    """The instance whose tree it is, or WORLD."""
     instance: SplatInstanceData
-    """That instance."""
+    """That instance; for WORLD, of no meaning."""
     slabs: Slabs
-    """The bound of its rays, in the space of the instance."""
+    """The bound of the packet's rays, in the space of the tree."""
 
 
 @struct
@@ -66,7 +65,7 @@ class WaitingNode:
     link: int
     """The node among those of its tree."""
     instance: int
-    """Whose tree it is of, or WORLD."""
+    """The instance whose tree it is of, or WORLD."""
 
 
 @struct
@@ -81,11 +80,11 @@ class Hit:
 
 @struct
 class HitList:
-    """Sorted hits of one ray, in its slots of an array of Hit."""
+    """Hits of one ray, sorted, in its own slots of an array of Hit."""
 
     begin: int
-    """The first slot."""
+    """First slot of the ray."""
     head: int
-    """The first hit; what was before it has been blended."""
+    """Slot of the first hit; those before it were blended."""
     tail: int
-    """Behind the last hit."""
+    """The slot after the last hit."""

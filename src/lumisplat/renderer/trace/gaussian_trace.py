@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import TraceData
+from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
@@ -18,9 +18,9 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 _STRATEGIES = {
-    TraceStrategy.SORTED: gaussian_trace_kernels.SORTED,
-    TraceStrategy.STOCHASTIC_HIT: gaussian_trace_kernels.HIT,
-    TraceStrategy.STOCHASTIC_PASS: gaussian_trace_kernels.PASS,
+    TraceStrategy.SORTED: STRATEGY_SORTED,
+    TraceStrategy.STOCHASTIC_HIT: STRATEGY_HIT,
+    TraceStrategy.STOCHASTIC_PASS: STRATEGY_PASS,
 }
 
 

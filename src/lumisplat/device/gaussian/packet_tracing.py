@@ -1,0 +1,280 @@
+"""Tracing of a packet: the hits that its rays keep, and how these are blended once they are final.
+
+The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
+stochastic pass is drawn whenever k hits were blended (docs/method/ray_tracing.md#strategies).
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from lumisplat.constants import HIT_COUNTS, HITS_KEPT_CPU, PASS_REWIND
+from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
+from lumisplat.device.bvh.local_arrays import storage_of
+from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.gaussian.packet_hits import packet_hits_of
+from lumisplat.device.gaussian.ray_compositing import blend_hit, close_pass, load_pixel, store_pixel
+from lumisplat.device.math.random import draw_mixed, mix
+from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, Particle, SceneBvh, TraceData
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.packet import Hit, HitList, PacketRays
+from lumisplat.device.structs.rays import GaussianHits, Ray, RayData
+from lumisplat.device.structs.scene import SplatInstanceData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+REWIND = wp.constant(wp.float32(PASS_REWIND))
+
+
+@struct
+class RayProgress:
+    """How far a ray has been blended."""
+
+    kept: HitList
+    """Hits that are not final yet."""
+    next_t: float
+    """Distance of the first of them; FAR: there is none."""
+    start_t: float
+    """Hits up to (start_t, start_index) were blended in earlier passes."""
+    start_index: int
+    last_t: float
+    """The farthest hit that was blended."""
+    last_index: int
+    blended: int
+    """Hits blended in the current stochastic pass."""
+
+
+@struct
+class TracedPacket:
+    """A packet while it is traced, one lane a ray; local arrays of the kernel."""
+
+    rays: wp.array(dtype=RayProgress)
+    hits: wp.array(dtype=Hit)
+    """The slots of the lists of all rays."""
+    cut_t: wp.array(dtype=float)
+    """Hits from (cut_t, cut_index) on are left to another pass."""
+    cut_index: wp.array(dtype=int)
+
+
+@wp.func
+def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
+    """Empties the list; hits count from behind the last one that was blended."""
+    progress.kept = empty_list(first_slot)
+    progress.next_t = FAR
+    progress.start_t = progress.last_t
+    progress.start_index = progress.last_index
+
+
+@wp.func
+def blend_hits(
+    progress: wp.ref[RayProgress],
+    hits: wp.array(dtype=Hit),
+    bound: float,
+    config: TraceData,
+    scene: SceneBvh,
+    rays: RayData,
+    i: int,
+    radiance: GaussianHits,
+) -> bool:
+    """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether it is opaque then."""
+    ray = Ray()
+    ray.origin = rays.origin[i]
+    ray.direction = rays.direction[i]
+    ray.path_length = rays.path_length[i]
+    pixel = load_pixel(radiance, i)
+    is_opaque = bool(False)
+    head = int(progress.kept.head)
+    tail = int(progress.kept.tail)
+    while head < tail and hits[head].t < bound:
+        t = hits[head].t
+        index = hits[head].index
+        alpha = wp.where(config.strategy == STRATEGY_HIT, 1.0, hits[head].alpha)
+        head += 1
+        pixel = blend_hit(pixel, config, scene.instances, scene.assets, ray, index, alpha)
+        if pixel.surface == index:
+            radiance.depth[i] = larger(t, 0.0)
+        # Rounding may deliver a hit after one that is farther.
+        if is_before(progress.last_t, progress.last_index, t, index):
+            progress.last_t = t
+            progress.last_index = index
+        if config.strategy == STRATEGY_PASS:
+            progress.blended += 1
+            if progress.blended == config.hits_per_pass:
+                progress.blended = 0
+                pixel = close_pass(pixel, radiance, i, rays.sample_key[i], t, index)
+        if pixel.transmittance <= config.transmittance_min:
+            is_opaque = True
+            head = tail
+    store_pixel(radiance, i, pixel)
+    progress.kept.head = head
+    progress.next_t = FAR
+    if head < tail:
+        progress.next_t = hits[head].t
+    else:
+        progress.kept = empty_list(progress.kept.begin)
+    return is_opaque
+
+
+@wp.func
+def begin_rays(traced: TracedPacket):
+    """Nothing blended yet."""
+    for lane in range(traced.rays.shape[0]):
+        traced.rays[lane].last_t = -FAR
+        traced.rays[lane].last_index = -1
+        traced.rays[lane].blended = 0
+
+
+@wp.func
+def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData) -> float:
+    """Begins a pass of all rays; returns the least distance at which a hit may count."""
+    begin = float(FAR)
+    slots = traced.hits.shape[0] // traced.rays.shape[0]
+    for lane in range(traced.rays.shape[0]):
+        begin_ray_pass(traced.rays[lane], lane * slots)
+        traced.cut_t[lane] = packet.limit[lane]
+        traced.cut_index[lane] = -1
+        if packet.limit[lane] > 0.0:
+            start = traced.rays[lane].start_t
+            before = wp.where(config.hull != 0, -FAR, start - REWIND * wp.abs(start))
+            begin = lesser(begin, larger(packet.t_min[lane], before))
+    return begin
+
+
+@wp.func
+def blend_final_hits(
+    traced: TracedPacket,
+    packet: PacketRays,
+    bound: float,
+    config: TraceData,
+    scene: SceneBvh,
+    rays: RayData,
+    first: int,
+    radiance: GaussianHits,
+) -> float:
+    """Blends the hits that are nearer than ``bound``; returns the distance of the nearest of the others."""
+    nearest = float(FAR)
+    for lane in range(traced.rays.shape[0]):
+        if traced.rays[lane].next_t < bound:
+            if blend_hits(traced.rays[lane], traced.hits, bound, config, scene, rays, first + lane, radiance):
+                packet.limit[lane] = -FAR
+                traced.cut_t[lane] = -FAR
+        nearest = lesser(nearest, traced.rays[lane].next_t)
+    return nearest
+
+
+@wp.func
+def is_cut(traced: TracedPacket, packet: PacketRays) -> bool:
+    """Whether a ray has hits that are left to another pass."""
+    found = int(0)
+    for lane in range(traced.rays.shape[0]):
+        found = found | wp.where(traced.cut_t[lane] < packet.limit[lane], 1, 0)
+    return found != 0
+
+
+@wp.func
+def close_last_pass(progress: wp.ref[RayProgress], rays: RayData, i: int, radiance: GaussianHits):
+    """Draws the last stochastic pass of ray ``i``, which has fewer hits."""
+    if progress.blended > 0:
+        pixel = load_pixel(radiance, i)
+        pixel = close_pass(pixel, radiance, i, rays.sample_key[i], progress.last_t, progress.last_index)
+        store_pixel(radiance, i, pixel)
+
+
+class PacketTracing(NamedTuple):
+    """Types and functions for a number of lanes."""
+
+    storage: Any
+    """The type of a variable in which a TracedPacket lies."""
+    traced_packet: Any
+    keep_hits: Any
+
+
+@functools.cache
+def packet_tracing_of(lanes: int) -> PacketTracing:
+    """What tracing packets of up to ``lanes`` rays needs."""
+    LANES = lanes
+    # CUDA has no more slots than settings may ask for: the lists of its threads lie in local memory.
+    HITS = lanes * (HIT_COUNTS[-1] if lanes == 1 else HITS_KEPT_CPU)
+    Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
+    hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
+
+    @struct
+    class TracedStorage:
+        """The variable in which a TracedPacket lies."""
+
+        rays: storage_of(RayProgress, lanes)
+        hits: storage_of(Hit, HITS)
+        cut_t: Floats
+        cut_index: Ints
+
+    @wp.func
+    def traced_packet(storage: wp.ref[TracedStorage]) -> TracedPacket:
+        """The packet that lies in a variable."""
+        traced = TracedPacket()
+        traced.rays = wp.array(ptr=wp.address_of(storage.rays), shape=(LANES,), dtype=RayProgress)
+        traced.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
+        traced.cut_t = wp.array(ptr=wp.address_of(storage.cut_t), shape=(LANES,), dtype=float)
+        traced.cut_index = wp.array(ptr=wp.address_of(storage.cut_index), shape=(LANES,), dtype=int)
+        return traced
+
+    @wp.func
+    def hits_before_cut(traced: TracedPacket, t: Floats, index: int):
+        """Hits before their ray's cut, FAR for the others; and whether there are any."""
+        found = int(0)
+        for lane in range(LANES):
+            is_kept = wp.where(is_before(t[lane], index, traced.cut_t[lane], traced.cut_index[lane]), 1, 0)
+            t[lane] = wp.where(is_kept != 0, t[lane], FAR)
+            found = found | is_kept
+        return t, found
+
+    @wp.func
+    def accepted_hits(t: Floats, index: int, alpha: Floats, config: TraceData, rays: RayData, first: int) -> Floats:
+        """Stochastic hits that are drawn with probability alpha, FAR for the others."""
+        dimension = mix(wp.uint32(index))
+        for lane in range(LANES):
+            number = draw_mixed(rays.sample_key[first + lane], dimension)
+            t[lane] = wp.where(number * config.acceptance_scale < alpha[lane], t[lane], FAR)
+        return t
+
+    @wp.func
+    def keep_hits(
+        traced: TracedPacket,
+        packet: PacketRays,
+        particle: Particle,
+        instance: SplatInstanceData,
+        config: TraceData,
+        rays: RayData,
+        first: int,
+    ) -> float:
+        """Adds the hits of a Gaussian to the lists of their rays; returns the distance of the nearest first hit."""
+        index = instance.first + particle.index
+        t, distance2 = hit_distances(particle, config.hull, packet)
+        t, found = hits_before_cut(traced, t, index)
+        nearest = float(FAR)
+        if found == 0:
+            return nearest
+        alpha = alphas_at(instance.kernel, particle, distance2)
+        if config.strategy == STRATEGY_HIT:
+            t = accepted_hits(t, index, alpha, config, rays, first)
+        for lane in range(LANES):
+            start_t = traced.rays[lane].start_t
+            if t[lane] < FAR and is_before(start_t, traced.rays[lane].start_index, t[lane], index):
+                hit = Hit()
+                hit.t = t[lane]
+                hit.alpha = alpha[lane]
+                hit.index = index
+                dropped = keep_hit(traced.hits, traced.rays[lane].kept, config.hits_kept, hit)
+                if dropped.t < FAR:
+                    traced.cut_t[lane] = dropped.t
+                    traced.cut_index[lane] = dropped.index
+                next_hit = traced.hits[traced.rays[lane].kept.head]
+                traced.rays[lane].next_t = next_hit.t
+                nearest = lesser(nearest, next_hit.t)
+                if config.strategy == STRATEGY_HIT:
+                    traced.cut_t[lane] = next_hit.t
+                    traced.cut_index[lane] = next_hit.index
+        return nearest
+
+    return PacketTracing(TracedStorage, traced_packet, keep_hits)

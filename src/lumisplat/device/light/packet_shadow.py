@@ -1,0 +1,242 @@
+"""Shadows of a packet: what Gaussians absorb of the light on its rays, all of them or only the first hits.
+
+The equations are in docs/method/shadows.md.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from lumisplat.constants import HIT_COUNTS
+from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
+from lumisplat.device.bvh.local_arrays import storage_of
+from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.gaussian.compositing import instance_of
+from lumisplat.device.gaussian.packet_hits import packet_hits_of
+from lumisplat.device.light.shadow import shadow_of, tint_of
+from lumisplat.device.math.random import draw_stratified
+from lumisplat.device.structs.bvh import FAR, Particle, SceneBvh, ShadowData
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.packet import Hit, HitList, PacketRays
+from lumisplat.device.structs.scene import SplatInstanceData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@struct
+class Absorption:
+    """What a packet has gone through, one lane a ray; local arrays of the kernel."""
+
+    transmittance: wp.array(dtype=float)
+    """0 for rays that are not of the packet."""
+    tint: wp.array(dtype=float, ndim=2)
+    """Sum of linear colours, weighted by alpha: red, green and blue, and the lane."""
+
+
+@struct
+class FirstHits:
+    """The nearest hits of a packet, one lane a ray; local arrays of the kernel."""
+
+    lists: wp.array(dtype=HitList)
+    hits: wp.array(dtype=Hit)
+    """The slots of the lists of all rays."""
+    cut_t: wp.array(dtype=float)
+    """Hits from (cut_t, cut_index) on do not count."""
+    cut_index: wp.array(dtype=int)
+
+
+@wp.func
+def begin_absorption(absorption: Absorption, packet: PacketRays):
+    """Nothing absorbed yet."""
+    for lane in range(absorption.transmittance.shape[0]):
+        absorption.transmittance[lane] = wp.where(packet.limit[lane] > 0.0, 1.0, 0.0)
+        for k in range(3):
+            absorption.tint[k, lane] = 0.0
+
+
+@wp.func
+def begin_first_hits(first_hits: FirstHits):
+    """No hits yet."""
+    lanes = first_hits.lists.shape[0]
+    for lane in range(lanes):
+        first_hits.lists[lane] = empty_list(lane * (first_hits.hits.shape[0] // lanes))
+        first_hits.cut_t[lane] = FAR
+        first_hits.cut_index[lane] = -1
+
+
+@wp.func
+def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array(dtype=wp.bool), first: int):
+    """Ends rays at their limits; those that skip shadow-only instances do not see such a one."""
+    for lane in range(packet.t_max.shape[0]):
+        is_skipped = instance.shadow_only != 0 and skips[first + lane]
+        packet.t_max[lane] = wp.where(is_skipped, -FAR, packet.limit[lane])
+
+
+@wp.func
+def nearest_begin(packet: PacketRays) -> float:
+    """The least distance at which a hit may count."""
+    begin = float(FAR)
+    for lane in range(packet.t_min.shape[0]):
+        if packet.limit[lane] > 0.0:
+            begin = lesser(begin, packet.t_min[lane])
+    return begin
+
+
+@wp.func
+def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
+    """The largest distance at which a hit may count."""
+    reach = float(-FAR)
+    for lane in range(first_hits.cut_t.shape[0]):
+        reach = larger(reach, lesser(first_hits.cut_t[lane], packet.limit[lane]))
+    return reach
+
+
+@wp.func
+def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array(dtype=Hit), kept: HitList) -> wp.vec3:
+    """Factor of the light that comes through the hits of a list."""
+    transmittance = float(1.0)
+    tint = wp.vec3()
+    for j in range(kept.head, kept.tail):
+        alpha = hits[j].alpha
+        transmittance = transmittance * (1.0 - alpha)
+        if config.color_strength > 0.0:
+            index = hits[j].index
+            instance = scene.instances[instance_of(scene.instances, index)]
+            tint += alpha * tint_of(scene.assets[instance.asset].gaussians, index - instance.first)
+    return shadow_of(config, transmittance, tint)
+
+
+class PacketAbsorption(NamedTuple):
+    """Types and functions for a number of lanes."""
+
+    storage: Any
+    """The type of a variable in which an Absorption lies."""
+    absorption_of: Any
+    absorb: Any
+
+
+class PacketFirstHits(NamedTuple):
+    """Types and functions for a number of lanes."""
+
+    storage: Any
+    """The type of a variable in which FirstHits lie."""
+    first_hits_of: Any
+    keep_first_hits: Any
+
+
+@functools.cache
+def packet_absorption_of(lanes: int) -> PacketAbsorption:
+    """What shadows by all Gaussians on packets of up to ``lanes`` rays need."""
+    LANES = lanes
+    Floats, Vec3s = packet_of(lanes).floats, packet_of(lanes).vec3s
+    hit_responses, alphas_at = packet_hits_of(lanes).hit_responses, packet_hits_of(lanes).alphas_at
+
+    @struct
+    class AbsorptionStorage:
+        """The variable in which an Absorption lies."""
+
+        transmittance: Floats
+        tint: Vec3s
+
+    @wp.func
+    def absorption_of(storage: wp.ref[AbsorptionStorage]) -> Absorption:
+        """What lies in a variable."""
+        absorption = Absorption()
+        absorption.transmittance = wp.array(ptr=wp.address_of(storage.transmittance), shape=(LANES,), dtype=float)
+        absorption.tint = wp.array(ptr=wp.address_of(storage.tint), shape=(3, LANES), dtype=float)
+        return absorption
+
+    @wp.func
+    def absorb(
+        absorption: Absorption,
+        packet: PacketRays,
+        particle: Particle,
+        instance: SplatInstanceData,
+        config: ShadowData,
+        scene: SceneBvh,
+        key: wp.uint32,
+    ) -> int:
+        """Adds what a Gaussian absorbs; returns 1 if a ray hits it, else 0."""
+        is_hit, across2, along2 = hit_responses(particle, packet)
+        found = int(0)
+        for lane in range(LANES):
+            found = found | is_hit[lane]
+        if found == 0:
+            return 0
+        distance2 = Floats()
+        for lane in range(LANES):
+            distance2[lane] = across2[lane] / along2[lane]
+        alpha = alphas_at(instance.kernel, particle, distance2)
+        if config.stochastic != 0:
+            number = draw_stratified(key, config.sample, instance.first + particle.index)
+            for lane in range(LANES):
+                alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
+        for lane in range(LANES):
+            alpha[lane] = wp.where(is_hit[lane] != 0, alpha[lane], 0.0)
+            absorption.transmittance[lane] = absorption.transmittance[lane] * (1.0 - alpha[lane])
+        if config.color_strength > 0.0 and config.stochastic == 0:
+            color = tint_of(scene.assets[instance.asset].gaussians, particle.index)
+            for lane in range(LANES):
+                for k in range(3):
+                    absorption.tint[k, lane] = absorption.tint[k, lane] + alpha[lane] * color[k]
+        return 1
+
+    return PacketAbsorption(AbsorptionStorage, absorption_of, absorb)
+
+
+@functools.cache
+def packet_first_hits_of(lanes: int) -> PacketFirstHits:
+    """What shadows by the nearest Gaussians on packets of up to ``lanes`` rays need."""
+    LANES = lanes
+    HITS = lanes * HIT_COUNTS[-1]
+    Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
+    hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
+
+    @struct
+    class FirstHitsStorage:
+        """The variable in which FirstHits lie."""
+
+        lists: storage_of(HitList, lanes)
+        hits: storage_of(Hit, HITS)
+        cut_t: Floats
+        cut_index: Ints
+
+    @wp.func
+    def first_hits_of(storage: wp.ref[FirstHitsStorage]) -> FirstHits:
+        """The hits that lie in a variable."""
+        first_hits = FirstHits()
+        first_hits.lists = wp.array(ptr=wp.address_of(storage.lists), shape=(LANES,), dtype=HitList)
+        first_hits.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
+        first_hits.cut_t = wp.array(ptr=wp.address_of(storage.cut_t), shape=(LANES,), dtype=float)
+        first_hits.cut_index = wp.array(ptr=wp.address_of(storage.cut_index), shape=(LANES,), dtype=int)
+        return first_hits
+
+    @wp.func
+    def keep_first_hits(
+        first_hits: FirstHits, packet: PacketRays, particle: Particle, instance: SplatInstanceData, config: ShadowData
+    ) -> int:
+        """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
+        t, distance2 = hit_distances(particle, config.hull, packet)
+        found = int(0)
+        for lane in range(LANES):
+            found = found | wp.where(t[lane] < FAR, 1, 0)
+        if found == 0:
+            return 0
+        alpha = alphas_at(instance.kernel, particle, distance2)
+        hit = Hit()
+        hit.index = instance.first + particle.index
+        for lane in range(LANES):
+            if is_before(t[lane], hit.index, first_hits.cut_t[lane], first_hits.cut_index[lane]):
+                hit.t = t[lane]
+                hit.alpha = alpha[lane]
+                keep_hit(first_hits.hits, first_hits.lists[lane], config.hits, hit)
+                # The farthest hit of a full list is the cut: it is in the list, and none behind it will be.
+                kept = first_hits.lists[lane]
+                if kept.tail == kept.begin + config.hits:
+                    first_hits.cut_t[lane] = first_hits.hits[kept.tail - 1].t
+                    first_hits.cut_index[lane] = first_hits.hits[kept.tail - 1].index
+        return 1
+
+    return PacketFirstHits(FirstHitsStorage, first_hits_of, keep_first_hits)
