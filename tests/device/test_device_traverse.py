@@ -1,4 +1,4 @@
-"""Where bundles of rays enter boxes: against float64, ray by ray, at all scales and in the spaces of instances.
+"""Where packets of rays enter boxes: against float64, ray by ray, at all scales and in the spaces of instances.
 
 The bounds must hold for the rays as they are followed: rounded to float32 in the instance's space.
 """
@@ -12,7 +12,8 @@ import pytest
 import warp as wp
 
 from lumisplat.constants import COHERENT_SPREAD, NODE_WIDTH, TRAVERSE_MARGIN
-from lumisplat.device.structs.bvh import FAR, Children, Node, Slabs
+from lumisplat.device.structs.bvh import FAR, Children, Node
+from lumisplat.device.structs.packet import Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 from lumisplat.renderer.scene.bvh_scene import empty_node
@@ -31,7 +32,7 @@ NEVER = 2.0 * np.float64(np.float32(FAR))
 
 @dataclass
 class Bundles:
-    """Rays of bundles, which of them are alive, and the transforms of instances."""
+    """Rays of packets, what is alive of them, and where instances are."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -42,7 +43,7 @@ class Bundles:
 
 @dataclass
 class Found:
-    """Results of the device: bundles in object space, and distances to boxes."""
+    """What the device says: packets in object space, and distances to boxes."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -59,12 +60,12 @@ def placed(world_from_object: np.ndarray) -> np.ndarray:
     return table
 
 
-def random_bundles(seed: int, spread: float, far: float = 0.0, count: int = COUNT) -> Bundles:
-    """Bundles of every kind: axis-parallel or not, from a point or not, some rays dead; instances of all sizes.
+def random_packets(seed: int, spread: float, far: float = 0.0, count: int = COUNT) -> Packets:
+    """Packets of every kind: axis-parallel or not, from a point or not, some rays dead; instances of all sizes.
 
     Args:
         seed: Of the random numbers.
-        spread: How far directions differ from that of their bundle; 0: one ray each.
+        spread: How far directions differ from that of their packet; 0: one ray each.
         far: How far instances and rays are from the world's origin, in lengths of the scene.
         count: How many.
     """
@@ -75,7 +76,7 @@ def random_bundles(seed: int, spread: float, far: float = 0.0, count: int = COUN
     axes[straight, 0] = np.eye(3)[random.integers(0, 3, straight.sum())] * random.choice(
         [-1.0, 1.0], (straight.sum(), 1)
     )
-    grazing = np.arange(count) % 4 == 1  # one component changes sign within the bundle
+    grazing = np.arange(count) % 4 == 1  # one component changes sign within the packet
     axes[grazing, 0, random.integers(0, 3, grazing.sum())] *= 0.1 * spread
     directions = normalized(normalized(axes) + 0.9 * spread * random.uniform(-0.57, 0.57, (count, LANES, 3)))
     parallel = np.arange(count) % 7 == 0
@@ -96,12 +97,12 @@ def random_bundles(seed: int, spread: float, far: float = 0.0, count: int = COUN
     return Bundles(origins.astype(np.float32), directions.astype(np.float32), alive, placed(world_from_object), begins)
 
 
-def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
+def boxes_around(packets: Packets, found: Found, seed: int) -> np.ndarray:
     """Rows of Node in object space: flat, thin, small and large boxes, before, behind, around and beside the rays."""
     random = np.random.default_rng(seed)
-    count = len(bundles.begins)
+    count = len(packets.begins)
     rows = np.arange(count)[:, None]
-    lane = np.where(bundles.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
+    lane = np.where(packets.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
     lane = lane.astype(int)
     origin, direction = (values[rows, lane].astype(np.float64) for values in (found.origins, found.directions))
     per_world = np.cbrt(np.linalg.det(bundles.instances["object_from_world"].astype(np.float64)))[:, None, None]
@@ -119,23 +120,23 @@ def boxes_around(bundles: Bundles, found: Found, seed: int) -> np.ndarray:
 
 
 def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
-    """Runs the device functions on bundles and boxes."""
+    """Asks the device."""
     count = len(bundles.begins)
     buffers = Buffers(device)
     rays = buffers.struct("rays", RayData, count * LANES)
-    rays.origin.assign(bundles.origins.reshape(-1, 3))
-    rays.direction.assign(bundles.directions.reshape(-1, 3))
-    limits = wp.array(np.where(bundles.alive, 1.0, -1.0), dtype=probe_tree_kernels.Floats, device=device)
+    rays.origin.assign(packets.origins.reshape(-1, 3))
+    rays.direction.assign(packets.directions.reshape(-1, 3))
+    limits = wp.array(np.where(packets.alive, 1.0, -1.0), dtype=probe_tree_kernels.Floats, device=device)
     inputs = (
         limits,
-        wp.array(bundles.instances, dtype=SplatInstanceData, device=device),
+        wp.array(packets.instances, dtype=SplatInstanceData, device=device),
         wp.array(nodes, dtype=Node, device=device),
-        wp.array(bundles.begins, dtype=float, device=device),
+        wp.array(packets.begins, dtype=float, device=device),
     )
     origins, directions = (wp.zeros(count * LANES, dtype=wp.vec3, device=device) for _ in range(2))
     slabs, entries = wp.zeros(count, dtype=Slabs, device=device), wp.zeros(count, dtype=Children, device=device)
     out = (origins, directions, slabs, entries)
-    Launcher(device, threads=1).run(probe_tree_kernels.probe_bundles, count, rays, *inputs, *out)
+    Launcher(device, threads=1).run(probe_tree_kernels.probe_packets, count, rays, *inputs, *out)
     shape = (count, LANES, 3)
     return Found(origins.numpy().reshape(shape), directions.numpy().reshape(shape), slabs.numpy(), entries.numpy())
 
@@ -163,16 +164,16 @@ def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return low[:, None].astype(np.float64), high[:, None].astype(np.float64)
 
 
-def setting(spread: float, far: float = 0.0, device: str = "cpu") -> tuple[Bundles, np.ndarray, Found]:
-    """Bundles, boxes around them, and what the device finds. Half of the bundles begin in the middle of some box."""
-    bundles = random_bundles(int(1e4 * spread), spread, far)
-    alone = probe(bundles, np.concatenate([empty_node()] * COUNT))
-    nodes = boxes_around(bundles, alone, 1)
+def setting(spread: float, far: float = 0.0, device: str = "cpu") -> tuple[Packets, np.ndarray, Found]:
+    """Packets, boxes around them, and what the device finds. Half of the packets begin in the middle of some box."""
+    packets = random_packets(int(1e4 * spread), spread, far)
+    alone = probe(packets, np.concatenate([empty_node()] * COUNT))
+    nodes = boxes_around(packets, alone, 1)
     low, high = corners(nodes)
     first, last = crossings(alone.origins[:, :1, None], alone.directions[:, :1, None], low, high)
     middle = 0.5 * np.add(first, last, out=np.zeros_like(first), where=first <= last)
-    bundles.begins[::2] = np.maximum(middle[:, 0].max(axis=-1), 0.0)[::2]
-    return bundles, nodes, probe(bundles, nodes, device)
+    packets.begins[::2] = np.maximum(middle[:, 0].max(axis=-1), 0.0)[::2]
+    return packets, nodes, probe(packets, nodes, device)
 
 
 SPREADS = [0.0, 1e-6, 1e-3, 0.05, COHERENT_SPREAD]
@@ -181,8 +182,8 @@ SPREADS = [0.0, 1e-6, 1e-3, 0.05, COHERENT_SPREAD]
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
 def test_slabs_hold_the_rays(spread: float, far: float) -> None:
-    """At any distance, every ray alive lies between the planes of its bundle, in the instance's space."""
-    bundles, _, found = setting(spread, far)
+    """At any distance, every ray alive lies between the planes of its packet, in the instance's space."""
+    packets, _, found = setting(spread, far)
     up, down = (
         1.0 / (found.slabs[f"{side}_far"] + found.slabs[f"{side}_near"]).astype(np.float64)[:, None]
         for side in ("up", "down")
@@ -192,23 +193,23 @@ def test_slabs_hold_the_rays(spread: float, far: float) -> None:
     for t in (0.0, 1e-3, 1.0, 1e3):
         points = found.origins.astype(np.float64) + t * scale * found.directions.astype(np.float64)
         inside = ((low + up * t * scale <= points) & (points <= high - down * t * scale)).all(axis=-1)
-        assert inside[bundles.alive].all(), f"{np.count_nonzero(~inside & bundles.alive)} rays outside at {t}"
+        assert inside[packets.alive].all(), f"{np.count_nonzero(~inside & packets.alive)} rays outside at {t}"
 
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
-def test_no_ray_is_in_a_box_before_its_bundle(spread: float, far: float, device: str) -> None:
+def test_no_ray_is_in_a_box_before_its_packet(spread: float, far: float, device: str) -> None:
     """Neither from outside, nor for rays that start inside, where the entry lies behind them; nor is a box lost."""
-    bundles, nodes, found = setting(spread, far, device)
+    packets, nodes, found = setting(spread, far, device)
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
     meets = (first <= last) & (last >= bundles.begins[:, None, None]) & bundles.alive[:, :, None]
     entries = np.broadcast_to(found.entries.astype(np.float64)[:, None], meets.shape)
     for name, where in {
-        "ahead": meets & (first > bundles.begins[:, None, None]),
+        "ahead": meets & (first > packets.begins[:, None, None]),
         "around the origin": meets & (first < 0.0),
-        "ahead of the origin, around the begin": meets & (first >= 0.0) & (first <= bundles.begins[:, None, None]),
+        "ahead of the origin, around the begin": meets & (first >= 0.0) & (first <= packets.begins[:, None, None]),
     }.items():
         assert where.sum() > 30, f"too few boxes {name}: {where.sum()}"
         early = where & ~(entries <= first)
@@ -217,7 +218,7 @@ def test_no_ray_is_in_a_box_before_its_bundle(spread: float, far: float, device:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_single_rays_are_tight(device: str) -> None:
-    """Entries into boxes are at most a few roundings too early; boxes missed by more than that are missed."""
+    """What is met is met at most a few roundings too early, and boxes missed by more than that are missed."""
     bundles, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
@@ -242,15 +243,15 @@ def test_single_rays_are_tight(device: str) -> None:
 
 
 def test_empty_children_are_never_met() -> None:
-    """No bundle of any spread and scale enters empty boxes or the inverted boxes of Gaussians that never count."""
+    """Nor are the inverted boxes of Gaussians that never count; by no packet of any spread and scale."""
     for spread in SPREADS:
-        bundles = random_bundles(5, spread)
-        found = probe(bundles, np.concatenate([empty_node()] * COUNT))
+        packets = random_packets(5, spread)
+        found = probe(packets, np.concatenate([empty_node()] * COUNT))
         assert (found.entries == NEVER).all()
 
 
-def test_bundles_are_not_boundless() -> None:
-    """A bundle of half a degree, from the origin towards +z, does not meet a box ten degrees off, only one ahead."""
+def test_packets_are_not_boundless() -> None:
+    """A packet of half a degree, from the origin towards +z, does not meet a box ten degrees off, only one ahead."""
     random = np.random.default_rng(0)
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
     instance = placed(np.eye(4)[None])
@@ -266,14 +267,14 @@ def test_bundles_are_not_boundless() -> None:
         node["low_x"][0, c], node["high_x"][0, c] = x - 0.1, x + 0.1
         node["low_y"][0, c], node["high_y"][0, c] = -0.1, 0.1
         node["low_z"][0, c], node["high_z"][0, c] = z - 0.1, z + 0.1
-    entries = probe(bundles, node).entries[0]
+    entries = probe(packets, node).entries[0]
     assert entries[0] == pytest.approx(4.9 / directions[0, :, 2].max(), rel=1e-5) and entries[0] <= 4.9
     assert (entries[1:] == NEVER).all()
 
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_bundles_gather_what_is_near_the_first(device: str) -> None:
-    """Of the waiting rays, in any lane, it gathers the first and those within the radius and the spread of it."""
+    """Of the rays that wait, in whatever lane: it itself, and those within the radius and the spread of it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
     origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)
@@ -283,9 +284,9 @@ def test_bundles_gather_what_is_near_the_first(device: str) -> None:
     rays = Buffers(device).struct("rays", RayData, count * LANES)
     rays.origin.assign(origins.reshape(-1, 3))
     rays.direction.assign(directions.reshape(-1, 3))
-    members = wp.zeros(count, dtype=probe_tree_kernels.Floats, device=device)
-    inputs = wp.array(waiting, dtype=probe_tree_kernels.Floats, device=device)
-    wp.launch(probe_tree_kernels.probe_gather, count, [rays, inputs, radius, members], device=device)
+    taken = wp.zeros(count, dtype=probe_tree_kernels.Floats, device=device)
+    left = wp.array(waiting, dtype=probe_tree_kernels.Floats, device=device)
+    wp.launch(probe_tree_kernels.probe_take_coherent, count, [rays, left, radius, taken], device=device)
     first = (waiting > 0.0).argmax(axis=1)[:, None]
     apart, bend = (
         np.linalg.norm(values - np.take_along_axis(values, first[..., None], axis=1), axis=-1)
@@ -294,4 +295,5 @@ def test_bundles_gather_what_is_near_the_first(device: str) -> None:
     unsure = (np.abs(apart - radius) < 1e-6) | (np.abs(bend - COHERENT_SPREAD) < 1e-6)
     expected = np.where((waiting > 0.0) & (apart <= radius) & (bend <= COHERENT_SPREAD), waiting, np.float32(-FAR))
     assert 0.05 < (expected > 0.0).mean() < 0.5 and unsure.mean() < 0.01
-    np.testing.assert_array_equal(members.numpy()[~unsure], expected[~unsure])
+    np.testing.assert_array_equal(taken.numpy()[~unsure], expected[~unsure])
+    np.testing.assert_array_equal(left.numpy(), np.where(taken.numpy() > 0.0, np.float32(-FAR), waiting))

@@ -22,7 +22,7 @@ def test_kernel_modules_are_found() -> None:
     assert {"lumisplat.renderer.raster.splat_raster_kernels", "lumisplat.renderer.raster.mesh_raster_kernels"} <= {
         *MODULES
     }
-    assert {*GENERATED} == {"gaussian_trace_kernel", "shadow_kernel"}
+    assert {*GENERATED} == {"gaussian_trace_kernel", "shadow_kernel", "first_hits_shadow_kernel"}
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -11,9 +11,9 @@ from typing import Any
 import warp as wp
 
 import lumisplat
-from lumisplat.config import RenderConfig
-from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
-from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
+from lumisplat.constants import PACKET_RAYS
+from lumisplat.renderer.shadow.gaussian_shadow_kernels import first_hits_shadow_kernel, shadow_kernel
+from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
 from lumisplat.runtime.launcher import Launcher
 
 CUDA_ARCHITECTURES = (86, 90)
@@ -33,8 +33,9 @@ def package_modules() -> list[Any]:
 
 def generated_modules(*, parallel: bool) -> list[Any]:
     """Warp modules of the kernels that are made for a schedule: of rays through Gaussians, and of their shadows."""
-    launcher = Launcher("cpu", threads=1, parallel=parallel)
-    return [kernel_of(launcher, RenderConfig()).module for kernel_of in (trace_kernel_of, shadow_kernel_of)]
+    lanes = 1 if parallel else PACKET_RAYS
+    kernels_of_lanes = (gaussian_trace_kernel, shadow_kernel, first_hits_shadow_kernel)
+    return [kernel_of(lanes).module for kernel_of in kernels_of_lanes]
 
 
 def probe_modules() -> list[Any]:

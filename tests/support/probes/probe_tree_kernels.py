@@ -1,4 +1,4 @@
-"""Kernels that show what Gaussians are to rays, and where bundles of rays enter boxes, many at once."""
+"""Kernels that show what Gaussians are to rays, and where packets of rays enter boxes, many at once."""
 
 import warp as wp
 
@@ -11,14 +11,17 @@ from lumisplat.device.gaussian.particle import (
     particle_of,
     reach_squared,
 )
-from lumisplat.device.structs.bvh import Box, Children, Node, Particle, Slabs
+from lumisplat.device.structs.bvh import Box, Children, Node, Particle
+from lumisplat.device.structs.packet import Slabs
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 LANES = 16
-Floats, _, gather, slabs_of, *_ = packet_of(LANES)
+TOOLS = packet_of(LANES)
+Floats, RaysStorage, packet_rays = TOOLS.floats, TOOLS.rays_storage, TOOLS.packet_rays
+take_coherent, slabs_of = TOOLS.take_coherent, TOOLS.slabs_of
 
 
 @wp.kernel
@@ -53,7 +56,7 @@ def probe_particles(
 
 
 @wp.kernel
-def probe_bundles(
+def probe_packets(
     rays: RayData,
     limits: wp.array(dtype=Floats),
     instances: wp.array(dtype=SplatInstanceData),
@@ -64,33 +67,32 @@ def probe_bundles(
     slabs: wp.array(dtype=Slabs),
     entries: wp.array(dtype=Children),
 ):
-    """Bundles in the space of an instance, as slabs and ray by ray, and where they enter the children of a node."""
+    """Packets in the space of an instance, as slabs and ray by ray, and where they enter the children of a node."""
     i = wp.tid()
     instance = instances[i]
-    ox = Floats()
-    oy = Floats()
-    oz = Floats()
-    dx = Floats()
-    dy = Floats()
-    dz = Floats()
+    storage = RaysStorage()
+    packet = packet_rays(storage)
+    limit = limits[i]
     for lane in range(LANES):
         ray = i * LANES + lane
         o = instance.object_from_world * rays.origin[ray] + instance.object_from_world_offset
         d = instance.object_from_world * rays.direction[ray]
         origins[ray] = o
         directions[ray] = d
-        ox[lane] = o[0]
-        oy[lane] = o[1]
-        oz[lane] = o[2]
-        dx[lane] = d[0]
-        dy[lane] = d[1]
-        dz[lane] = d[2]
-    slabs[i] = slabs_of(limits[i], ox, oy, oz, dx, dy, dz)
+        packet.limit[lane] = limit[lane]
+        for k in range(3):
+            packet.origin[k, lane] = o[k]
+            packet.direction[k, lane] = d[k]
+    slabs[i] = slabs_of(packet)
     entries[i] = enter_children(nodes[i], slabs[i], begins[i])
 
 
 @wp.kernel
-def probe_gather(rays: RayData, waiting: wp.array(dtype=Floats), radius_max: float, members: wp.array(dtype=Floats)):
-    """The first bundle of each packet."""
+def probe_take_coherent(
+    rays: RayData, waiting: wp.array(dtype=Floats), radius_max: float, taken: wp.array(dtype=Floats)
+):
+    """The first packet of each item; ``waiting`` becomes what is left."""
     i = wp.tid()
-    members[i] = gather(rays, i * LANES, waiting[i], radius_max)
+    left = waiting[i]
+    taken[i] = take_coherent(rays, i * LANES, left, radius_max)
+    waiting[i] = left

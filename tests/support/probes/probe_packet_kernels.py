@@ -1,0 +1,49 @@
+"""Kernels that fill the lists of a packet, many at once: sorted hits, and nodes that wait."""
+
+import warp as wp
+
+from lumisplat.device.bvh.hit_list import empty_list, keep_hit
+from lumisplat.device.bvh.node_stack import push_children
+from lumisplat.device.structs.bvh import ChildLinks, Children, Node
+from lumisplat.device.structs.packet import Hit, HitList, WaitingNode
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.kernel
+def probe_hit_list(
+    added: wp.array2d(dtype=Hit),
+    blended: wp.array2d(dtype=int),
+    slots: wp.array(dtype=int),
+    hits: wp.array2d(dtype=Hit),
+    dropped: wp.array2d(dtype=Hit),
+    lists: wp.array(dtype=HitList),
+):
+    """Adds hits to a list, of which some are blended in between."""
+    i = wp.tid()
+    kept = empty_list(3)
+    for step in range(added.shape[1]):
+        dropped[i, step] = keep_hit(hits[i], kept, slots[i], added[i, step])
+        kept.head = wp.min(kept.head + blended[i, step], kept.tail)
+    lists[i] = kept
+
+
+@wp.kernel
+def probe_push_children(
+    nodes: wp.array(dtype=Node),
+    instances: wp.array(dtype=int),
+    entries: wp.array(dtype=Children),
+    reach: float,
+    order: float,
+    stacks: wp.array2d(dtype=WaitingNode),
+    tops: wp.array(dtype=int),
+    leaves: wp.array(dtype=ChildLinks),
+    leaf_counts: wp.array(dtype=int),
+):
+    """Pushes the children of a node onto a stack on which some wait."""
+    i = wp.tid()
+    top = tops[i]
+    found = ChildLinks()
+    leaf_counts[i] = push_children(stacks[i], top, found, nodes[i], instances[i], entries[i], reach, order)
+    tops[i] = top
+    leaves[i] = found
