@@ -11,6 +11,8 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
+from lumisplat.renderer.trace import gaussian_trace_kernels
 from lumisplat.runtime.launcher import Launcher
 from support.compare.images import assert_close, assert_images_alike
 from support.compare.ways import renderer_of
@@ -52,6 +54,25 @@ def renderer(way: str, config: ls.RenderConfig) -> ls.Renderer:
 def render(way: str, scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig | None = None) -> ls.Frame:
     """A traced frame."""
     return renderer(way, config or settings()).render(scene, camera)
+
+
+make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
+
+
+@functools.cache
+def unfused_kernel(lanes: int) -> wp.Kernel:
+    """The tracing kernel with every multiplication and addition rounded by itself."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PACKET_OPTIONS, "cpu_compiler_flags", "-march=native -ffp-contract=off")
+        return make_kernel(lanes)
+
+
+@functools.cache
+def unfused_renderer(way: str, config: ls.RenderConfig) -> ls.Renderer:
+    """A renderer that traces with ``unfused_kernel``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gaussian_trace_kernels, "gaussian_trace_kernel", unfused_kernel)
+        return renderer_of(way, config)
 
 
 def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: object) -> ls.Camera:
@@ -241,6 +262,24 @@ def test_packets_show_what_single_rays_show(
     for image in IMAGES:
         assert_close(getattr(together, image), getattr(alone, image), atol=2e-6, name=image)
     assert together.alpha.max() > 0.0
+
+
+@pytest.mark.parametrize("normal_method", list(ls.NormalMethod))
+@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_packets_are_single_rays_to_the_bit(
+    strategy: ls.TraceStrategy, hit_distance: ls.HitDistance, normal_method: ls.NormalMethod
+) -> None:
+    """But for what compilers fuse: packets do for each ray what it does alone, operation by operation.
+
+    Which multiplications and additions are fused depends on how the loop over the lanes is vectorised, and so on the
+    processor. Without any, all images are bit-equal.
+    """
+    config = settings(strategy, seed=5, hit_distance=hit_distance, normal_method=normal_method)
+    for scene, camera in (SCENES[name] for name in ("plain", "fog", "inside", "lens")):
+        together, alone = (unfused_renderer(way, config).render(scene, camera) for way in ("cpu", "cpu as cuda"))
+        assert_equal(together, alone)
+        assert together.alpha.max() > 0.0
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
