@@ -53,12 +53,12 @@ def keep_hit(hits: wp.array(dtype=Hit), kept: wp.ref[HitList], slots: int, hit: 
 @wp.func
 def move_to_begin(hits: wp.array(dtype=Hit), kept: wp.ref[HitList]):
     """Moves the hits of a list to its first slots."""
-    gone = kept.head - kept.begin
-    if gone > 0:
+    shift = kept.head - kept.begin
+    if shift > 0:
         for j in range(kept.head, kept.tail):
-            hits[j - gone] = hits[j]
-        kept.head -= gone
-        kept.tail -= gone
+            hits[j - shift] = hits[j]
+        kept.head -= shift
+        kept.tail -= shift
 
 
 @wp.func

@@ -27,12 +27,12 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 @struct
 class Absorption:
-    """What a packet has gone through, one lane a ray; local arrays of the kernel."""
+    """What a packet has passed so far, one lane a ray; local arrays of the kernel."""
 
     transmittance: wp.array(dtype=float)
     """0 for rays that are not of the packet."""
     tint: wp.array(dtype=float, ndim=2)
-    """Sum of linear colours, weighted by alpha: red, green and blue, and the lane."""
+    """Sum of linear colours, weighted by alpha: red, green and blue by lane."""
 
 
 @struct
@@ -68,7 +68,7 @@ def begin_first_hits(first_hits: FirstHits):
 
 @wp.func
 def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array(dtype=wp.bool), first: int):
-    """Ends rays at their limits; those that skip shadow-only instances do not see such a one."""
+    """Lets the Gaussians of an instance count up to the rays' limits; on rays that skip it, none of them does."""
     for lane in range(packet.t_max.shape[0]):
         is_skipped = instance.shadow_only != 0 and skips[first + lane]
         packet.t_max[lane] = wp.where(is_skipped, -FAR, packet.limit[lane])
