@@ -26,12 +26,12 @@ def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
     """By distance, then by index; the farthest is dropped where there is no room; no other slot is written."""
     random = np.random.default_rng(slots)
     count, steps = 50, 150
-    added = np.zeros((count, steps), table_dtype(Hit))
+    added: np.ndarray = np.zeros((count, steps), table_dtype(Hit))
     added["t"] = random.integers(0, 40, (count, steps)) - 10.0  # many are equal, some are negative
     added["index"] = np.argsort(random.random((count, steps)), axis=1)
     added["alpha"] = random.random((count, steps))
     blended = random.choice([0, 1, 3], (count, steps), p=[0.8, 0.1, 0.1]).astype(np.int32)
-    untouched = np.zeros((count, BEGIN + slots + 2), table_dtype(Hit))
+    untouched: np.ndarray = np.zeros((count, BEGIN + slots + 2), table_dtype(Hit))
     untouched["index"] = -7
     hits = wp.array(untouched, dtype=Hit, device=device)
     dropped = wp.zeros((count, steps), dtype=Hit, device=device)
@@ -42,7 +42,8 @@ def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
         wp.full(count, slots, dtype=int, device=device),
     )
     wp.launch(probe_packet_kernels.probe_hit_list, count, [*inputs, hits, dropped, lists], device=device)
-    found, lost, ends = hits.numpy(), dropped.numpy(), lists.numpy()
+    tables: list[np.ndarray] = [hits.numpy(), dropped.numpy(), lists.numpy()]
+    found, lost, ends = tables
     for i in range(count):
         kept: list[tuple[float, int, float]] = []
         for step in range(steps):
@@ -51,7 +52,7 @@ def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
             expected = (FAR, 0) if len(kept) <= slots else kept.pop()[:2]
             assert (lost[i, step]["t"], lost[i, step]["index"]) == (np.float32(expected[0]), expected[1])
             del kept[: blended[i, step]]
-        row = found[i, ends[i]["head"] : ends[i]["tail"]]
+        row: np.ndarray = found[i, ends[i]["head"] : ends[i]["tail"]]
         assert [(t, index, alpha) for t, alpha, index in row.tolist()] == kept
         assert ends[i]["begin"] == BEGIN <= ends[i]["head"] and ends[i]["tail"] <= BEGIN + slots
     outside = np.r_[0:BEGIN, BEGIN + slots : BEGIN + slots + 2]
@@ -72,7 +73,7 @@ def test_children_wait_in_their_order(instance: int, order: float, device: str) 
     nodes["link"] = np.where(is_empty, NO_CHILD, np.where(is_leaf, ~links, links))
     entries = random.integers(0, 10, (count, NODE_WIDTH)).astype(np.float32)  # some are equal
     entries[random.random((count, NODE_WIDTH)) < 0.1] = -FAR  # around the origin
-    waiting = np.zeros((count, below + NODE_WIDTH), table_dtype(WaitingNode))
+    waiting: np.ndarray = np.zeros((count, below + NODE_WIDTH), table_dtype(WaitingNode))
     waiting["entry"][:, :below] = waiting["floor"][:, :below] = [7.0, 3.0]
     stacks = wp.array(waiting, dtype=WaitingNode, device=device)
     tops = wp.full(count, below, dtype=int, device=device)
@@ -85,7 +86,8 @@ def test_children_wait_in_their_order(instance: int, order: float, device: str) 
         *(reach, order, stacks, tops, leaves, leaf_counts),
     )
     wp.launch(probe_packet_kernels.probe_push_children, count, list(inputs), device=device)
-    found, heights = stacks.numpy(), tops.numpy()
+    found: np.ndarray = stacks.numpy()
+    heights = tops.numpy()
     for i in range(count):
         near = [c for c in range(NODE_WIDTH) if entries[i, c] <= reach and not is_empty[i, c]]
         gaussians = [links[i, c] for c in near if is_leaf[i, c] and instance != WORLD]
@@ -94,7 +96,7 @@ def test_children_wait_in_their_order(instance: int, order: float, device: str) 
             (c for c in near if not is_leaf[i, c] or instance == WORLD), key=lambda c: -order * entries[i, c]
         )
         assert heights[i] == below + len(pushed)
-        row = found[i, below : heights[i]]
+        row: np.ndarray = found[i, below : heights[i]]
         assert row["entry"].tolist() == [entries[i, c] for c in pushed]
         # An instance waits as the root of its tree.
         assert row["link"].tolist() == [0 if is_leaf[i, c] else links[i, c] for c in pushed]
