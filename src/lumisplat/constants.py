@@ -47,8 +47,11 @@ TRAVERSE_MARGIN = 1e-6
 PASS_REWIND = 1e-4
 """A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
 
-HITS_HELD_CPU = 64
-"""Least number of hits that a ray keeps sorted on the CPU: they cost little there and save passes, 1.6 times faster."""
+HIT_COUNTS = (4, 8, 16, 32)
+"""How many hits settings may ask for; kernels have storage for the most."""
+
+HITS_KEPT_CPU = 64
+"""Hits that a ray keeps sorted on the CPU: they cost little there and save passes, 1.6 times faster."""
 
 COHERENT_SPREAD = 0.15
 """Rays of a packet are not traced with its first one if their directions differ from that one's by more than this."""

@@ -31,8 +31,8 @@ NEVER = 2.0 * np.float64(np.float32(FAR))
 
 
 @dataclass
-class Bundles:
-    """Rays of packets, what is alive of them, and where instances are."""
+class Packets:
+    """Rays of packets, which of them are alive, and the transforms of instances."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -43,7 +43,7 @@ class Bundles:
 
 @dataclass
 class Found:
-    """What the device says: packets in object space, and distances to boxes."""
+    """Results of the device: packets in object space, and distances to boxes."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -94,7 +94,7 @@ def random_packets(seed: int, spread: float, far: float = 0.0, count: int = COUN
         world_from_object[i, :3, :3] *= 10.0 ** random.uniform(-3.0, 3.0)
         world_from_object[i, :3, 3] = place[i, 0] + size[i, 0] * random.normal(size=3)
     begins = np.zeros(count, np.float32)
-    return Bundles(origins.astype(np.float32), directions.astype(np.float32), alive, placed(world_from_object), begins)
+    return Packets(origins.astype(np.float32), directions.astype(np.float32), alive, placed(world_from_object), begins)
 
 
 def boxes_around(packets: Packets, found: Found, seed: int) -> np.ndarray:
@@ -105,8 +105,8 @@ def boxes_around(packets: Packets, found: Found, seed: int) -> np.ndarray:
     lane = np.where(packets.alive, 1.0, 0.0).argmax(axis=1)[:, None] * (random.random((count, NODE_WIDTH)) < 0.5)
     lane = lane.astype(int)
     origin, direction = (values[rows, lane].astype(np.float64) for values in (found.origins, found.directions))
-    per_world = np.cbrt(np.linalg.det(bundles.instances["object_from_world"].astype(np.float64)))[:, None, None]
-    length = np.linalg.norm(bundles.origins - bundles.origins.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
+    per_world = np.cbrt(np.linalg.det(packets.instances["object_from_world"].astype(np.float64)))[:, None, None]
+    length = np.linalg.norm(packets.origins - packets.origins.mean(axis=1, keepdims=True), axis=-1).max(axis=1)
     size = np.maximum(np.abs(found.origins).max(axis=(1, 2)), (length * per_world[:, 0, 0]))[:, None, None]
     t = random.uniform(-2.0, 6.0, (count, NODE_WIDTH, 1)) * size / per_world
     half = size * 10.0 ** random.uniform(-4.0, 0.5, (count, NODE_WIDTH, 3))
@@ -119,9 +119,9 @@ def boxes_around(packets: Packets, found: Found, seed: int) -> np.ndarray:
     return nodes
 
 
-def probe(bundles: Bundles, nodes: np.ndarray, device: str = "cpu") -> Found:
-    """Asks the device."""
-    count = len(bundles.begins)
+def probe(packets: Packets, nodes: np.ndarray, device: str = "cpu") -> Found:
+    """Runs the device functions on packets and boxes."""
+    count = len(packets.begins)
     buffers = Buffers(device)
     rays = buffers.struct("rays", RayData, count * LANES)
     rays.origin.assign(packets.origins.reshape(-1, 3))
@@ -189,7 +189,7 @@ def test_slabs_hold_the_rays(spread: float, far: float) -> None:
         for side in ("up", "down")
     )
     low, high = (found.slabs[side].astype(np.float64)[:, None] for side in ("low", "high"))
-    scale = np.abs(bundles.origins).max(axis=(1, 2)).astype(np.float64)[:, None, None]
+    scale = np.abs(packets.origins).max(axis=(1, 2)).astype(np.float64)[:, None, None]
     for t in (0.0, 1e-3, 1.0, 1e3):
         points = found.origins.astype(np.float64) + t * scale * found.directions.astype(np.float64)
         inside = ((low + up * t * scale <= points) & (points <= high - down * t * scale)).all(axis=-1)
@@ -204,7 +204,7 @@ def test_no_ray_is_in_a_box_before_its_packet(spread: float, far: float, device:
     packets, nodes, found = setting(spread, far, device)
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
-    meets = (first <= last) & (last >= bundles.begins[:, None, None]) & bundles.alive[:, :, None]
+    meets = (first <= last) & (last >= packets.begins[:, None, None]) & packets.alive[:, :, None]
     entries = np.broadcast_to(found.entries.astype(np.float64)[:, None], meets.shape)
     for name, where in {
         "ahead": meets & (first > packets.begins[:, None, None]),
@@ -218,12 +218,12 @@ def test_no_ray_is_in_a_box_before_its_packet(spread: float, far: float, device:
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_single_rays_are_tight(device: str) -> None:
-    """What is met is met at most a few roundings too early, and boxes missed by more than that are missed."""
-    bundles, nodes, found = setting(0.0, device=device)
+    """Entries into boxes are at most a few roundings too early; boxes missed by more than that are missed."""
+    packets, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
     first, last = (values[:, 0] for values in crossings(origins, directions, low, high))
-    begins = bundles.begins[:, None]
+    begins = packets.begins[:, None]
     reach = np.abs(origins.astype(np.float64)).max(axis=-1)[:, 0]
     speed = np.linalg.norm(directions.astype(np.float64), axis=-1)[:, 0]
     ahead = (first <= last) & (first > begins) & (first > 0.0)
@@ -243,7 +243,7 @@ def test_single_rays_are_tight(device: str) -> None:
 
 
 def test_empty_children_are_never_met() -> None:
-    """Nor are the inverted boxes of Gaussians that never count; by no packet of any spread and scale."""
+    """No packet of any spread and scale enters empty boxes or the inverted boxes of Gaussians that never count."""
     for spread in SPREADS:
         packets = random_packets(5, spread)
         found = probe(packets, np.concatenate([empty_node()] * COUNT))
@@ -255,7 +255,7 @@ def test_packets_are_not_boundless() -> None:
     random = np.random.default_rng(0)
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
     instance = placed(np.eye(4)[None])
-    bundles = Bundles(
+    packets = Packets(
         np.zeros((1, LANES, 3), np.float32),
         directions.astype(np.float32),
         np.ones((1, LANES), bool),
@@ -273,8 +273,8 @@ def test_packets_are_not_boundless() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_bundles_gather_what_is_near_the_first(device: str) -> None:
-    """Of the rays that wait, in whatever lane: it itself, and those within the radius and the spread of it."""
+def test_packets_take_what_is_near_the_first(device: str) -> None:
+    """Of the waiting rays, in any lane, it takes the first and those within the radius and the spread of it."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
     origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)

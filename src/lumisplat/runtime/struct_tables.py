@@ -18,12 +18,16 @@ def table_dtype(struct: type[object]) -> np.dtype[np.void]:
 
 
 def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
-    """An array of structs, some of whose fields may be arrays; without rows, one of an empty struct."""
-    instances: Any = rows
+    """An array of structs, some of whose fields may be arrays: these live at least as long as it does.
+
+    Without rows it has one empty struct: an array without elements has no address. Bytes are copied as they are,
+    because Warp's own conversion of such structs takes milliseconds.
+    """
+    instances: Any = list(rows) or [struct()]
     values: list[Any] = [row.__ctype__() for row in instances]
     packed: Any = (values[0].__class__ * len(values))(*values)
-    address = ctypes.addressof(packed)
-    table = DeviceArray(shape=len(rows), dtype=struct, device=device)
-    table.assign(DeviceArray(ptr=address, dtype=struct, shape=len(rows), device="cpu", copy=False))
+    address, count = ctypes.addressof(packed), len(values)
+    table = DeviceArray(shape=count, dtype=struct, device=device)
+    table.assign(DeviceArray(ptr=address, dtype=struct, shape=count, device="cpu", copy=False))
     table.kept = instances
     return table

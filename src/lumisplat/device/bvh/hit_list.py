@@ -25,7 +25,7 @@ def empty_list(begin: int) -> HitList:
 
 
 @wp.func
-def keep_hit(hits: wp.array(dtype=Hit), kept: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
+def keep_hit(hits: wp.array[Hit], kept: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
     """Adds a hit to a list; if that is full, the farthest hit is dropped.
 
     Args:
@@ -51,7 +51,7 @@ def keep_hit(hits: wp.array(dtype=Hit), kept: wp.ref[HitList], slots: int, hit: 
 
 
 @wp.func
-def move_to_begin(hits: wp.array(dtype=Hit), kept: wp.ref[HitList]):
+def move_to_begin(hits: wp.array[Hit], kept: wp.ref[HitList]):
     """Moves the hits of a list to its first slots."""
     shift = kept.head - kept.begin
     if shift > 0:
@@ -62,7 +62,7 @@ def move_to_begin(hits: wp.array(dtype=Hit), kept: wp.ref[HitList]):
 
 
 @wp.func
-def insert_hit(hits: wp.array(dtype=Hit), kept: wp.ref[HitList], hit: Hit):
+def insert_hit(hits: wp.array[Hit], kept: wp.ref[HitList], hit: Hit):
     """Puts a hit in its place in a list that has a free slot."""
     head = kept.head
     j = int(kept.tail)

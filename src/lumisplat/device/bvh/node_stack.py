@@ -23,13 +23,13 @@ NodeStackStorage = storage_of(WaitingNode, TRAVERSE_STACK)
 
 
 @wp.func
-def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array(dtype=WaitingNode):
+def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
     """The stack whose nodes lie in a variable."""
     return wp.array(ptr=wp.address_of(storage), shape=(STACK,), dtype=WaitingNode)
 
 
 @wp.func
-def push_root(stack: wp.array(dtype=WaitingNode)) -> int:
+def push_root(stack: wp.array[WaitingNode]) -> int:
     """Makes the root of the tree over the instances all that waits; returns the height of the stack, 1."""
     root = WaitingNode()
     root.instance = WORLD
@@ -39,7 +39,7 @@ def push_root(stack: wp.array(dtype=WaitingNode)) -> int:
 
 @wp.func
 def push_children(
-    stack: wp.array(dtype=WaitingNode),
+    stack: wp.array[WaitingNode],
     top: wp.ref[int],
     leaves: wp.ref[ChildLinks],
     node: Node,
@@ -86,7 +86,7 @@ def push_children(
 
 
 @wp.func
-def insert_node(stack: wp.array(dtype=WaitingNode), base: int, top: int, node: WaitingNode, order: float):
+def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: WaitingNode, order: float):
     """Puts a node in its place among its siblings, which lie from ``base`` up to ``top``."""
     j = int(top)
     while j > base and order * stack[j - 1].entry < order * node.entry:
@@ -96,7 +96,7 @@ def insert_node(stack: wp.array(dtype=WaitingNode), base: int, top: int, node: W
 
 
 @wp.func
-def set_floors(stack: wp.array(dtype=WaitingNode), base: int, top: int):
+def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
     """Sets the floors of siblings, which lie from ``base`` up to ``top``."""
     below = float(FAR)
     if base > 0:

@@ -81,7 +81,7 @@ def packet_of(lanes: int) -> RayPacket:
         return packet
 
     @wp.func
-    def ends_of(rays: RayData, limits: wp.array(dtype=float), first: int) -> Floats:
+    def ends_of(rays: RayData, limits: wp.array[float], first: int) -> Floats:
         """Where rays end, at most FAR; -FAR for those that are not active or end before they begin."""
         ends = Floats(-FAR)
         for lane in range(LANES):
@@ -191,7 +191,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def visit_node(
-        stack: wp.array(dtype=WaitingNode),
+        stack: wp.array[WaitingNode],
         top: wp.ref[int],
         leaves: wp.ref[ChildLinks],
         place: wp.ref[PacketPlace],

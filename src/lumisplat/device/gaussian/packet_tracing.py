@@ -50,12 +50,12 @@ class RayProgress:
 class TracedPacket:
     """A packet while it is traced, one lane a ray; local arrays of the kernel."""
 
-    rays: wp.array(dtype=RayProgress)
-    hits: wp.array(dtype=Hit)
+    rays: wp.array[RayProgress]
+    hits: wp.array[Hit]
     """The slots of the lists of all rays."""
-    cut_t: wp.array(dtype=float)
+    cut_t: wp.array[float]
     """Hits from (cut_t, cut_index) on are left to another pass."""
-    cut_index: wp.array(dtype=int)
+    cut_index: wp.array[int]
 
 
 @wp.func
@@ -70,7 +70,7 @@ def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
 @wp.func
 def blend_hits(
     progress: wp.ref[RayProgress],
-    hits: wp.array(dtype=Hit),
+    hits: wp.array[Hit],
     bound: float,
     config: TraceData,
     scene: SceneBvh,

@@ -29,7 +29,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 class Absorption:
     """What a packet has passed so far, one lane a ray; local arrays of the kernel."""
 
-    transmittance: wp.array(dtype=float)
+    transmittance: wp.array[float]
     """0 for rays that are not of the packet."""
     tint: wp.array(dtype=float, ndim=2)
     """Sum of linear colours, weighted by alpha: red, green and blue by lane."""
@@ -39,12 +39,12 @@ class Absorption:
 class FirstHits:
     """The nearest hits of a packet, one lane a ray; local arrays of the kernel."""
 
-    lists: wp.array(dtype=HitList)
-    hits: wp.array(dtype=Hit)
+    lists: wp.array[HitList]
+    hits: wp.array[Hit]
     """The slots of the lists of all rays."""
-    cut_t: wp.array(dtype=float)
+    cut_t: wp.array[float]
     """Hits from (cut_t, cut_index) on do not count."""
-    cut_index: wp.array(dtype=int)
+    cut_index: wp.array[int]
 
 
 @wp.func
@@ -67,7 +67,7 @@ def begin_first_hits(first_hits: FirstHits):
 
 
 @wp.func
-def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array(dtype=wp.bool), first: int):
+def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array[wp.bool], first: int):
     """Lets the Gaussians of an instance count up to the rays' limits; on rays that skip it, none of them does."""
     for lane in range(packet.t_max.shape[0]):
         is_skipped = instance.shadow_only != 0 and skips[first + lane]
@@ -94,7 +94,7 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 
 
 @wp.func
-def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array(dtype=Hit), kept: HitList) -> wp.vec3:
+def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], kept: HitList) -> wp.vec3:
     """Factor of the light that comes through the hits of a list."""
     transmittance = float(1.0)
     tint = wp.vec3()

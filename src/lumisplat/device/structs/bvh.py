@@ -73,10 +73,10 @@ class AssetBvh:
 class SceneBvh:
     """What rays traverse: a tree over the instances, whose leaves stand for the trees of their assets."""
 
-    tlas_nodes: wp.array(dtype=Node)
+    tlas_nodes: wp.array[Node]
     """Top level: the tree over the instances, the root first."""
-    instances: wp.array(dtype=SplatInstanceData)
-    assets: wp.array(dtype=AssetBvh)
+    instances: wp.array[SplatInstanceData]
+    assets: wp.array[AssetBvh]
     packet_radius: float
     """Rays that start farther apart than this are not traced together, world space."""
 
@@ -101,9 +101,9 @@ class ShadowData:
     """Its number, which stochastic shadows depend on."""
 
 
-STRATEGY_SORTED = wp.constant(0)
-STRATEGY_HIT = wp.constant(1)
-STRATEGY_PASS = wp.constant(2)
+STRATEGY_SORTED: int = wp.constant(0)
+STRATEGY_HIT: int = wp.constant(1)
+STRATEGY_PASS: int = wp.constant(2)
 
 
 @struct

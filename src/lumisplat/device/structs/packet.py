@@ -35,10 +35,10 @@ class PacketRays:
     origin: wp.array(dtype=float, ndim=2)
     """x, y and z by lane, in the space of the tree that is traversed."""
     direction: wp.array(dtype=float, ndim=2)
-    t_min: wp.array(dtype=float)
-    limit: wp.array(dtype=float)
+    t_min: wp.array[float]
+    limit: wp.array[float]
     """How far the ray is traced; -FAR: no farther, or not at all."""
-    t_max: wp.array(dtype=float)
+    t_max: wp.array[float]
     """Gaussians of the tree that is traversed count up to here; -FAR: none does."""
 
 

@@ -57,14 +57,16 @@ class BvhScene:
         """Memory of the BVHs, bytes."""
         return self._buffers.bytes + sum(held.bvh.bytes for held in self._held)
 
-    def data(self, instances: Any) -> SceneBvh:
+    def data(self, instances: DeviceArray) -> SceneBvh:
         """What kernels traverse.
 
         Args:
             instances: The scene's, an array of SplatInstanceData.
         """
         row = SceneBvh()
-        row.tlas_nodes, row.instances, row.assets = self.tlas_nodes, instances, self.assets
+        row.tlas_nodes, row.instances = self.tlas_nodes, instances
+        if self.assets is not None:
+            row.assets = self.assets
         row.packet_radius = self.packet_radius
         return row
 
@@ -89,7 +91,7 @@ class BvhScene:
             self._placed = None
             try:
                 self._held = [self._bvh_of(place, assets, before, config) for place in range(len(assets))]
-                rows = self._asset_rows() or [AssetBvh()]  # an array without elements has no address
+                rows = self._asset_rows()
                 self.assets = upload_structs(rows, AssetBvh, self._launcher.device)
             except DeviceError:
                 raise

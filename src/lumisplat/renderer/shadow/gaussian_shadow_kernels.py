@@ -48,12 +48,12 @@ def shadow_kernel(lanes: int) -> Any:
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def shadow_by_all(
         start: int,
-        settings: wp.array(dtype=ShadowData),
+        settings: wp.array[ShadowData],
         scene: SceneBvh,
         rays: RayData,
-        limits: wp.array(dtype=float),
-        skips: wp.array(dtype=wp.bool),
-        light_inout: wp.array(dtype=wp.vec3),
+        limits: wp.array[float],
+        skips: wp.array[wp.bool],
+        light_inout: wp.array[wp.vec3],
     ):
         """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES
@@ -114,12 +114,12 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def shadow_by_first_hits(
         start: int,
-        settings: wp.array(dtype=ShadowData),
+        settings: wp.array[ShadowData],
         scene: SceneBvh,
         rays: RayData,
-        limits: wp.array(dtype=float),
-        skips: wp.array(dtype=wp.bool),
-        light_inout: wp.array(dtype=wp.vec3),
+        limits: wp.array[float],
+        skips: wp.array[wp.bool],
+        light_inout: wp.array[wp.vec3],
     ):
         """Multiplies the light of each ray with what the nearest Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES

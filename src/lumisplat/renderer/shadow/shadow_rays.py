@@ -67,8 +67,8 @@ class ShadowRays:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
         bvh = scene.bvh.data(scene.splat_instances)
-        if self._is_stochastic:
-            bvh.assets = self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
+        if self._is_stochastic and (assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)):
+            bvh.assets = assets
         run(
             self._kernel,
             count // self._lanes,

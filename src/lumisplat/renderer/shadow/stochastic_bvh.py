@@ -76,4 +76,4 @@ class StochasticBvh:
             row = AssetBvh()
             row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
             rows.append(row)
-        return upload_structs(rows or [AssetBvh()], AssetBvh, self._launcher.device)
+        return upload_structs(rows, AssetBvh, self._launcher.device)

@@ -47,10 +47,10 @@ def gaussian_trace_kernel(lanes: int) -> Any:
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def trace_gaussians(
         start: int,
-        settings: wp.array(dtype=TraceData),
+        settings: wp.array[TraceData],
         scene: SceneBvh,
         rays: RayData,
-        limits: wp.array(dtype=float),
+        limits: wp.array[float],
         radiance_out: GaussianHits,
     ):
         """Blends the Gaussians up to the end of each ray."""
