@@ -140,4 +140,4 @@ def _required(values: FloatArray | None) -> FloatArray:
 
 
 def _ignore(step: str, share: float) -> None:
-    """Progress that nobody watches."""
+    """Ignores progress."""

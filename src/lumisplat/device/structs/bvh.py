@@ -88,9 +88,9 @@ class ShadowData:
     hits: int
     """How many of the nearest Gaussians count; read where not all do."""
     stochastic: int
-    """1: Gaussians block all or nothing, by chance."""
+    """1: Gaussians block a ray wholly or not at all, at random."""
     hull: int
-    """1: Gaussians are hit where rays enter their ellipsoid, which tells the first ones."""
+    """1: Gaussians are hit where rays enter their ellipsoid, which decides the first ones."""
     transmittance_min: float
     """What does not let through more counts as black."""
     threshold: float
