@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from lumisplat.constants import HIT_COUNTS
-from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
+from lumisplat.device.bvh.hit_list import empty_list, insert_hit, is_before
 from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
@@ -231,12 +231,16 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
             if is_before(t[lane], hit.index, first_hits.cut_t[lane], first_hits.cut_index[lane]):
                 hit.t = t[lane]
                 hit.alpha = alpha[lane]
-                keep_hit(first_hits.hits, first_hits.lists[lane], config.hits, hit)
-                # The farthest hit of a full list is the cut: it is in the list, and none behind it will be.
+                # The farthest hit of a full list is the cut, so this one is nearer.
                 kept = first_hits.lists[lane]
-                if kept.tail == kept.begin + config.hits:
-                    first_hits.cut_t[lane] = first_hits.hits[kept.tail - 1].t
-                    first_hits.cut_index[lane] = first_hits.hits[kept.tail - 1].index
+                end = kept.begin + config.hits
+                if kept.tail == end:
+                    kept.tail -= 1
+                insert_hit(first_hits.hits, kept, hit)
+                first_hits.lists[lane] = kept
+                if kept.tail == end:
+                    first_hits.cut_t[lane] = first_hits.hits[end - 1].t
+                    first_hits.cut_index[lane] = first_hits.hits[end - 1].index
         return 1
 
     return PacketFirstHits(FirstHitsStorage, first_hits_of, keep_first_hits)
