@@ -508,3 +508,12 @@ SEQUENCE_FRAMES_KEPT = 2
 
 SEQUENCE_TIME_SLACK = 1e-6
 """Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""
+
+# --- Compilation ---
+
+FUSED_FLAGS = (
+    "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
+    " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4"
+)
+"""Flags for CPU kernels that gain from fused multiply-adds; but for that, Warp's defaults. One string for all modules:
+Warp precompiles its header once per string, which takes seconds."""

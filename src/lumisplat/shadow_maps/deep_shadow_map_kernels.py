@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.shadow_map.atlas import atlas_from_world, ray_through, texel_coordinates, texel_number
 from lumisplat.device.shadow_map.culling import bounded_cell, footprint_of, list_begin, may_intersect
 from lumisplat.device.shadow_map.lookup import may_be_shadowed, sample_point, sample_weight
@@ -24,7 +25,7 @@ from lumisplat.device.structs.shadow_map import (
 wp.set_module_options(
     {
         "enable_backward": False,
-        "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000",
+        "cpu_compiler_flags": FUSED_FLAGS,
     }
 )
 

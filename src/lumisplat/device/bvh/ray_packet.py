@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD
+from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS
 from lumisplat.device.bvh.node_stack import push_children
 from lumisplat.device.bvh.node_test import enter_children, larger, slabs_around
 from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Node, SceneBvh
@@ -23,8 +23,7 @@ PACKET_OPTIONS = {
     "enable_backward": False,
     # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds are to be fused.
     "max_unroll": 4,
-    "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
-    " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
+    "cpu_compiler_flags": FUSED_FLAGS,
 }
 """Of the modules that trace packets."""
 

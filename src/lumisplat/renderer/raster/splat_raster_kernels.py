@@ -11,7 +11,7 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, TILE_PX
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, FUSED_FLAGS, TILE_PX
 from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
 from lumisplat.device.gaussian.compositing import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_pixel
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
@@ -35,9 +35,8 @@ wp.set_module_options(
         "enable_backward": False,
         # The row loop must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no faster.
         "max_unroll": 4,
-        # Fused multiply-adds across Warp's operator functions: 16 % off the composite. The rest are Warp's defaults.
-        "cpu_compiler_flags": "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
-        " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4",
+        # Fused multiply-adds across Warp's operator functions: 16 % off the composite.
+        "cpu_compiler_flags": FUSED_FLAGS,
     }
 )
 
