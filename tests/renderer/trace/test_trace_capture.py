@@ -50,8 +50,14 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("width", [80, pytest.param(160, marks=pytest.mark.deep)])
-@pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
+@pytest.mark.parametrize(
+    ("strategy", "width"),
+    [
+        (ls.TraceStrategy.STOCHASTIC_HIT, 80),
+        pytest.param(ls.TraceStrategy.STOCHASTIC_HIT, 160, marks=pytest.mark.deep),
+        pytest.param(ls.TraceStrategy.STOCHASTIC_PASS, 160, marks=pytest.mark.deep),
+    ],
+)
 def test_stochastic_frames_converge(data_dir: Path, strategy: ls.TraceStrategy, width: int) -> None:
     """The mean of 256 is 40 dB from the sorted frame, of 64 six less: the error falls as the root of their number."""
     scene, camera = view_of(data_dir, "biker.compressed.ply", width)
