@@ -12,9 +12,7 @@ import dataclasses
 import hashlib
 import importlib
 import inspect
-import json
 import re
-import zlib
 from collections.abc import Callable
 from datetime import date
 from enum import Enum
@@ -26,7 +24,7 @@ import numpy as np
 
 from lumisplat.io.files.atomic import atomic_write
 
-PATH = Path(__file__).parents[1] / "reference" / "twins.bin"
+PATH = Path(__file__).parents[1] / "reference" / "twins.npz"
 COMMAND = "python tools/make_twins.py"
 TENTH = date.today().toordinal() % 10
 """Results whose hash ends in this, modulo ten, are computed anew today."""
@@ -115,41 +113,29 @@ def source_of(module: str) -> bytes:
     return "".join(texts).encode()
 
 
-# --- The file: compressed JSON that says what there is, and one array of float32 ---
+# --- The file: arrays named HASH.NAME, numbers in single precision ---
 
 
 @cache
 def stored() -> dict[str, Result]:
     """All stored results by the first 16 digits of their hash, in double precision."""
-    if not PATH.exists():
-        return {}
-    content = zlib.decompress(PATH.read_bytes())
-    length = int.from_bytes(content[:4], "little")
-    index = json.loads(content[4 : 4 + length])
-    # Bytes of equal weight lie together: so they compress better.
-    values = np.frombuffer(content[4 + length :], np.uint8).reshape(4, -1).T.copy().view(np.float32)[:, 0]
     results: dict[str, Result] = {}
-    first = 0
-    for key, arrays in index.items():
-        results[key] = {}
-        for name, dtype, shape in arrays:
-            count = int(np.prod(shape))
-            results[key][name] = values[first : first + count].reshape(shape).astype(dtype)
-            first += count
+    if PATH.exists():
+        with np.load(PATH) as file:
+            for entry, values in file.items():
+                key, name = entry.split(".")
+                exact = values.astype(np.float64) if values.dtype.kind == "f" else values
+                results.setdefault(key, {})[name] = exact
     return results
 
 
 def store(results: dict[str, Result]) -> int:
     """Replaces all stored results; returns the size of the file."""
-    results = dict(sorted(results.items()))
-    index = {
-        key: [(name, str(values.dtype), values.shape) for name, values in result.items()]
-        for key, result in results.items()
+    arrays = {
+        f"{key}.{name}": values.astype(np.float32) if values.dtype.kind == "f" else values
+        for key, result in sorted(results.items())
+        for name, values in result.items()
     }
-    text = json.dumps(index, separators=(",", ":")).encode()
-    floats = [values.astype(np.float32).ravel() for result in results.values() for values in result.values()]
-    values = np.concatenate([np.zeros(0, np.float32), *floats])
-    content = len(text).to_bytes(4, "little") + text + values.view(np.uint8).reshape(-1, 4).T.tobytes()
-    with atomic_write(PATH) as written:
-        written.write_bytes(zlib.compress(content, 9))
+    with atomic_write(PATH) as written, written.open("wb") as file:
+        np.savez_compressed(file, **arrays)
     return PATH.stat().st_size
