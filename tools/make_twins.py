@@ -17,16 +17,18 @@ sys.path.insert(0, str(TESTS))
 
 def main() -> int:
     """Runs the tests that read stored twins, deep ones too, and stores what was computed if they pass."""
-    from support.twins import PATH, TWINS, store
+    from support.twins import FOLDER, TWINS, store
 
     asking = [str(path) for path in sorted(TESTS.rglob("test_*.py")) if "TWINS.result(" in path.read_text()]
-    PATH.unlink(missing_ok=True)
+    store({})
     failed = pytest.main(["-q", "-m", "", "--recompute-twins", *asking])
     if failed:
-        print(f"nothing is stored: a test fails; `git checkout {PATH.relative_to(TESTS.parent)}` brings back what was")
+        print(
+            f"a test fails, so nothing is stored: `git checkout {FOLDER.relative_to(TESTS.parent)}` brings back the old"
+        )
         return int(failed)
     size = store(TWINS.computed)
-    print(f"{len(TWINS.computed)} results, {size / 2**20:.2f} MiB in {PATH.relative_to(TESTS.parent)}")
+    print(f"{len(TWINS.computed)} results, {size / 2**20:.2f} MiB in {FOLDER.relative_to(TESTS.parent)}")
     return 0
 
 

@@ -22,9 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.io.files.atomic import atomic_write
-
-PATH = Path(__file__).parents[1] / "reference" / "twins.npz"
+FOLDER = Path(__file__).parents[1] / "reference" / "twins"
 COMMAND = "python tools/make_twins.py"
 TENTH = date.today().toordinal() % 10
 """Results whose hash ends in this, modulo ten, are computed anew today."""
@@ -50,7 +48,7 @@ class Twins:
             *arguments: Its arguments: dataclasses, arrays, numbers, text, and containers of these.
         """
         key = hashlib.sha256(source_of(compute.__module__) + described((compute.__qualname__, *arguments))).hexdigest()
-        found = stored().get(key[:16])
+        found = stored(key[:16])
         if found is not None and not self.recompute_all and int(key, 16) % 10 != TENTH:
             return found
         now = compute(*arguments)
@@ -113,29 +111,26 @@ def source_of(module: str) -> bytes:
     return "".join(texts).encode()
 
 
-# --- The file: arrays named HASH.NAME, numbers in single precision ---
+# --- Files: one a result, its arrays by name, numbers in single precision ---
 
 
-@cache
-def stored() -> dict[str, Result]:
-    """All stored results by the first 16 digits of their hash, in double precision."""
-    results: dict[str, Result] = {}
-    if PATH.exists():
-        with np.load(PATH) as file:
-            for entry, values in file.items():
-                key, name = entry.split(".")
-                exact = values.astype(np.float64) if values.dtype.kind == "f" else values
-                results.setdefault(key, {})[name] = exact
-    return results
+def stored(key: str) -> Result | None:
+    """A stored result, in double precision; None: it is not stored."""
+    path = FOLDER / f"{key}.npz"
+    if not path.exists():
+        return None
+    with np.load(path) as file:
+        return {
+            name: values.astype(np.float64) if values.dtype.kind == "f" else values for name, values in file.items()
+        }
 
 
 def store(results: dict[str, Result]) -> int:
-    """Replaces all stored results; returns the size of the file."""
-    arrays = {
-        f"{key}.{name}": values.astype(np.float32) if values.dtype.kind == "f" else values
-        for key, result in sorted(results.items())
-        for name, values in result.items()
-    }
-    with atomic_write(PATH) as written, written.open("wb") as file:
-        np.savez_compressed(file, **arrays)
-    return PATH.stat().st_size
+    """Replaces all stored results; returns their size, bytes."""
+    FOLDER.mkdir(exist_ok=True)
+    for path in FOLDER.glob("*.npz"):
+        path.unlink()
+    for key, result in results.items():
+        arrays = {name: np.float32(values) if values.dtype.kind == "f" else values for name, values in result.items()}
+        np.savez_compressed(FOLDER / f"{key}.npz", **arrays)
+    return sum(path.stat().st_size for path in FOLDER.glob("*.npz"))
