@@ -1,4 +1,4 @@
-"""Rows of lit frames as a table: what light has to do, by pipeline, and whether that keeps to its bars."""
+"""Rows of lit frames as a table, by kind of light and pipeline, and whether they reach their targets."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ BARS = {
     "light-raster-lit": ("deferred shading with 4 unshadowed lights", 1.4),
     "light-hybrid-hard": ("a hybrid frame with one hard shadow", 8.0),
 }
-"""What a frame may take, in unlit raster frames."""
+"""Largest ratio of a frame's time to that of an unlit raster frame."""
 DECIBELS_MIN, FASTER_MIN = 35.0, 2.0
 """Of 64 stochastic shadow samples against the exact shadow, and of one of them."""
 
 
 def light_lines(rows: list[dict], shadows: dict) -> list[str]:
-    """Markdown lines: the table, the bars, and how stochastic shadows converge."""
+    """Markdown lines: the table, the targets, and how stochastic shadows converge."""
     lines = [*table(rows), "", bars_line(rows)]
     for name, row in shadows.items():
         lines += ["", shadow_line(name, row)]
@@ -24,7 +24,7 @@ def light_lines(rows: list[dict], shadows: dict) -> list[str]:
 
 
 def table(rows: list[dict]) -> list[str]:
-    """Markdown lines; a cell has milliseconds, and in brackets how many unlit raster frames that is."""
+    """Markdown lines; a cell has milliseconds, and in brackets the ratio to an unlit raster frame."""
     found = {row["preset"]: row for row in rows}
     lines = ["| lit frames, ms | " + " | ".join(PIPELINES) + " |", "| --- |" + " ---: |" * len(PIPELINES)]
     for kind, label in KINDS.items():
@@ -38,14 +38,14 @@ def table(rows: list[dict]) -> list[str]:
 
 
 def bars_line(rows: list[dict]) -> str:
-    """The figures that have a target, in unlit raster frames."""
+    """The figures that have a target, as ratios to an unlit raster frame."""
     ratios = {row["preset"]: row["ratio"] for row in rows}
     figures = [
-        f"{label} {ratios[name]:.2f} ({'below' if ratios[name] < most else 'NOT below'} the {most:g} aimed at)"
+        f"{label} {ratios[name]:.2f} ({'below' if ratios[name] < most else 'NOT below'} the target of {most:g})"
         for name, (label, most) in BARS.items()
         if name in ratios
     ]
-    return "In unlit raster frames: " + ", ".join(figures) + "."
+    return "Frame times as multiples of an unlit raster frame's: " + ", ".join(figures) + "."
 
 
 def shadow_line(name: str, row: dict) -> str:
@@ -56,7 +56,7 @@ def shadow_line(name: str, row: dict) -> str:
     return (
         f"Stochastic shadows against exact ones, {name}, PSNR of the share of light that arrives: {steps}; "
         f"one sample takes {times['stochastic']:.0f} ms, {faster:.1f} times faster than {times['exact']:.0f} ms. "
-        f"Aimed at: {DECIBELS_MIN:g} dB with 64 samples, {FASTER_MIN:g} times faster."
+        f"Targets: {DECIBELS_MIN:g} dB with 64 samples, {FASTER_MIN:g} times faster."
     )
 
 

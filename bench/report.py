@@ -48,7 +48,7 @@ def print_table(rows: list[dict]) -> None:
 def write_document(
     path: Path, machine: dict, rows: list[dict], *, lit: list[dict], shadows: dict, quality: dict
 ) -> None:
-    """Replaces what lies between the two marks of the document by the tables and what they were measured with."""
+    """Replaces the text between the two marks of the document by the tables, and by the facts on the measurement."""
     before, _, after = path.read_text().split(MARK)
     views = {(row["gaussians"], row["width"]): row for row in rows if "peer" in row}.values()
     psnr = ", ".join(
@@ -78,16 +78,16 @@ def write_document(
 
 
 def quality_lines(quality: dict) -> list[str]:
-    """How stochastic frames converge, and what trees take."""
+    """How stochastic frames converge, and how long BVHs take to build and refit."""
     lines = []
     for strategy, row in quality["psnr_db"].items():
         steps = ", ".join(f"{samples} samples {value:.1f} dB" for samples, value in row.items())
         lines += [f"Mean of `{strategy}` frames against the sorted one, biker 640x360, PSNR: {steps}.", ""]
-    # A tree that is built anew takes the refit that found it too loose and the build.
+    # A rebuild takes the time of the refit that found the BVH too loose, and of the build.
     rebuilt = quality["strew_s"] > quality["build_s"]
     lines.append(
-        f"Tree of 1,000,000 Gaussians: built in {quality['build_s']:.2f} s, refitted in {quality['refit_s']:.2f} s "
-        f"where all move alike; where each moves at random by half its size, {'built anew' if rebuilt else 'refitted'} "
+        f"BVH of 1,000,000 Gaussians: built in {quality['build_s']:.2f} s, refitted in {quality['refit_s']:.2f} s "
+        f"if all move alike; if each moves at random by half its size, {'rebuilt' if rebuilt else 'refitted'} "
         f"in {quality['strew_s']:.2f} s."
     )
     return lines

@@ -50,7 +50,7 @@ def lines(facts: dict, found: dict) -> list[str]:
 
 
 def score_lines(name: str, rows: dict[str, dict]) -> list[str]:
-    """Means of the three scores, with the paper's where it has them, and what the map takes."""
+    """Means of the three scores, with those of the paper if it has them, and the map's times and memory."""
     head = [TITLES[name], "SAE ↓", "SM-IoU ↑", "BF 2 px ↑", "paper: SAE", "SM-IoU", "BF", "build", "sample", "memory"]
     out = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     for variant, row in rows.items():
@@ -63,7 +63,7 @@ def score_lines(name: str, rows: dict[str, dict]) -> list[str]:
 
 
 def timing_lines(rows: dict[str, dict]) -> list[str]:
-    """Builds with and without the two ways to do less."""
+    """Build times with and without the region and culling."""
     head = ["Build (4.4 D)", "seconds", "times both", "paper: seconds", "times both"]
     out = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     for variant, row in rows["build"].items():
@@ -76,14 +76,14 @@ def timing_lines(rows: dict[str, dict]) -> list[str]:
         "",
         f"The build of the table has {rows['casters']:,} casters, {rows['receivers']:,} receivers, "
         f"{rows['resolution']}x{rows['resolution']} texels and {rows['bins']} bins. With both, `rebuild` takes "
-        f"{rows['rebuild_s']:.2f} s; all receivers look at 8 points each in {rows['sample_s']:.2f} s. "
+        f"{rows['rebuild_s']:.2f} s; sampling 8 points of each receiver takes {rows['sample_s']:.2f} s. "
         f"With the default settings, a build takes {rows['default_build_s']:.2f} s, `rebuild` "
-        f"{rows['default_rebuild_s']:.2f} s and the look {rows['default_sample_s']:.2f} s.",
+        f"{rows['default_rebuild_s']:.2f} s and sampling {rows['default_sample_s']:.2f} s.",
     ]
 
 
 def write_section(path: Path, name: str, section: list[str]) -> None:
-    """Replaces what lies between the two marks of a table in the document."""
+    """Replaces the text between the two marks of a table in the document."""
     mark = MARK.format(name=name)
     before, _, after = path.read_text().split(mark)
     path.write_text(before + mark + "\n" + "\n".join(section) + "\n" + mark + after)
