@@ -92,8 +92,15 @@ class DeviceScene:
             self._camera, self.image_size = camera, (camera.width, camera.height)
             self.camera.assign(camera_table(camera, CENTER))
             if plan.is_sampled:
-                row, texture_first = self._shading_row(), self._meshes.texture_first
-                self._shading.sync(scene, camera, plan, row=row, assets=self.assets, texture_first=texture_first)
+                self._shading.sync(
+                    scene,
+                    camera,
+                    plan,
+                    row=self._shading_row(),
+                    assets=self.assets,
+                    texture_first=self._meshes.texture_first,
+                    version=self.version,
+                )
         if plan.follows_rays:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config)

@@ -41,8 +41,8 @@ class ShadingTables:
     def __init__(self, buffers: Buffers, config: RenderConfig, device: str) -> None:
         self._buffers, self._config, self._device = buffers, config, device
         self._table = LightTable()
-        self._attributes_of: list[int] | None = None
         self._attributes: DeviceArray
+        self._version: int | None = None
         self.data: Any = None
         """A 1-element ShadingScene array, for kernels; written by ``sync``."""
         self.lights: tuple[Light, ...] = ()
@@ -64,6 +64,7 @@ class ShadingTables:
         row: ShadingScene,
         assets: list[SplatAsset],
         texture_first: TextureFirst,
+        version: int,
     ) -> None:
         """Writes the tables.
 
@@ -74,11 +75,15 @@ class ShadingTables:
             row: With the camera's sample, the instances and the meshes; the rest is filled in.
             assets: The distinct Gaussian sets.
             texture_first: First texel of a texture among those of all meshes.
+            version: Changes with the arrays of assets.
         """
         self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit)
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()
         self.has_headlight = plan.is_lit and not scene.lights
-        self._sync_attributes(assets)
+        if version != self._version:
+            rows = [attribute_row(asset, self._device) for asset in assets]
+            self._attributes = upload_structs(rows, SplatAttributes, self._device)
+            self._version = version
         row.attributes = self._attributes
         materials = material_table(scene, texture_first, is_lit=plan.is_lit)
         row.materials = self._buffers.upload("shading.materials", MaterialData, materials)
@@ -86,13 +91,6 @@ class ShadingTables:
         row.lights = self._table.lights
         row.environment = self._table.environment
         self.data = upload_structs([row], ShadingScene, self._device)
-
-    def _sync_attributes(self, assets: list[SplatAsset]) -> None:
-        identities = [id(asset.data) for asset in assets]
-        if identities != self._attributes_of:
-            rows = [attribute_row(asset, self._device) for asset in assets]
-            self._attributes = upload_structs(rows, SplatAttributes, self._device)
-            self._attributes_of = identities
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
         config = self._config
