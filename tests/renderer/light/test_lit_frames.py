@@ -12,7 +12,7 @@ from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
 from support.compare.ways import WAYS, renderer_of
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
-from support.scenes.raster_scenes import one_gaussian, similarity
+from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians, similarity
 
 
 def checked(image: np.ndarray | None) -> np.ndarray:
@@ -217,6 +217,28 @@ def test_moving_a_lamp_needs_no_upload() -> None:
     renderer.render(left, camera())
     renderer.render(replace(assets, lights=()), camera())
     assert renderer._buffers.allocations == allocations
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_each_capture_has_its_own_roughness(pipeline: ls.Pipeline) -> None:
+    """A renderer that goes on to another capture lights it as a new renderer does: none of the first one is left."""
+    settings, view = ls.RenderConfig(pipeline=pipeline), front_camera()
+    warm = ls.create_renderer(settings, "cpu")
+    shown: list[np.ndarray] = []
+    for roughness in (0.1, 0.9, 0.3, 0.7):
+        # Scenes are temporary, so that a later one may lie where an earlier one did.
+        shown.append(warm.render(glossy(roughness), view).color)
+        np.testing.assert_array_equal(
+            shown[-1], ls.create_renderer(settings, "cpu").render(glossy(roughness), view).color
+        )
+    assert np.abs(shown[0] - shown[1]).max() > 0.01
+
+
+def glossy(roughness: float) -> ls.Scene:
+    """A capture whose Gaussians all have this roughness, relit by one lamp."""
+    gaussians = random_gaussians(5, count=60, roughness=np.full(60, roughness, np.float32))
+    lamp = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0, casts_shadow=False)
+    return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[lamp])
 
 
 def test_lights_of_all_kinds_leave_no_trace_when_off() -> None:
