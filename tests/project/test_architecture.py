@@ -242,7 +242,7 @@ ALLOCATORS |= {f"wp.{name}_like" for name in ("zeros", "empty", "full", "ones")}
 
 
 def test_frames_allocate_in_buffers_only() -> None:
-    """Device memory is asked for in buffers.py, and in upload.py and struct_tables.py for what is uploaded once."""
+    """Device memory is allocated in buffers.py, upload.py (assets) and struct_tables.py (structs of arrays)."""
     offenders = []
     for path in FILES:
         # In device code, wp.array(dtype=...) is the type of a parameter.
@@ -325,7 +325,7 @@ def test_the_rules_can_fail(tmp_path: Path) -> None:
 def test_offenders_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, source: str, offence: str
 ) -> None:
-    """Each rule, broken once, names what broke it."""
+    """Rules on imports, launches, device code and docstrings, each broken once, name what broke them."""
     package = tmp_path / "lumisplat"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / place).write_text(source)

@@ -25,7 +25,7 @@ import numpy as np
 FOLDER = Path(__file__).parents[1] / "reference" / "twins"
 COMMAND = "python tools/make_twins.py"
 TENTH = date.today().toordinal() % 10
-"""Results whose hash ends in this, modulo ten, are computed anew today."""
+"""Results whose hash is this modulo ten are computed anew today."""
 
 Result = dict[str, np.ndarray]
 

@@ -1,4 +1,4 @@
-"""Named device arrays that only grow: the only allocations of a frame."""
+"""Named device arrays that only grow, so that frames of one size allocate them once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Blending of what a ray meets, and the lottery of a stochastic pass (docs/method/ray_tracing.md#strategies)."""
+"""Blending of the Gaussians on a ray, and the random choice of a stochastic pass.
+
+The equations are in docs/method/ray_tracing.md#strategies.
+"""
 
 import warp as wp
 

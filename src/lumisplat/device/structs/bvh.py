@@ -21,7 +21,7 @@ WORLD = wp.constant(-1)
 
 @struct
 class Particle:
-    """A Gaussian as rays meet it, 64 bytes: one cache line."""
+    """A Gaussian as rays hit it, 64 bytes: one cache line."""
 
     canonical_from_object: wp.mat33
     """Inverse of rotation times scale."""
@@ -60,7 +60,7 @@ class Node:
 
 @struct
 class AssetBvh:
-    """A Gaussian set as rays meet it."""
+    """A Gaussian set as rays hit it."""
 
     nodes: wp.array[Node]
     """The root first."""

@@ -41,7 +41,7 @@ class MeshHits:
     """The nearest triangle on each ray."""
 
     t: wp.array[float]
-    """Its distance; without a hit, the ray's ``t_max``. At most ``t_min`` if there is no ray."""
+    """Its distance; without a hit, the ray's ``t_max``, which is undefined if there is no ray."""
     face: wp.array[int]
     """First triangle of the mesh in MeshData plus the triangle's own number; -1: none."""
     instance: wp.array[int]

@@ -43,7 +43,7 @@ class Surfaces:
             plan: The plan of the frame.
             hits: What the rays hit.
             number: How many specular bounces the rays have behind them.
-            weights: Weights of the rays, as `RayWave` has them; None in the primary wave.
+            weights: Weights of the rays, as `WaveData` has them; None in the primary wave.
             may_branch: Whether smooth meshes reflect and refract rays that are worth tracing.
         """
         with self._launcher.stage("shade"):

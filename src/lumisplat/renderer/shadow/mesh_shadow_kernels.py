@@ -10,7 +10,7 @@ from lumisplat.device.mesh.ray_triangle import meet_triangle, owns_crossing
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
-# As for all that meets triangles: fused products would let rays through shared edges.
+# As for all that intersects triangles: fused products would let rays through shared edges.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))

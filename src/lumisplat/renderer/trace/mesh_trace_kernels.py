@@ -1,4 +1,4 @@
-"""The nearest triangle on each ray. One item is one ray; it walks all mesh instances whose box it meets."""
+"""The nearest triangle on each ray. One item is one ray; it visits all mesh instances whose box it intersects."""
 
 import warp as wp
 

@@ -11,15 +11,18 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class RayWave:
-    """Rays, what they hit, and what they see. Later waves overwrite the hits, interactions and path weights."""
+    """Rays, what they hit, and what they see.
+
+    Later waves overwrite its interactions and path weights, and its rays and hits unless they are the primary ones.
+    """
 
     number: int
     """How often its rays have been reflected or refracted; 0: they come from the camera, or were given."""
     hits: PrimaryHits
     row: WaveData
-    """Where light reaches the rays; without elements in an unlit wave."""
+    """Its arrays, for host code."""
     data: DeviceArray
-    """The same on the device, of 1 element."""
+    """The same for kernels, 1 element."""
 
     @property
     def count(self) -> int:
