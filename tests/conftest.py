@@ -80,7 +80,7 @@ def one_thread_a_worker() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def demo_and_progress(tmp_path_factory: pytest.TempPathFactory) -> tuple[ls.Scene, list[float]]:
-    """The demo scene, built by the worker that asks for it first, and what its progress callback heard."""
+    """The demo scene, built by a worker that finds it missing, and what its progress callback heard."""
     folder = tmp_path_factory.getbasetemp()
     path = (folder.parent if IS_WORKER else folder) / "demo.pickle"
     if not path.exists():

@@ -7,20 +7,16 @@ direction from which light comes has a density above 0.
 The equations are in docs/method/lighting.md#environment.
 """
 
-import math
-
 import warp as wp
 
 from lumisplat.constants import ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
-from lumisplat.device.math.directions import PI, TWO_PI, angle_of
+from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, angle_of
 from lumisplat.device.structs.light import EnvironmentData, LightSample
 
 wp.set_module_options({"enable_backward": False})
 
-INV_PI = wp.constant(wp.float32(1.0 / math.pi))
 BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
-INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 
 @wp.func

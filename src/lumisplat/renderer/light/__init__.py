@@ -1,1 +1,1 @@
-"""Direct light at the interactions of a wave of rays."""
+"""The interactions of a wave of rays with surfaces, and direct light at them."""

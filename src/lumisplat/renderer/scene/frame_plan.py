@@ -1,4 +1,4 @@
-"""What a frame needs, decided once: all passes read the plan instead of the settings."""
+"""What a frame needs, decided once: which passes run is read from the plan, how they work from the settings."""
 
 from __future__ import annotations
 

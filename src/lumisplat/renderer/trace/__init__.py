@@ -1,1 +1,1 @@
-"""Primary hits by rays: through Gaussians, to meshes."""
+"""Rays and what they hit: primary hits, their tracing through Gaussians and to meshes, waves of rays."""
