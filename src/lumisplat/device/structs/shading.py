@@ -74,8 +74,6 @@ class ShadingSettings:
     camera_sees: int
     """What camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
     light_count: int
-    has_shadow_only: int
-    """1: some splat sets are shadow-only."""
     soft: int
     """1: lights are sampled over their extent."""
     shadow_offset: float

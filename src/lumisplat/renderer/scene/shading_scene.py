@@ -102,7 +102,6 @@ class ShadingTables:
             row["camera_sees"] = SEES_NOTHING
         elif self._table.environment.exists and self._table.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
-        row["has_shadow_only"] = plan.has_shadow_only
         row["light_count"] = self._table.count
         row["soft"] = config.shadows is Shadows.SOFT
         row["shadow_offset"] = config.shadow_rays.offset
