@@ -105,9 +105,10 @@ def source_of(module: str) -> bytes:
     for name in names:
         text = inspect.getsource(importlib.import_module(name))
         texts.append(text)
-        names += [
-            other for other in re.findall(r"^from (support\.oracles\.\w+) import", text, re.M) if other not in names
-        ]
+        others = re.findall(r"^from (support\.oracles\.\w+) import", text, re.M)
+        for line in re.findall(r"^from support\.oracles import (.*)", text, re.M):
+            others += [f"support.oracles.{name.strip()}" for name in line.split(",")]
+        names += [other for other in others if other not in names]
     return "".join(texts).encode()
 
 
