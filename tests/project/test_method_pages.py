@@ -56,7 +56,9 @@ def test_files_that_are_named_exist() -> None:
     assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in named if not any(ROOT.glob(name))]
 
 
-@pytest.mark.parametrize("page", [*METHOD, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [*METHOD, ROOT / "CONTRIBUTING.md", ROOT / "docs" / "architecture.md"], ids=lambda page: page.stem
+)
 def test_pages_name_files_of_the_package(page: Path) -> None:
     """Each page says where things are in the code, from the package's folder or the root, and all of it exists."""
     named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
