@@ -86,15 +86,15 @@ class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
     hits: int
-    """How many of the nearest Gaussians count; read where not all do."""
+    """How many of the nearest Gaussians count; read by shadows by first hits only."""
     stochastic: int
     """1: Gaussians block a ray wholly or not at all, at random."""
     hull: int
     """1: Gaussians are hit where rays enter their ellipsoid, which decides the first ones."""
     transmittance_min: float
-    """What does not let through more counts as black."""
+    """A transmittance up to this counts as black."""
     threshold: float
-    """What does not let through more counts as black, and the rest is stretched to 0..1."""
+    """A transmittance up to this counts as black, too, and the rest is stretched to 0..1."""
     color_strength: float
     seed: wp.uint32
     sample: int

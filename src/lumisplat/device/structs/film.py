@@ -46,6 +46,6 @@ class FilmData:
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
-    """Share of the captured colour that shadows leave; without elements where no set is only darkened."""
+    """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
     nonfinite: wp.array[int]
     """Samples of each pixel that were not finite."""

@@ -12,7 +12,7 @@ class Slabs:
 
     Six planes, up and down along three axes. As the packet widens, each bounds t by ``b * factor + term``, b being its
     distance from the box's plane: from above (far) where the packet leaves the slab through it, from below (near)
-    where it comes in. Factors and terms of the bound that a plane does not give make it void.
+    where it comes in. Where a plane gives no such bound, the factor is 0 and the term, ``void``, is FAR or -FAR.
     """
 
     low: wp.vec3

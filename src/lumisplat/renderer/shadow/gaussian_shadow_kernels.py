@@ -3,9 +3,9 @@
 One item is ``lanes`` consecutive rays, in packets of those that start and point alike, as in
 ``gaussian_trace_kernels``. Transmittances multiply, so nothing has to be in order, and the trees are traversed once.
 
-``shadow_by_all`` goes far from the points first: the Gaussians nearest to the light block it from all that is behind
-them, while around the points themselves there is much that hardly does. ``shadow_by_first_hits`` goes near first, and
-keeps the nearest hits in lists.
+``shadow_by_all`` visits the farthest children first: Gaussians at the far end of the rays end them sooner than those
+around the points do, many of which hardly absorb. ``shadow_by_first_hits`` visits the nearest ones first, and keeps the
+nearest hits in lists.
 
 The equations are in docs/method/shadows.md.
 """

@@ -1,4 +1,4 @@
-"""What of a light comes past meshes. One item is one ray."""
+"""How much of a light passes meshes. One item is one ray."""
 
 import warp as wp
 

@@ -76,7 +76,7 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     row["hits_kept"] = 1 if is_hit else hits_kept
     row["hull"] = config.hit_distance is HitDistance.HULL
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
-    # Ending early would bias a stochastic ray, which ends when its lottery is won: at 0.
+    # Ending early would bias a stochastic ray: it ends at a transmittance of 0 only.
     row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0
     # A stochastic hit is a surface, whatever the threshold.
     row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
