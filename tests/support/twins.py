@@ -132,6 +132,8 @@ def store(results: dict[str, Result]) -> int:
     for path in FOLDER.glob("*.npz"):
         path.unlink()
     for key, result in results.items():
-        arrays = {name: np.float32(values) if values.dtype.kind == "f" else values for name, values in result.items()}
+        arrays: dict[str, Any] = {
+            name: np.float32(values) if values.dtype.kind == "f" else values for name, values in result.items()
+        }
         np.savez_compressed(FOLDER / f"{key}.npz", **arrays)
     return sum(path.stat().st_size for path in FOLDER.glob("*.npz"))
