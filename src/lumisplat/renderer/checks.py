@@ -12,7 +12,7 @@ from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.scene.camera import Camera
+from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 
 
@@ -32,6 +32,20 @@ def check_camera(camera: object) -> None:
         raise SceneError(
             f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
         )
+
+
+def refuse_lens(camera: Camera) -> None:
+    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
+    problem = None
+    if camera.model is not CameraModel.PINHOLE:
+        problem = f"is {camera.model.value}"
+    elif camera.aperture > 0.0:
+        problem = f"has an aperture of {camera.aperture:g}"
+    elif camera.camera_from_world_end is not None:
+        problem = "has a rolling shutter"
+    if problem:
+        name = f" '{camera.name}'" if camera.name else ""
+        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
 
 
 def checked_config(config: RenderConfig | None) -> RenderConfig:

@@ -13,14 +13,14 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.checks import check_camera, check_resumable, check_scene, checked_config
+from lumisplat.renderer.checks import check_camera, check_resumable, check_scene, checked_config, refuse_lens
 from lumisplat.renderer.film.film import Film, images_of_pixels
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
-from lumisplat.renderer.raster.raster_limits import RasterWarnings, refuse_lens
+from lumisplat.renderer.raster.raster_limits import RasterWarnings
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
 from lumisplat.renderer.ray_queries import RayHits, RayQueries, checked_distances, checked_rays

@@ -47,7 +47,7 @@ def edge_side(a: wp.vec2, b: wp.vec2) -> float:
 
 
 @wp.func
-def meet_triangle(
+def intersect_triangle(
     origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
 ) -> TriangleHit:
     """The hit of the ray's line on a triangle, from either side.

@@ -1,29 +1,13 @@
-"""Limits of the rasteriser: scenes and cameras that it refuses, or draws differently and logs once."""
+"""Limits of the rasteriser: scenes that it draws differently, which it logs once."""
 
 from __future__ import annotations
 
 import logging
 
 from lumisplat.constants import KERNEL_DEGREE
-from lumisplat.errors import SceneError
-from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")
-
-
-def refuse_lens(camera: Camera) -> None:
-    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
-    problem = None
-    if camera.model is not CameraModel.PINHOLE:
-        problem = f"is {camera.model.value}"
-    elif camera.aperture > 0.0:
-        problem = f"has an aperture of {camera.aperture:g}"
-    elif camera.camera_from_world_end is not None:
-        problem = "has a rolling shutter"
-    if problem:
-        name = f" '{camera.name}'" if camera.name else ""
-        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
 
 
 class RasterWarnings:

@@ -6,7 +6,7 @@ from lumisplat.constants import EDGE_WEIGHT_MAX
 from lumisplat.device.light.shadow import pass_straight
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
-from lumisplat.device.mesh.ray_triangle import meet_triangle, owns_crossing
+from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
@@ -17,7 +17,7 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 
 @wp.kernel
-def shade_by_meshes(
+def shadow_by_meshes(
     start: int,
     opaque: bool,
     instances: wp.array[MeshInstanceData],
@@ -49,7 +49,7 @@ def shade_by_meshes(
                     v0 = meshes.positions[corners[0]]
                     v1 = meshes.positions[corners[1]]
                     v2 = meshes.positions[corners[2]]
-                    hit = meet_triangle(ray.origin, ray.direction, ray.shear, v0, v1, v2)
+                    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, v0, v1, v2)
                     t = ray.begin + hit.t
                     if t > 0.0 and t < t_max:
                         share = wp.vec3(0.0)

@@ -85,7 +85,7 @@ class ShadowRays:
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
         self._launcher.run_banded(
-            mesh_shadow_kernels.shade_by_meshes,
+            mesh_shadow_kernels.shadow_by_meshes,
             count,
             *(opaque, scene.mesh_instances, scene.mesh_data, rays, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
-from lumisplat.device.mesh.ray_triangle import meet_triangle
+from lumisplat.device.mesh.ray_triangle import intersect_triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
@@ -46,7 +46,7 @@ def find_mesh_hits(
             item = int(0)
             while wp.bvh_query_next(query, item, limit):
                 corners = meshes.indices[instance.face_first + item]
-                hit = meet_triangle(
+                hit = intersect_triangle(
                     ray.origin,
                     ray.direction,
                     ray.shear,
