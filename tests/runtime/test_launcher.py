@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def test_interrupted_bands_are_waited_for() -> None:
             finished.append(inputs[0])
 
     with pytest.raises(KeyboardInterrupt):
-        Failing("cpu", threads=2).run_banded(None, 2)
+        Failing("cpu", threads=2).run_banded(cast(Any, None), 2)
     assert finished == [1]
 
 
@@ -128,7 +129,7 @@ def test_load_says_what_does_not_compile(threads: int, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(wp, "load_module", load)
     with pytest.raises(RuntimeError, match="no such function"):
-        Launcher("cpu", threads=threads).load(["bad", *(f"good {i}" for i in range(100))])
+        Launcher("cpu", threads=threads).load(cast(Any, ["bad", *(f"good {i}" for i in range(100))]))
     assert len(loaded) < 50
 
 

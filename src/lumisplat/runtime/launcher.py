@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from types import ModuleType
@@ -88,7 +88,7 @@ class Launcher:
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, tuple[object, wp.Graph | None]] = {}
 
-    def load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
+    def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.
 
         Takes seconds at their first use on a machine; they are then cached on disk. Warp's compilers release the GIL.

@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster.binning import BinningChunked, BinningParallel, grown_capacity
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.graph_launcher import GraphLauncher
@@ -44,7 +44,7 @@ def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> No
     """Visible items come front to back, ties in their own order, culled ones never."""
     keys = random_keys(count, count)
     order = make_order(parallel)
-    result = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
+    result = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
     expected = np.argsort(keys, kind="stable")[: (keys < NONFINITE).sum()]
     np.testing.assert_array_equal(result.order.numpy()[: len(expected)], expected)
     assert order.finish()
@@ -57,7 +57,7 @@ def test_all_visible_and_none_visible(parallel: bool) -> None:
     """Nothing is lost at the ends: neither the last of all-visible items, nor a first of none."""
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)
-        order.sort(wp.array(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
+        order.sort(DeviceArray(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
         assert order.finish()
         assert order.counts.visible == expected
 
@@ -66,7 +66,7 @@ def test_all_visible_and_none_visible(parallel: bool) -> None:
 def test_keys_over_the_whole_range_sort(parallel: bool) -> None:
     """Three-digit keys, from the smallest denormal to the largest float, are ordered too."""
     depths = np.array([3.4e38, 1e-45, 1.0, 2.0, 1e-20, 1e20, 0.5], np.float32)
-    result = make_order(parallel).sort(wp.array(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
+    result = make_order(parallel).sort(DeviceArray(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
     np.testing.assert_array_equal(result.order.numpy()[: len(depths)], np.argsort(depths))
 
 
@@ -93,9 +93,9 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
         table[axis + "1"] = np.minimum(first + random.integers(0, 6, count), tiles)
     keys = random_keys(count, 1)
     table[keys >= NONFINITE] = 0
-    rects = wp.array(table, dtype=TileRect, device="cpu")
+    rects = DeviceArray(table, dtype=TileRect, device="cpu")
     order = make_order(parallel)
-    depth_order = order.sort(wp.array(keys, dtype=wp.uint32, device="cpu"))
+    depth_order = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
     lists = order.bin("raster", depth_order, rects, tiles_x, tiles_x * tiles_y)
     assert order.finish() != parallel  # 400 items start with room for 1024 pairs, fewer than there are
     order.begin()
@@ -114,7 +114,7 @@ def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
     tiles_x, tiles_y, count = 4096, 3, 180_000
     table = np.zeros(count, dtype=table_dtype(TileRect))
     table["x1"], table["y1"] = tiles_x, tiles_y
-    rects = wp.array(table, dtype=TileRect, device="cpu")
+    rects = DeviceArray(table, dtype=TileRect, device="cpu")
     order = make_order(parallel)
     with pytest.raises(DeviceError, match=r"needs 2,211,840,000 \(tile, item\) pairs"):
         order.bin("raster", order.unsorted(count), rects, tiles_x, tiles_x * tiles_y)

@@ -15,6 +15,7 @@ from lumisplat.renderer.scene import bvh_scene, splat_assets
 from lumisplat.renderer.scene.bvh_scene import tree_of_boxes
 from support.compare.images import assert_close, assert_images_alike
 from support.compare.ways import renderer_of
+from support.kinds import present
 from support.oracles.raster_oracle import rotation_from_quaternion
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, random_gaussians, similarity
 
@@ -173,7 +174,7 @@ def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -
         with pytest.raises(ls.DeviceError, match="no room"):
             renderer.render(ls.Scene([second]), view())
     renderer.render(ls.Scene([first]), view())
-    row = renderer._scene.bvh.assets.numpy()[0]["gaussians"]["rotations"]["data"]
+    row = present(renderer._scene.bvh.assets).numpy()[0]["gaussians"]["rotations"]["data"]
     assert row == renderer._scene.assets[0].data.rotations.ptr != freed.rotations.ptr
 
 

@@ -128,7 +128,7 @@ class RayRig:
         return rays
 
     def _record(self, rays: RayData, meshes: MeshHits) -> None:
-        active = rays.is_active.numpy()
+        active = np.asarray(rays.is_active.numpy(), bool)
         fields = ("origin", "direction", "path_length", "sample_key")
         wave = {name: getattr(rays, name).numpy()[active] for name in fields}
         self.waves.append(SimpleNamespace(**wave, t_max=meshes.t.numpy()[active]))

@@ -8,15 +8,13 @@ The equations are in docs/method/materials.md#smooth-surfaces.
 
 from __future__ import annotations
 
-from typing import cast
-
 import warp as wp
 
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import specular_wave_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
@@ -34,7 +32,7 @@ class SpecularWaves:
 
     def count(self, wave: RayWave) -> int:
         """Number of rays of the next wave. The host waits for it, so such a frame cannot be captured as a graph."""
-        branches, ends = cast(DeviceArray, wave.row.branches), cast(DeviceArray, wave.row.branch_ends)
+        branches, ends = device_array(wave.row.branches), device_array(wave.row.branch_ends)
         prefix_sum(branches, ends, inclusive=True)
         return int(ends[-1:].numpy()[0])
 
