@@ -19,6 +19,8 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 SCENES = light_scenes()
 SHARP = [name for name, one in SCENES.items() if one.shadows is ls.Shadows.HARD]
 SOFT = [name for name in SCENES if name not in SHARP]
+AGAIN = ("constant", "metal_sky")
+"""Scenes of the deep suite: daily tests have even light in closed form, and the sky on other materials."""
 DARK = 0.01
 """Share of an image's mean below which a pixel is not lit."""
 BLOCK = 12
@@ -80,7 +82,9 @@ def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipel
     assert_as_bright(ours[theirs.compared], theirs.image[theirs.compared], mean=0.001)
 
 
-@pytest.mark.parametrize("name", SOFT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
+)
 def test_lights_with_an_extent_light_as_in_mitsuba(name: str) -> None:
     """Rectangle, sphere, and environments, one even and one with a sun, turned about all axes.
 

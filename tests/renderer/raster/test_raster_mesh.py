@@ -63,7 +63,7 @@ def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
     return ls.Mesh(np.stack([x, y, z], axis=-1).reshape(-1, 3), faces)
 
 
-@pytest.mark.parametrize("count", [300, 1200])
+@pytest.mark.parametrize("count", [300, pytest.param(1200, marks=pytest.mark.deep)])
 def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None:
     """Triangles of a pixel and less, far from the eye, show their plane's depth, and leave no pixel out."""
     normal = np.array([0.5, -0.3, -1.0])
