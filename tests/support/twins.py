@@ -1,9 +1,9 @@
 """What float64 twins compute, stored: they take longer than all that they are compared with.
 
-A stored result is found by a hash of everything that it follows from: the arguments of its oracle and the source of the
-oracle and of those that it imports. So none can be stale, but for what an oracle takes from the package: therefore a
-tenth of the results, another one each day, is computed all the same and compared, and all are by `make test-deep`. A
-result that is not stored is computed; `tools/make_twins.py` stores it.
+A stored result is found by a hash of the arguments of its oracle and of the source of the oracle and of those that it
+imports. It can be stale only in what an oracle takes from the package, defaults of settings among it: therefore a tenth
+of the results, another one each day, is computed all the same and compared, and all are by `make test-deep`. A result
+that is not stored is computed; `tools/make_twins.py` stores it.
 """
 
 from __future__ import annotations

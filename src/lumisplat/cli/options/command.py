@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +19,15 @@ Flag = Annotated[bool, arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(ABC):
     """Options of every command."""
 
     debug: Flag = False
     """Show the traceback of an error."""
 
+    @abstractmethod
     def run(self) -> None:
         """Does what the command is for."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)

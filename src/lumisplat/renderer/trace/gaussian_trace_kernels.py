@@ -94,7 +94,7 @@ def gaussian_trace_kernel(lanes: int) -> Any:
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)
                                 reach = largest(traced.cut_t)
-                    # Hits before all nodes that wait are final. A stochastic hit is when none waits.
+                    # Hits nearer than all nodes on the stack are final; a stochastic hit is once the stack is empty.
                     bound = float(FAR)
                     if top > 0:
                         bound = wp.where(config.strategy == STRATEGY_HIT, -FAR, stack[top - 1].floor)
