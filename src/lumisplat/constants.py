@@ -433,6 +433,9 @@ ITEMS_MAX = 2**31 - 1
 TILE_PX = 16
 """Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""
 
+STRIP_PX = 8
+"""Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
+
 BLOCK_THREADS = 256
 """CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
 
@@ -461,7 +464,7 @@ RAY_BANDS_PER_THREAD = 32
 TILE_BANDS_PER_THREAD = 12
 """Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
 
-FINISHED_CHECK_INTERVAL = 32
+COMPOSITE_BATCH = 32
 """Splats composited in a tile between two checks of which pixels are still unfinished."""
 
 PAIR_SUM_THREADS = 4096

@@ -1,14 +1,16 @@
-"""Tiles of the image: their size, vectors of a tile's values, and the pixels of items."""
+"""Tiles of the image and the strips of their rows: sizes, vectors of a tile's values, and the pixels of items."""
 
 import warp as wp
 
-from lumisplat.constants import TILE_PX
+from lumisplat.constants import STRIP_PX, TILE_PX
 from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
 
 TILE = wp.constant(TILE_PX)
 TILE_PIXELS = wp.constant(TILE_PX * TILE_PX)
+STRIP = wp.constant(STRIP_PX)
+STRIPS = wp.constant(TILE_PX // STRIP_PX)
 
 TileFloats = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.float32)
 TileInts = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.int32)

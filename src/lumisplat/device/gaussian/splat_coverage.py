@@ -5,7 +5,7 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.device.camera.tiles import TILE
+from lumisplat.device.camera.tiles import STRIP, TILE
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import Splat, TileRect
@@ -51,6 +51,21 @@ def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
 
 
 @wp.func
+def touches_strip(splat: Splat, row_log_alpha: float, row_center: float, strip: int) -> bool:
+    """Whether a splat is visible at a pixel of a strip.
+
+    Args:
+        splat: The splat.
+        row_log_alpha: Logarithm of its largest alpha on the row.
+        row_center: Where on the row that is, px from the tile's left edge.
+        strip: The strip's number in the row.
+    """
+    left = float(strip * STRIP) + 0.5
+    dx = wp.clamp(row_center, left, left + float(STRIP - 1)) - row_center
+    return row_log_alpha - splat.along * dx * dx >= LOG_ALPHA_MIN
+
+
+@wp.func
 def log_alpha_at(splat: Splat, x: int, y: int) -> float:
     """Logarithm of a splat's alpha at a pixel, before it is limited."""
     dy = float(y) + 0.5 - splat.center[1]
@@ -72,3 +87,16 @@ def first_touching(splats: wp.array[Splat], tile_splats: wp.array[int], begin: i
         if log_alpha_at(splats[index], x, y) >= LOG_ALPHA_MIN:
             return index
     return -1
+
+
+@wp.func
+def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
+    """The first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
+
+    All are read, not just those up to the first: their memory is fetched at once, an eighth off the composite.
+    """
+    visible = int(begin)
+    for j in range(begin, end):
+        if splats[tile_splats[j]].depth < farthest:
+            visible += 1
+    return visible

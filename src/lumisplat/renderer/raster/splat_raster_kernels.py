@@ -1,9 +1,8 @@
 """Projection and compositing of splats.
 
 ``project_splats``: one item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
-``composite_tiles`` (CPU): one item is one tile; each splat visits its own rows, a row of 16 pixels at a time, so that
-the compiler turns the row into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is
-one tile. Both read the tile lists, write pixels or the hits of their rays, and share the functions of ``device/``.
+``composite_tiles`` (CPU): one item is one tile; each splat visits the strips of 8 pixels that it touches, which the
+compiler turns into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is one tile. Both read the tile lists, write pixels or the hits of their rays, and share the functions of ``device/``.
 ``sample_tiles`` and ``sample_pixels`` need no order: they select one splat a pixel at random.
 
 The equations are in docs/method/rasterisation.md.
@@ -11,8 +10,18 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FINISHED_CHECK_INTERVAL, FUSED_FLAGS, TILE_PX
-from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, TileFloats, TileInts, tile_corner, tile_pixel
+from lumisplat.constants import COMPOSITE_BATCH, DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS, TILE_PX
+from lumisplat.device.camera.tiles import (
+    STRIP,
+    STRIPS,
+    TILE,
+    TILE_PIXELS,
+    RowFloats,
+    TileFloats,
+    TileInts,
+    tile_corner,
+    tile_pixel,
+)
 from lumisplat.device.gaussian.compositing import blend, empty_pixel, opaque_pixel, store_gaussian_hits, store_pixel
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
 from lumisplat.device.gaussian.splat_coverage import (
@@ -21,7 +30,9 @@ from lumisplat.device.gaussian.splat_coverage import (
     log_alpha_at,
     rows_of,
     tile_range,
+    touches_strip,
     visible_alpha,
+    visible_end,
 )
 from lumisplat.device.math.random import draw, draw_mixed, mix, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
@@ -33,7 +44,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 wp.set_module_options(
     {
         "enable_backward": False,
-        # The row loop must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no faster.
+        # The loop over a strip must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no faster.
         "max_unroll": 4,
         # Fused multiply-adds across Warp's operator functions: 16 % off the composite.
         "cpu_compiler_flags": FUSED_FLAGS,
@@ -41,7 +52,7 @@ wp.set_module_options(
 )
 
 TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
-CHECK_INTERVAL = wp.constant(FINISHED_CHECK_INTERVAL)
+BATCH = wp.constant(COMPOSITE_BATCH)
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 
@@ -146,9 +157,14 @@ def composite_pixels(
 @wp.func
 def farthest_unfinished(transmittance: TileFloats, mesh_z: TileFloats) -> float:
     """View depth of the farthest mesh behind any unfinished pixel: splats from there on are hidden."""
+    of_columns = RowFloats(0.0)
+    for y in range(TILE):
+        for x in range(TILE):
+            z = wp.where(transmittance[y * TILE + x] > 0.0, mesh_z[y * TILE + x], 0.0)
+            of_columns[x] = wp.where(z > of_columns[x], z, of_columns[x])
     farthest = float(0.0)
-    for i in range(TILE_PIXELS):
-        farthest = wp.max(farthest, wp.where(transmittance[i] > 0.0, mesh_z[i], 0.0))
+    for x in range(TILE):
+        farthest = wp.max(farthest, of_columns[x])
     return farthest
 
 
@@ -166,7 +182,7 @@ def composite_tiles(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """The arithmetic of ``blend``, written as selections over rows of pixels.
+    """The arithmetic of ``blend``, written as selections over strips of pixels.
 
     Left whole: its loops share the tile's values, which a function would copy.
     """
@@ -194,42 +210,46 @@ def composite_tiles(
             transmittance[y * TILE + x] = 1.0
             mesh_z[y * TILE + x] = meshes.depth_z[(top + y) * view.width + left + x]
 
-    farthest = farthest_unfinished(transmittance, mesh_z)
-    j = int(tile_starts[tile])
-    end = int(tile_starts[tile + 1])
-    while j < end:
-        index = tile_splats[j]
-        splat = splats[index]
-        if splat.depth >= farthest:
+    begin = int(tile_starts[tile])
+    end = tile_starts[tile + 1]
+    while begin < end:
+        farthest = farthest_unfinished(transmittance, mesh_z)
+        visible = visible_end(splats, tile_splats, begin, wp.min(begin + BATCH, end), farthest)
+        for j in range(begin, visible):
+            index = tile_splats[j]
+            splat = splats[index]
+            covered = rows_of(splat, top, rows)
+            for y in range(covered[0], covered[1]):
+                dy = float(y) + 0.5 - (splat.center[1] - float(top))
+                row_log_alpha = splat.log_opacity - splat.across * dy * dy
+                row_center = splat.center[0] - float(left) + splat.shear * dy
+                for strip in range(STRIPS):
+                    if not touches_strip(splat, row_log_alpha, row_center, strip):
+                        continue
+                    left_x = strip * STRIP
+                    for x in range(STRIP):
+                        i = y * TILE + left_x + x
+                        dx = float(left_x + x) + 0.5 - row_center
+                        alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
+                        alpha = wp.where(splat.depth < mesh_z[i], alpha, 0.0)
+                        before = transmittance[i]
+                        weight = before * alpha
+                        after = before - weight
+                        weight = wp.where(after > t_min, weight, 0.0)
+                        red[i] = red[i] + weight * splat.color[0]
+                        green[i] = green[i] + weight * splat.color[1]
+                        blue[i] = blue[i] + weight * splat.color[2]
+                        normal_x[i] = normal_x[i] + weight * splat.normal[0]
+                        normal_y[i] = normal_y[i] + weight * splat.normal[1]
+                        normal_z[i] = normal_z[i] + weight * splat.normal[2]
+                        after = wp.where(after > t_min, after, -wp.abs(before))
+                        crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
+                        # Not a selection, which becomes a masked store, slow on many CPUs. It happens once.
+                        surface[i] = surface[i] + wp.where(crossed > 0.0, index + 1, 0)
+                        transmittance[i] = after
+        if visible < begin + BATCH:
             break
-        covered = rows_of(splat, top, rows)
-        for y in range(covered[0], covered[1]):
-            dy = float(y) + 0.5 - (splat.center[1] - float(top))
-            row_log_alpha = splat.log_opacity - splat.across * dy * dy
-            row_center = splat.center[0] - float(left) + splat.shear * dy
-            first = y * TILE
-            for x in range(TILE):
-                i = first + x
-                dx = float(x) + 0.5 - row_center
-                alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
-                alpha = wp.where(splat.depth < mesh_z[i], alpha, 0.0)
-                before = transmittance[i]
-                weight = before * alpha
-                after = before - weight
-                weight = wp.where(after > t_min, weight, 0.0)
-                red[i] = red[i] + weight * splat.color[0]
-                green[i] = green[i] + weight * splat.color[1]
-                blue[i] = blue[i] + weight * splat.color[2]
-                normal_x[i] = normal_x[i] + weight * splat.normal[0]
-                normal_y[i] = normal_y[i] + weight * splat.normal[1]
-                normal_z[i] = normal_z[i] + weight * splat.normal[2]
-                after = wp.where(after > t_min, after, -wp.abs(before))
-                crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
-                surface[i] = wp.where(crossed > 0.0, index, surface[i])
-                transmittance[i] = after
-        j += 1
-        if j % CHECK_INTERVAL == 0:
-            farthest = farthest_unfinished(transmittance, mesh_z)
+        begin = visible
 
     for y in range(rows):
         for x in range(columns):
@@ -293,7 +313,7 @@ def sample_tiles(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """The arithmetic of ``sample_pixels``, written as selections over rows of pixels."""
+    """The arithmetic of ``sample_pixels``, written as selections over strips of pixels."""
     tile = start + wp.tid()
     view = camera[0]
     sample = samples[0]
@@ -320,18 +340,19 @@ def sample_tiles(
             dy = float(y) + 0.5 - (splat.center[1] - float(top))
             row_log_alpha = splat.log_opacity - splat.across * dy * dy
             row_center = splat.center[0] - float(left) + splat.shear * dy
-            first = y * TILE
-            for x in range(TILE):
-                i = first + x
-                dx = float(x) + 0.5 - row_center
-                alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
-                alpha = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, 1.0, 0.0)
-                ahead = wp.where(splat.depth < nearest[i], 1, 0) | (
-                    wp.where(splat.depth == nearest[i], 1, 0) & wp.where(index < winner[i], 1, 0)
-                )
-                ahead = wp.where(alpha > 0.0, ahead, 0)
-                nearest[i] = wp.where(ahead != 0, splat.depth, nearest[i])
-                winner[i] = wp.where(ahead != 0, index, winner[i])
+            for strip in range(STRIPS):
+                if not touches_strip(splat, row_log_alpha, row_center, strip):
+                    continue
+                left_x = strip * STRIP
+                for x in range(STRIP):
+                    i = y * TILE + left_x + x
+                    dx = float(left_x + x) + 0.5 - row_center
+                    alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
+                    is_selected = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, 1, 0)
+                    depth = wp.where(is_selected != 0, splat.depth, wp.inf)
+                    comes_first = wp.where(depth == nearest[i], wp.where(index < winner[i], index - winner[i], 0), 0)
+                    winner[i] = winner[i] + wp.where(depth < nearest[i], index - winner[i], comes_first)
+                    nearest[i] = wp.min(depth, nearest[i])
 
     for y in range(rows):
         for x in range(columns):
