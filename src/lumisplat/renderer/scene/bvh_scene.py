@@ -15,7 +15,7 @@ from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.splat_assets import SplatAsset
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.gaussians import Gaussians
@@ -107,7 +107,7 @@ class BvhScene:
         self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
         self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
-        self.tlas_nodes.assign(nodes)
+        assign_table(self.tlas_nodes, nodes)
         self._placed = placed
 
     def _bvh_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:

@@ -16,7 +16,7 @@ from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -90,7 +90,7 @@ class DeviceScene:
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)
-            self.camera.assign(camera_table(camera, CENTER))
+            assign_table(self.camera, camera_table(camera, CENTER))
             if plan.is_sampled:
                 self._shading.sync(
                     scene,
@@ -108,8 +108,8 @@ class DeviceScene:
     def begin_sample(self, index: int, *, is_last: bool) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
         self._sample["index"], self._sample["is_last"] = index, is_last
-        self.sample.assign(self._sample)
-        self.camera.assign(camera_table(self._camera, subpixel(index if self._config.jitter else 0)))
+        assign_table(self.sample, self._sample)
+        assign_table(self.camera, camera_table(self._camera, subpixel(index if self._config.jitter else 0)))
 
     @property
     def tile_grid(self) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -37,13 +37,13 @@ class ShadowRays:
         self._stochastic_bvh = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
-        self._settings.assign(self._table)
+        assign_table(self._settings, self._table)
 
     def begin_sample(self, sample: int) -> None:
         """Before the rays of a sample: stochastic shadows are drawn anew for each."""
         if self._is_stochastic:
             self._table["sample"] = sample
-            self._settings.assign(self._table)
+            assign_table(self._settings, self._table)
             self._stochastic_bvh.begin_sample()
 
     def trace(

@@ -13,7 +13,7 @@ from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_S
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
-from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.buffers import Buffers, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -38,7 +38,7 @@ class GaussianTracer:
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         self._kernel = trace_kernel_of(launcher)
         self._settings = buffers.get("trace.settings", TraceData, 1)
-        self._settings.assign(trace_table(launcher, config.trace))
+        assign_table(self._settings, trace_table(launcher, config.trace))
 
     def find(self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
