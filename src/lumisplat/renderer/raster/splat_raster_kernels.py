@@ -2,9 +2,9 @@
 
 ``project_splats``: one item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
 ``composite_tiles`` (CPU): one item is one tile; each splat visits the strips of 8 pixels that it touches, which the
-compiler turns into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block one tile. Both
-read the tile lists, write pixels or the hits of their rays, and share the functions of ``device/``. ``sample_tiles`` and
-``sample_pixels`` need no order: they select one splat a pixel at random.
+compiler turns into vector instructions. ``composite_pixels`` (CUDA): one item is one pixel, one block is one tile. Both
+read the tile lists, write pixels or the hits of their rays, and share the functions of ``device/``.
+``sample_tiles`` and ``sample_pixels`` need no order: they select one splat a pixel at random.
 
 The equations are in docs/method/rasterisation.md.
 """
