@@ -17,7 +17,7 @@ from lumisplat.device.camera.tiles import (
     STRIPS,
     TILE,
     TILE_PIXELS,
-    RowFloats,
+    StripFloats,
     TileFloats,
     TileInts,
     tile_corner,
@@ -157,16 +157,13 @@ def composite_pixels(
 
 
 @wp.func
-def farthest_unfinished(transmittance: TileFloats, mesh_z: TileFloats) -> float:
-    """View depth of the farthest mesh behind any unfinished pixel: splats from there on are hidden."""
-    of_columns = RowFloats(0.0)
-    for y in range(TILE):
-        for x in range(TILE):
-            z = wp.where(transmittance[y * TILE + x] > 0.0, mesh_z[y * TILE + x], 0.0)
-            of_columns[x] = wp.where(z > of_columns[x], z, of_columns[x])
-    farthest = float(0.0)
-    for x in range(TILE):
-        farthest = wp.max(farthest, of_columns[x])
+def farthest_unfinished(transmittance: TileFloats, mesh_z: TileFloats) -> StripFloats:
+    """View depth of the farthest mesh behind any unfinished pixel of each strip: splats from there on are hidden."""
+    farthest = StripFloats(0.0)
+    for strip in range(TILE * STRIPS):
+        for x in range(STRIP):
+            z = wp.where(transmittance[strip * STRIP + x] > 0.0, mesh_z[strip * STRIP + x], 0.0)
+            farthest[strip] = wp.where(z > farthest[strip], z, farthest[strip])
     return farthest
 
 
@@ -216,7 +213,7 @@ def composite_tiles(
     end = tile_starts[tile + 1]
     while begin < end:
         farthest = farthest_unfinished(transmittance, mesh_z)
-        visible = visible_end(splats, tile_splats, begin, wp.min(begin + BATCH, end), farthest)
+        visible = visible_end(splats, tile_splats, begin, wp.min(begin + BATCH, end), wp.max(farthest))
         for j in range(begin, visible):
             index = tile_splats[j]
             splat = splats[index]
@@ -226,6 +223,8 @@ def composite_tiles(
                 row_log_alpha = splat.log_opacity - splat.across * dy * dy
                 row_center = splat.center[0] - float(left) + splat.shear * dy
                 for strip in range(STRIPS):
+                    if splat.depth >= farthest[y * STRIPS + strip]:
+                        continue
                     if not touches_strip(splat, row_log_alpha, row_center, strip):
                         continue
                     left_x = strip * STRIP
