@@ -126,11 +126,21 @@ class Launcher:
             self.run(kernel, count, 0, *inputs)
             return
         edges = [count * band // bands for band in range(bands + 1)]
-        jobs = [
-            self._pool.submit(self.run, kernel, end - start, start, *inputs) for start, end in itertools.pairwise(edges)
-        ]
+        pending = iter(list(itertools.pairwise(edges)))
+
+        def run_bands() -> None:
+            try:
+                for start, end in pending:
+                    self.run(kernel, end - start, start, *inputs)
+            finally:
+                for _ in pending:  # after an error, no further band starts
+                    pass
+
+        # This thread works, too: another one would have to wake up first.
+        jobs = [self._pool.submit(run_bands) for _ in range(min(self.threads, bands) - 1)]
         # After an interrupt, the arrays that bands still write to must outlive them.
         with _joined(jobs):
+            run_bands()
             for job in jobs:
                 job.result()
 
