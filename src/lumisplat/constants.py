@@ -464,6 +464,9 @@ RAY_BANDS_PER_THREAD = 32
 TILE_BANDS_PER_THREAD = 12
 """Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
 
+SHADE_BANDS_PER_THREAD = 4
+"""Bands a CPU thread gets when surfaces are shaded: where rays hit nothing there is little to do."""
+
 COMPOSITE_BATCH = 32
 """Splats composited in a tile between two checks of which pixels are still unfinished."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig, Shadows
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals
 from lumisplat.renderer.light import direct_light_kernels as kernels
@@ -66,17 +67,20 @@ class DirectLight:
         lights = [light for light in scene.lights.lights if no_shadows or not light.casts_shadow]
         analytic = sum(not isinstance(light, LightEnvironment) for light in lights) + scene.lights.has_headlight
         soft = self._config.shadows is Shadows.SOFT
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         if analytic and not soft:
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_hard_lights,
                 wave.count,
                 *(no_shadows, scene.shading, wave.data),
+                bands=bands,
             )
         if len(lights) > analytic or (soft and analytic):
             self._launcher.run_banded(
                 unshadowed_light_kernels.add_sampled_lights,
                 wave.count,
                 *(no_shadows, scene.shading, wave.data),
+                bands=bands,
             )
 
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
@@ -118,6 +122,7 @@ class DirectLight:
                 kernels.spawn_shadow_rays,
                 wave.count,
                 *(number, samples_bsdf, scene.shading, wave.data, shadow_rays, contributions),
+                bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
             )
         if not shadowed:
             return contributions, contributions

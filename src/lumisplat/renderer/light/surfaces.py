@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.shading import Interactions, RayRadiance, WaveData
 from lumisplat.renderer.light import surface_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -48,7 +49,12 @@ class Surfaces:
         """
         with self._launcher.stage("shade"):
             wave = self._wave(plan, hits, number, weights, may_branch)
-            self._launcher.run_banded(kernels.shade_surfaces, wave.count, scene.shading, wave.data)
+            self._launcher.run_banded(
+                kernels.shade_surfaces,
+                wave.count,
+                *(scene.shading, wave.data),
+                bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
+            )
         return wave
 
     def _wave(
