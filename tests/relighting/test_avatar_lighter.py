@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,19 @@ from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting import avatar_lighter
 from lumisplat.scene.lights import Light
+from lumisplat.scene.sampling.mesh_sampling import sample_surface
+from lumisplat.shadow_maps import casters
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
 
 SHADOW = ls.DeepShadowConfig(resolution=128, bins=32)
 LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
+
+
+@pytest.fixture(autouse=True)
+def few_discs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes cast as 4,000 Gaussians: the maps here would not show more, and more take seconds a mesh."""
+    monkeypatch.setattr(casters, "sample_surface", partial(sample_surface, count=4000))
 
 
 def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:

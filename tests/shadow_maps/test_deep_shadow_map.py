@@ -144,7 +144,13 @@ def test_culled_is_unculled(resolution: int, layout: ls.AtlasLayout, light: Any)
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
 
 
-@pytest.mark.parametrize("light", [(0.0, 0.0, -3.0), ls.LightDirectional((0.0, 0.0, 1.0))], ids=["point", "sun"])
+@pytest.mark.parametrize(
+    "light",
+    [
+        pytest.param((0.0, 0.0, -3.0), id="point"),
+        pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
+    ],
+)
 def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
     """Receivers whose farthest looks only meet the shadow are not passed over when casters are looked up by tiles."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)

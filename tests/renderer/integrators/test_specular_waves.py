@@ -265,7 +265,7 @@ def test_mirrors_do_not_see_themselves(rig: RayRig, name: str, scale: float, off
     assert np.isinf(reflected).all(), f"{np.isfinite(reflected).sum()} reflections hit the mirror again"
 
 
-@pytest.mark.parametrize("pose", ["turned", "sheared"])
+@pytest.mark.parametrize("pose", [pytest.param("turned", marks=pytest.mark.deep), "sheared"])
 @pytest.mark.parametrize(("scale", "offset"), SCALES)
 @pytest.mark.parametrize("name", ["cube", "ball", "needles"])
 def test_closed_mirrors_keep_light_in(rig: RayRig, name: str, scale: float, offset: float, pose: str) -> None:

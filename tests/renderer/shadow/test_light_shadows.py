@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from support.compare.images import assert_close
 from support.oracles.raster_oracle import rotation_from_quaternion
-from support.scenes.light_rig import PIPELINES, RAYS, above, floor, floor_points, lit, towards
+from support.scenes.light_rig import PIPELINES, above, floor, floor_points, lit, towards
 from support.scenes.light_scenes import ball_at, box, clear_glass, matte, parallelogram
 from support.scenes.raster_scenes import flat_sh, joined, one_gaussian, rotation
 
@@ -96,7 +96,13 @@ def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray
     return np.array(shares)
 
 
-@RAYS
+@pytest.mark.parametrize(
+    "pipeline",
+    [
+        pytest.param(ls.Pipeline.TRACE, id="trace"),
+        pytest.param(ls.Pipeline.HYBRID, id="hybrid", marks=pytest.mark.deep),
+    ],
+)
 def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
     """No light within the umbra, all of it beyond the penumbra, and in between the profile of the integral."""
     radius, center, lamp, height = 0.3, 0.5, 0.15, 2.0

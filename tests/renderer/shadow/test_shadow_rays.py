@@ -411,7 +411,7 @@ def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options:
     return total / samples
 
 
-@pytest.mark.parametrize("degree", [0, 2, 3])
+@pytest.mark.parametrize("degree", [0, 2, pytest.param(3, marks=pytest.mark.deep)])
 def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int) -> None:
     """Ray by ray within four standard deviations, and more tightly over all; instances share their trees."""
     asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)

@@ -265,7 +265,9 @@ def test_packets_show_what_single_rays_show(
 
 
 @pytest.mark.parametrize("normal_method", list(ls.NormalMethod))
-@pytest.mark.parametrize("hit_distance", list(ls.HitDistance))
+@pytest.mark.parametrize(
+    "hit_distance", [ls.HitDistance.PEAK, pytest.param(ls.HitDistance.HULL, marks=pytest.mark.deep)]
+)
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_packets_are_single_rays_to_the_bit(
     strategy: ls.TraceStrategy, hit_distance: ls.HitDistance, normal_method: ls.NormalMethod
