@@ -1,4 +1,4 @@
-"""Every kernel compiles for CUDA, on a machine without a GPU: Warp brings NVRTC along.
+"""Every kernel that runs on CUDA compiles for it, on a machine without a GPU: Warp brings NVRTC along.
 
 What it makes is kept in the kernel cache under a hash of the sources, so that a module is compiled when it changes.
 """
@@ -10,18 +10,17 @@ from typing import Any
 import pytest
 import warp as wp
 
-from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda, generated_modules, kernels_of, package_modules
+from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda, cuda_modules, generated_modules, kernels_of
 
-MODULES = {module.__name__: module for module in package_modules()}
+MODULES = {module.__name__: module for module in cuda_modules()}
 GENERATED = {module.name.partition("__")[0]: module for module in generated_modules(parallel=True)}
 """Made with as many rays a packet as CUDA uses."""
 
 
 def test_kernel_modules_are_found() -> None:
     """The lists are not empty by accident."""
-    assert {"lumisplat.renderer.raster.splat_raster_kernels", "lumisplat.renderer.raster.mesh_raster_kernels"} <= {
-        *MODULES
-    }
+    raster = {"splat_raster_kernels", "splat_pixel_kernels", "mesh_raster_kernels", "mesh_pixel_kernels"}
+    assert {f"lumisplat.renderer.raster.{name}" for name in raster} <= {*MODULES}
     assert {*GENERATED} == {"gaussian_trace_kernel", "shadow_kernel", "first_hits_shadow_kernel"}
 
 

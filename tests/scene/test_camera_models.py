@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lumisplat as ls
-from lumisplat.renderer.checks import refuse_lens
+from lumisplat.renderer.scene.camera_table import refuse_lens
 from support.scenes.raster_scenes import front_camera, one_gaussian, rotation
 
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC

@@ -31,6 +31,11 @@ def package_modules() -> list[Any]:
     return [module for module in modules if kernels_of(module)]
 
 
+def cuda_modules() -> list[Any]:
+    """Those that run on CUDA: all but the kernels of tiles, which are the schedule of CPUs."""
+    return [module for module in package_modules() if not module.__name__.endswith("_tile_kernels")]
+
+
 def generated_modules(*, parallel: bool) -> list[Any]:
     """Warp modules of the kernels that are made for a schedule: of rays through Gaussians, and of their shadows."""
     lanes = 1 if parallel else PACKET_RAYS
@@ -49,7 +54,7 @@ def compile_all() -> None:
     schedules = [*generated_modules(parallel=False), *generated_modules(parallel=True)]
     Launcher("cpu").load([*package_modules(), *schedules, *probe_modules()])
     with ThreadPoolExecutor() as pool:
-        list(pool.map(compile_for_cuda, [*package_modules(), *generated_modules(parallel=True)]))
+        list(pool.map(compile_for_cuda, [*cuda_modules(), *generated_modules(parallel=True)]))
 
 
 def compile_for_cuda(module: Any) -> list[Path]:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from lumisplat.config import RenderConfig, check_kind
-from lumisplat.constants import IMAGE_PIXELS_MAX, ITEMS_MAX, SAMPLES_MAX
+from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 
@@ -22,30 +22,6 @@ def check_scene(scene: object) -> None:
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
     if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
         raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
-
-
-def check_camera(camera: object) -> None:
-    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
-    if not isinstance(camera, Camera):
-        raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
-    if camera.width * camera.height > IMAGE_PIXELS_MAX:
-        raise SceneError(
-            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
-        )
-
-
-def refuse_lens(camera: Camera) -> None:
-    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
-    problem = None
-    if camera.model is not CameraModel.PINHOLE:
-        problem = f"is {camera.model.value}"
-    elif camera.aperture > 0.0:
-        problem = f"has an aperture of {camera.aperture:g}"
-    elif camera.camera_from_world_end is not None:
-        problem = "has a rolling shutter"
-    if problem:
-        name = f" '{camera.name}'" if camera.name else ""
-        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
 
 
 def checked_config(config: RenderConfig | None) -> RenderConfig:

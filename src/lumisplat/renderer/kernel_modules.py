@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig, Shadows
+from lumisplat.config import RenderConfig, ShadowMethod
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
-from lumisplat.renderer.raster import binning_kernels, mesh_raster_kernels, splat_raster_kernels
+from lumisplat.renderer.raster import (
+    binning_kernels,
+    mesh_pixel_kernels,
+    mesh_raster_kernels,
+    mesh_tile_kernels,
+    splat_pixel_kernels,
+    splat_raster_kernels,
+    splat_tile_kernels,
+)
 from lumisplat.renderer.scene import gaussian_bvh_kernels
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
@@ -21,15 +29,23 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     modules: list[KernelModule] = []
     if plan.rasterises:
         modules += [splat_raster_kernels, binning_kernels, mesh_raster_kernels]
+        if launcher.is_parallel:
+            modules += [splat_pixel_kernels, mesh_pixel_kernels]
+        else:
+            modules += [splat_tile_kernels, mesh_tile_kernels]
     if plan.is_sampled:
         modules += [camera_ray_kernels, surface_kernels, film_kernels]
     if plan.follows_rays:
         modules += [gaussian_bvh_kernels]
     if plan.traces_rays:
-        modules += [mesh_trace_kernels, trace_kernel_of(launcher).module, specular_wave_kernels]
-    if plan.is_lit:
-        modules += [unshadowed_light_kernels, direct_light_kernels]
-    if plan.is_lit and config.shadows is not Shadows.OFF:
+        modules += [mesh_trace_kernels, trace_kernel_of(launcher).module]
+    if plan.max_bounces:
+        modules += [specular_wave_kernels]
+    if plan.has_unshadowed:
+        modules += [unshadowed_light_kernels]
+    if plan.spawns_shadow_rays or plan.has_shadow_only:
+        modules += [direct_light_kernels]
+    if plan.casts_shadows:
         modules += shadow_modules(launcher, config)
     return modules
 
@@ -41,4 +57,7 @@ def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
 
 def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of shadow rays."""
-    return [mesh_shadow_kernels, stochastic_bvh_kernels, shadow_kernel_of(launcher, config).module]
+    modules: list[KernelModule] = [mesh_shadow_kernels, shadow_kernel_of(launcher, config).module]
+    if config.shadow_rays.method is ShadowMethod.STOCHASTIC:
+        modules += [stochastic_bvh_kernels]
+    return modules

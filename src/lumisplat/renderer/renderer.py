@@ -13,7 +13,7 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.checks import check_camera, check_resumable, check_scene, checked_config, refuse_lens
+from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
 from lumisplat.renderer.film.film import Film, images_of_pixels
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
@@ -24,6 +24,7 @@ from lumisplat.renderer.raster.raster_limits import RasterWarnings
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
 from lumisplat.renderer.ray_queries import RayHits, RayQueries, checked_distances, checked_rays
+from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays

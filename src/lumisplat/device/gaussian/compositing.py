@@ -164,3 +164,24 @@ def store_pixel(
     out.normal[i] = normal
     out.gaussian[i] = gaussian
     out.instance[i] = instance
+
+
+@wp.func
+def store_result(
+    camera: CameraData,
+    raster: RasterData,
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    meshes: MeshPixels,
+    pixel: BlendState,
+    x: int,
+    y: int,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
+):
+    """Writes a blended pixel to the image or, ``for_rays``, to the hits of its ray."""
+    if for_rays:
+        store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
+    else:
+        store_pixel(camera, raster, instances, splats, meshes, pixel, x, y, pixels_out)

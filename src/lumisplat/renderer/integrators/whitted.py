@@ -62,7 +62,7 @@ class WhittedIntegrator:
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None = None
     ) -> RayWave:
         """A wave with emission and direct light."""
-        may_branch = number < plan.max_bounces and scene.has_smooth_meshes and hits.count > 0
+        may_branch = number < plan.max_bounces and hits.count > 0
         wave = self._surfaces.shade(scene, plan, hits, number, weights=weights, may_branch=may_branch)
         if plan.is_lit:
             self._direct_light.add(scene, plan, wave)

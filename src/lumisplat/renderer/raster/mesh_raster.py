@@ -10,6 +10,7 @@ import warp as wp
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
+from lumisplat.renderer.raster import mesh_pixel_kernels, mesh_tile_kernels
 from lumisplat.renderer.raster import mesh_raster_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -91,10 +92,10 @@ class MeshRaster:
         winners = self._buffers.get("mesh.triangle", wp.int32, pixels)
         per_tile = (scene.camera, triangles, lists.starts, lists.items, depth, winners)
         if self._launcher.is_parallel:
-            self._launcher.run(kernels.raster_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *per_tile)
+            self._launcher.run(mesh_pixel_kernels.raster_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *per_tile)
         else:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
-            self._launcher.run_banded(kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
+            self._launcher.run_banded(mesh_tile_kernels.raster_tiles, tiles_x * tiles_y, *per_tile, bands=bands)
         return _NearestTriangles(depth, triangles, winners)
 
     def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:

@@ -1,14 +1,13 @@
-"""Nearest mesh surface at each pixel centre.
+"""Triangles of the raster: projected, and what they show at the pixels and rays that hit them.
 
-``project_triangles``: one item is one triangle of one instance. ``raster_tiles`` (CPU): one item is one tile, rows of
-16 pixels as in the splat compositor. ``raster_pixels`` (CUDA): one item is one pixel, one block is one tile.
-``shade_pixels``: one item is one pixel; colour and normal of what was hit. ``find_ray_hits``: one item is one ray.
+``project_triangles``: one item is one triangle of one instance. ``shade_pixels``: one item is one pixel; colour and
+normal of what was hit. ``find_ray_hits``: one item is one ray.
 """
 
 import warp as wp
 
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
-from lumisplat.device.camera.tiles import TILE, TILE_PIXELS, RowFloats, TileFloats, TileInts, tile_corner, tile_pixel
+from lumisplat.device.camera.tiles import TILE
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import surface_color, surface_normal
@@ -62,92 +61,6 @@ def project_triangles(
             rect.y1 = wp.int16((int(y1) - 1) // TILE + 1)
     triangles_out[i] = triangle
     rects_out[i] = rect
-
-
-@wp.kernel
-def raster_tiles(
-    start: int,
-    camera: wp.array[CameraData],
-    triangles: wp.array[Triangle],
-    tile_starts: wp.array[int],
-    tile_triangles: wp.array[int],
-    depth_out: wp.array[float],
-    triangle_out: wp.array[int],
-):
-    """Depth test of a tile's triangles, in order: of equally near ones, the first is kept."""
-    tile = start + wp.tid()
-    view = camera[0]
-    corner = tile_corner(view, tile)
-    left = corner[0]
-    top = corner[1]
-    nearest = TileFloats(wp.inf)
-    winner = TileInts(-1)
-    ray_x = RowFloats(0.0)
-    for x in range(TILE):
-        ray_x[x] = (float(left + x) + 0.5 - view.raster_center[0]) / view.focal[0]
-    for j in range(tile_starts[tile], tile_starts[tile + 1]):
-        index = tile_triangles[j]
-        triangle = triangles[index]
-        first = wp.max(int(triangle.row_first) - top, 0)
-        end = wp.min(int(triangle.row_last) - top + 1, TILE)
-        for y in range(first, end):
-            ray_y = (float(top + y) + 0.5 - view.raster_center[1]) / view.focal[1]
-            row0 = triangle.edge0[1] * ray_y + triangle.edge0[2]
-            row1 = triangle.edge1[1] * ray_y + triangle.edge1[2]
-            row2 = triangle.edge2[1] * ray_y + triangle.edge2[2]
-            row_normal = triangle.normal[1] * ray_y + triangle.normal[2]
-            for x in range(TILE):
-                i = y * TILE + x
-                e0 = triangle.edge0[0] * ray_x[x] + row0
-                e1 = triangle.edge1[0] * ray_x[x] + row1
-                e2 = triangle.edge2[0] * ray_x[x] + row2
-                z = triangle.plane / (triangle.normal[0] * ray_x[x] + row_normal)
-                z = wp.where(wp.min(e0, wp.min(e1, e2)) >= 0.0, z, wp.where(wp.max(e0, wp.max(e1, e2)) <= 0.0, z, 0.0))
-                z = wp.where(z > view.near, z, wp.inf)
-                winner[i] = wp.where(z < nearest[i], index, winner[i])
-                nearest[i] = wp.min(z, nearest[i])
-    for y in range(wp.min(TILE, view.height - top)):
-        for x in range(wp.min(TILE, view.width - left)):
-            pixel = (top + y) * view.width + left + x
-            depth_out[pixel] = nearest[y * TILE + x]
-            triangle_out[pixel] = winner[y * TILE + x]
-
-
-@wp.kernel
-def raster_pixels(
-    start: int,
-    camera: wp.array[CameraData],
-    triangles: wp.array[Triangle],
-    tile_starts: wp.array[int],
-    tile_triangles: wp.array[int],
-    depth_out: wp.array[float],
-    triangle_out: wp.array[int],
-):
-    """Item = tile * 256 + pixel of the tile; the arithmetic of ``raster_tiles``."""
-    i = start + wp.tid()
-    view = camera[0]
-    tile = i // TILE_PIXELS
-    position = tile_pixel(view, i)
-    x = position[0]
-    y = position[1]
-    if x >= view.width or y >= view.height:
-        return
-    ray = pixel_ray(view, x, y)
-    nearest = float(wp.inf)
-    winner = int(-1)
-    for j in range(tile_starts[tile], tile_starts[tile + 1]):
-        index = tile_triangles[j]
-        triangle = triangles[index]
-        e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
-        e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
-        e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
-        if wp.min(e0, wp.min(e1, e2)) >= 0.0 or wp.max(e0, wp.max(e1, e2)) <= 0.0:
-            z = triangle.plane / (triangle.normal[0] * ray[0] + (triangle.normal[1] * ray[1] + triangle.normal[2]))
-            if z > view.near and z < nearest:
-                nearest = z
-                winner = index
-    depth_out[y * view.width + x] = nearest
-    triangle_out[y * view.width + x] = winner
 
 
 @wp.kernel

@@ -12,7 +12,7 @@ from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import GaussianHits
-from lumisplat.renderer.raster import splat_raster_kernels as kernels
+from lumisplat.renderer.raster import splat_pixel_kernels, splat_raster_kernels, splat_tile_kernels
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
@@ -73,7 +73,7 @@ class SplatRaster:
         )
         for asset in scene.assets:
             self._launcher.run_banded(
-                kernels.project_splats,
+                splat_raster_kernels.project_splats,
                 asset.placed_count,
                 *(scene.camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
@@ -126,11 +126,13 @@ class SplatRaster:
     ) -> None:
         """Samples one splat a pixel, with its weight as probability; the lists need no order."""
         inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
-        self._run_tiles(scene, kernels.sample_tiles, kernels.sample_pixels, inputs)
+        self._run_tiles(scene, splat_tile_kernels.sample_tiles, splat_pixel_kernels.sample_pixels, inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)
-        self._run_tiles(scene, kernels.composite_tiles, kernels.composite_pixels, inputs, by_pixel=by_pixel)
+        self._run_tiles(
+            scene, splat_tile_kernels.composite_tiles, splat_pixel_kernels.composite_pixels, inputs, by_pixel=by_pixel
+        )
 
     def _run_tiles(
         self, scene: DeviceScene, tiles: Kernel, pixels: Kernel, inputs: tuple[object, ...], *, by_pixel: bool = False

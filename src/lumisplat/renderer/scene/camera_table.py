@@ -1,12 +1,13 @@
-"""The camera's table on the device, rewritten for each sample."""
+"""A camera, checked, and its table on the device, rewritten for each sample."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.constants import JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
+from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.errors import SceneError
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -18,6 +19,30 @@ _MODELS = {
     CameraModel.FISHEYE: FISHEYE,
     CameraModel.ORTHOGRAPHIC: ORTHOGRAPHIC,
 }
+
+
+def check_camera(camera: object) -> None:
+    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
+    if not isinstance(camera, Camera):
+        raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
+    if camera.width * camera.height > IMAGE_PIXELS_MAX:
+        raise SceneError(
+            f"an image of {camera.width} x {camera.height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels"
+        )
+
+
+def refuse_lens(camera: Camera) -> None:
+    """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
+    problem = None
+    if camera.model is not CameraModel.PINHOLE:
+        problem = f"is {camera.model.value}"
+    elif camera.aperture > 0.0:
+        problem = f"has an aperture of {camera.aperture:g}"
+    elif camera.camera_from_world_end is not None:
+        problem = "has a rolling shutter"
+    if problem:
+        name = f" '{camera.name}'" if camera.name else ""
+        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:

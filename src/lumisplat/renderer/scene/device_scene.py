@@ -55,7 +55,6 @@ class DeviceScene:
         """Gaussians over all instances."""
         self.triangle_count = 0
         """Triangles over all instances."""
-        self.has_smooth_meshes = False
         """Whether some mesh reflects or refracts rays."""
         self.version = 0
         """Changes with the arrays of assets: captured graphs are then stale."""
@@ -139,7 +138,6 @@ class DeviceScene:
         except RuntimeError as error:
             raise DeviceError(f"{self._launcher.device} has no room for the scene: {error}") from None
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
-        self.has_smooth_meshes = any(instance.mesh.material.is_smooth for instance in scene.meshes)
 
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]

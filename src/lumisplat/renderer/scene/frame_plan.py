@@ -20,6 +20,8 @@ class FramePlan:
     """Some rays traverse the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
     traces_rays: bool
     """Some of these rays find hits to be shaded: from the camera or from mirrors."""
+    has_unshadowed: bool
+    """Some light casts no shadow."""
     casts_shadows: bool
     """Some light is shadowed by what its shadow rays hit."""
     spawns_shadow_rays: bool
@@ -27,7 +29,7 @@ class FramePlan:
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     max_bounces: int
-    """How many times a ray is reflected or refracted by smooth meshes at most."""
+    """How many times a ray is reflected or refracted by smooth meshes at most; 0 in scenes without any."""
     has_shadow_only: bool
     """Some splat set is shadow-only."""
     aovs: frozenset[str]
@@ -44,16 +46,18 @@ class FramePlan:
         casts = any(light.enabled and light.casts_shadow for light in scene.lights)
         casts_shadows = is_lit and casts and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
+        has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
             follows_rays=casts_shadows or not only_rasterises,
             traces_rays=not only_rasterises,
+            has_unshadowed=is_lit and (not casts_shadows or not all(light.casts_shadow for light in scene.lights)),
             casts_shadows=casts_shadows,
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
-            max_bounces=0 if only_rasterises else config.max_bounces,
+            max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,
             for_camera=True,
