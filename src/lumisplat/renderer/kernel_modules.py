@@ -25,28 +25,31 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
-    """The kernel modules of a frame."""
+    """The kernel modules of a frame; those that take long to compile first, so that no thread ends with one alone."""
     modules: list[KernelModule] = []
-    if plan.rasterises:
-        modules += [splat_raster_kernels, binning_kernels, mesh_raster_kernels]
-        if launcher.is_parallel:
-            modules += [splat_pixel_kernels, mesh_pixel_kernels]
-        else:
-            modules += [splat_tile_kernels, mesh_tile_kernels]
-    if plan.is_sampled:
-        modules += [camera_ray_kernels, surface_kernels, film_kernels]
-    if plan.follows_rays:
-        modules += [gaussian_bvh_kernels]
     if plan.traces_rays:
-        modules += [mesh_trace_kernels, trace_kernel_of(launcher).module]
-    if plan.max_bounces:
-        modules += [specular_wave_kernels]
-    if plan.has_unshadowed:
-        modules += [unshadowed_light_kernels]
-    if plan.spawns_shadow_rays or plan.has_shadow_only:
-        modules += [direct_light_kernels]
+        modules += [trace_kernel_of(launcher).module]
+    if plan.is_sampled:
+        modules += [surface_kernels]
     if plan.casts_shadows:
         modules += shadow_modules(launcher, config)
+    if plan.spawns_shadow_rays or plan.has_shadow_only:
+        modules += [direct_light_kernels]
+    if plan.follows_rays:
+        modules += [gaussian_bvh_kernels]
+    if plan.has_unshadowed:
+        modules += [unshadowed_light_kernels]
+    if plan.rasterises:
+        modules += [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
+        modules += [splat_raster_kernels, binning_kernels]
+    if plan.rasterises and plan.has_meshes:
+        modules += [mesh_pixel_kernels if launcher.is_parallel else mesh_tile_kernels, mesh_raster_kernels]
+    if plan.max_bounces:
+        modules += [specular_wave_kernels]
+    if plan.is_sampled:
+        modules += [camera_ray_kernels, film_kernels]
+    if plan.traces_rays:
+        modules += [mesh_trace_kernels]
     return modules
 
 
@@ -57,7 +60,7 @@ def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
 
 def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of shadow rays."""
-    modules: list[KernelModule] = [mesh_shadow_kernels, shadow_kernel_of(launcher, config).module]
+    modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module, mesh_shadow_kernels]
     if config.shadow_rays.method is ShadowMethod.STOCHASTIC:
         modules += [stochastic_bvh_kernels]
     return modules

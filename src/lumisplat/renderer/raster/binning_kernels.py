@@ -12,10 +12,11 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, PAIR_SUM_THREADS
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS, PAIR_SUM_THREADS
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
-wp.set_module_options({"enable_backward": False})
+# Flags of the splat kernels, though there is nothing to fuse: an unlit raster frame then needs one precompiled header.
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))

@@ -30,6 +30,8 @@ class FramePlan:
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     max_bounces: int
     """How many times a ray is reflected or refracted by smooth meshes at most; 0 in scenes without any."""
+    has_meshes: bool
+    """The scene has mesh instances."""
     has_shadow_only: bool
     """Some splat set is shadow-only."""
     aovs: frozenset[str]
@@ -58,6 +60,7 @@ class FramePlan:
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
+            has_meshes=bool(scene.meshes),
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,
             for_camera=True,
