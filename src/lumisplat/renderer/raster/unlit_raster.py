@@ -1,6 +1,6 @@
 """Host pass: the one fast path. An unlit, sorted raster frame is composited straight into its pixels.
 
-Through primary hits, such a frame takes 12 to 24 % longer (docs/benchmarks.md): each pixel would start a ray, store
+Through primary hits, such a frame takes 19 to 43 % longer (docs/benchmarks.md): each pixel would start a ray, store
 its hits and shade them, only to show what the compositor has in its registers.
 """
 
