@@ -42,6 +42,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.rasterises:
         modules += [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
         modules += [splat_raster_kernels, binning_kernels]
+    if plan.rasterises and "hits" in plan.aovs and not launcher.is_parallel:
+        modules += [splat_pixel_kernels]  # those of tiles do not count
     if plan.rasterises and plan.has_meshes:
         modules += [mesh_pixel_kernels if launcher.is_parallel else mesh_tile_kernels, mesh_raster_kernels]
     if plan.max_bounces:

@@ -150,26 +150,6 @@ def test_images_are_kept(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(rig.table.environment.texels.numpy().reshape(IMAGE.shape), IMAGE + 1.0)
 
 
-def test_version(rig: Rig) -> None:
-    """It changes with what graphs bake in, and not with what they read."""
-    sky = LightEnvironment(IMAGE)
-    rig.sync(LightPoint((0, 0, 0)), sky)
-    before = rig.table.version
-    rig.sync(LightPoint((1, 0, 0), intensity=9.0), sky)
-    assert rig.table.version == before
-    for changed in (
-        (LightPoint((0, 0, 0)),),
-        (LightPoint((0, 0, 0)), sky),
-        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0)),
-        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0, visible=False)),
-        (LightPoint((0, 0, 0)), LightEnvironment(sky.image, intensity=2.0, rotation_wxyz=(0, 1, 0, 0))),
-        (LightPoint((0, 0, 0)), LightEnvironment(IMAGE + 1.0)),
-    ):
-        rig.sync(*changed)
-        assert rig.table.version == before + 1
-        before += 1
-
-
 def test_large_figures_stay_finite(rig: Rig) -> None:
     """What no float32 holds becomes what it just holds."""
     rows = rig.sync(

@@ -93,7 +93,7 @@ def first_touching(splats: wp.array[Splat], tile_splats: wp.array[int], begin: i
 def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
     """The first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
 
-    All are read, not just those up to the first: their memory is fetched at once, an eighth off the composite.
+    All are read, not just those up to the first: their memory is fetched at once, a seventh off the composite.
     """
     visible = int(begin)
     for j in range(begin, end):

@@ -58,11 +58,8 @@ class LightTable:
         self.environment = EnvironmentData()
         self.names: tuple[str, ...] = ()
         """Distinct names of the lights: their own, else ``light`` and their number in the scene."""
-        self.version = 0
-        """Changes with count, environment and arrays: captured graphs are then stale."""
         self._image: FloatArray | None = None
         self._brightest = 1.0
-        self._key: object = None
 
     def sync(self, scene: Scene, camera: Camera, buffers: Buffers, *, is_lit: bool = True) -> None:
         """Writes the lights of a scene; a scene without lights gets a headlight.
@@ -91,18 +88,12 @@ class LightTable:
             self._upload(image, buffers)
             self._image = image
         data.exists = int(light is not None)
-        values: tuple[object, ...] = ()
         if light is not None:
             wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
             power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
             data.visible = int(light.visible)
             data.world_from_environment = wp.mat33(*rotation_matrix(wxyz).ravel())
             data.power = wp.vec3(*power)
-            values = (*wxyz, *power, light.visible)
-        key = self.count, id(self._image), data.exists, values
-        if key != self._key:
-            self._key = key
-            self.version += 1
 
     def _upload(self, image: npt.NDArray[np.floating], buffers: Buffers) -> None:
         data = self.environment
