@@ -3,9 +3,9 @@
 import warp as wp
 
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.film.first_surface import first_surface
 from lumisplat.device.film.running_mean import add_color, add_light, add_sample, develop, is_finite
 from lumisplat.device.math.color import captured_color
-from lumisplat.device.mesh.first_surface import first_surface
 from lumisplat.device.structs.film import FilmData
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
