@@ -127,7 +127,7 @@ def stored(key: str) -> Result | None:
 
 
 def store(results: dict[str, Result]) -> int:
-    """Replaces all stored results; returns the size of the file."""
+    """Replaces all stored results; returns the size of their files, bytes."""
     FOLDER.mkdir(exist_ok=True)
     for path in FOLDER.glob("*.npz"):
         path.unlink()

@@ -1,8 +1,8 @@
 """Runs work on a device: device choice, kernel launches, CPU bands, CUDA graphs, stage timers. The only launch site.
 
-A Warp CPU launch is single-threaded but releases the GIL, so one launch is cut into bands over a thread pool. CPU
-atomics are not atomic across threads: a banded kernel writes each output element from one item only. Every kernel that
-may be banded takes ``start`` first and works on item ``start + tid``.
+A Warp CPU launch is single-threaded but releases the GIL, so one launch is cut into bands over the calling thread and a
+thread pool. CPU atomics are not atomic across threads: a banded kernel writes each output element from one item only.
+Every kernel that may be banded takes ``start`` first and works on item ``start + tid``.
 """
 
 from __future__ import annotations

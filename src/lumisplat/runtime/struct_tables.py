@@ -13,7 +13,7 @@ from lumisplat.runtime.buffers import DeviceArray, assign_table
 
 @cache
 def table_dtype(struct: type[object]) -> np.dtype[np.void]:
-    """The NumPy dtype of a Warp struct's rows; cached, as Warp takes half a millisecond for each."""
+    """The NumPy dtype of a Warp struct's rows; cached, as Warp derives it anew each time."""
     noun: Any = struct
     return np.dtype(noun.numpy_dtype())
 

@@ -7,7 +7,7 @@ from lumisplat.device.gaussian.compositing import pixel_ray
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import Triangle
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel

@@ -17,7 +17,7 @@ from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel

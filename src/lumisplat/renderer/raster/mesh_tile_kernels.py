@@ -6,6 +6,7 @@ from lumisplat.device.camera.tiles import TILE, RowFloats, TileFloats, TileInts,
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import Triangle
 
+# The loop over a row must stay a loop for the vectoriser, as in splat_tile_kernels.
 wp.set_module_options({"enable_backward": False, "max_unroll": 4, "fuse_fp": False})
 
 

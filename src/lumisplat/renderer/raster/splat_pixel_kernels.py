@@ -17,7 +17,7 @@ from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat
 from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import SplatInstanceData
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 
 @wp.kernel

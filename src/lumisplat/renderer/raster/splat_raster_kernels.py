@@ -12,7 +12,7 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterData, Splat, TileRect
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 4, "cpu_compiler_flags": FUSED_FLAGS})
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))

@@ -122,7 +122,7 @@ def composite_tiles(
                         normal_z[i] = normal_z[i] + weight * splat.normal[2]
                         after = wp.where(after > t_min, after, -wp.abs(before))
                         crossed = wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0)
-                        # Not a selection, which becomes a masked store, slow on many CPUs. It happens once.
+                        # A sum, as it is set once: compilers make a selection a masked store, slow on some CPUs.
                         surface[i] = surface[i] + wp.where(crossed > 0.0, index + 1, 0)
                         transmittance[i] = after
         if visible < begin + BATCH:
@@ -191,10 +191,10 @@ def sample_tiles(
                     i = y * TILE + left_x + x
                     dx = float(left_x + x) + 0.5 - row_center
                     alpha = visible_alpha(row_log_alpha - splat.along * dx * dx)
-                    is_selected = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, 1, 0)
-                    depth = wp.where(is_selected != 0, splat.depth, wp.inf)
-                    comes_first = wp.where(depth == nearest[i], wp.where(index < winner[i], index - winner[i], 0), 0)
-                    winner[i] = winner[i] + wp.where(depth < nearest[i], index - winner[i], comes_first)
+                    depth = wp.where(draw_mixed(sample_keys[i], dimension) < alpha, splat.depth, wp.inf)
+                    # Sums, not selections, which become masked stores. Of equally near splats, the first one wins.
+                    change = wp.where(depth == nearest[i], wp.where(index < winner[i], index - winner[i], 0), 0)
+                    winner[i] = winner[i] + wp.where(depth < nearest[i], index - winner[i], change)
                     nearest[i] = wp.min(depth, nearest[i])
 
     for y in range(rows):

@@ -55,7 +55,6 @@ class DeviceScene:
         """Gaussians over all instances."""
         self.triangle_count = 0
         """Triangles over all instances."""
-        """Whether some mesh reflects or refracts rays."""
         self.version = 0
         """Changes with the arrays of assets: captured graphs are then stale."""
 

@@ -21,7 +21,7 @@ class FramePlan:
     traces_rays: bool
     """Some of these rays find hits to be shaded: from the camera or from mirrors."""
     has_unshadowed: bool
-    """Some light casts no shadow."""
+    """Some light is added without a shadow: it casts none, the frame has none, or it is the headlight."""
     casts_shadows: bool
     """Some light is shadowed by what its shadow rays hit."""
     spawns_shadow_rays: bool

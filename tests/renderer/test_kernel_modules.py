@@ -1,0 +1,88 @@
+"""What a plan says that a frame needs, against the kernels that it launches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import lumisplat as ls
+from lumisplat.demo.shapes import icosphere
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+LAMP = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
+MIRROR = ls.MaterialPbr(metallic=1.0, roughness=0.0)
+
+
+class Recorder(Launcher):
+    """Notes the modules that are loaded, and those of the kernels that are launched."""
+
+    def __init__(self, parallel: bool) -> None:
+        super().__init__("cpu", threads=1, parallel=parallel)
+        self.loaded: set[str] = set()
+        self.launched: set[str] = set()
+
+    def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
+        """Notes them; launches load what they need."""
+        self.loaded |= {name_of(module) for module in modules}
+
+    def run(self, kernel: Any, count: int, *inputs: object) -> None:
+        """Notes the kernel's module."""
+        if count:
+            self.launched.add(name_of(kernel.module))
+        super().run(kernel, count, *inputs)
+
+
+def name_of(module: Any) -> str:
+    """Of a Python module, or of Warp's module of a single kernel."""
+    return module.__name__ if hasattr(module, "__name__") else module.name
+
+
+def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_only: bool = False) -> ls.Scene:
+    """A capture, relit or only darkened, with meshes."""
+    material = None if shadow_only else ls.MaterialPbr()
+    capture = ls.SplatInstance(random_gaussians(3, count=60), material=material, shadow_only=shadow_only)
+    return ls.Scene([capture], list(meshes), lights)
+
+
+SCENES = {
+    "capture": scene([]),
+    "mesh": scene([icosphere(0.4)]),
+    "mirror": scene([replace(icosphere(0.4), material=MIRROR)], LAMP),
+    "shadow": scene([], LAMP),
+    "no shadow": scene([], ls.LightDirectional((0.2, 0.3, 1.0), casts_shadow=False)),
+    "shadow-only": scene([icosphere(0.4)], LAMP, shadow_only=True),
+}
+SETTINGS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "lit": {"lighting": True},
+    "soft": {"shadows": ls.Shadows.SOFT},
+    "no shadows": {"shadows": ls.Shadows.OFF, "aovs": ("lights",)},
+    "hits": {"aovs": ("hits",)},
+    "stochastic": {
+        "raster": ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
+        "shadow_rays": ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
+    },
+}
+
+
+@pytest.mark.parametrize("parallel", [False, True], ids=["cpu", "cpu as cuda"])
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
+def test_a_frame_launches_what_was_loaded(pipeline: ls.Pipeline, parallel: bool) -> None:
+    """Else a kernel would compile in the middle of a frame: on one thread, without progress."""
+    for name, content in SCENES.items():
+        for kind, settings in SETTINGS.items():
+            launcher = Recorder(parallel)
+            Renderer(ls.RenderConfig(pipeline=pipeline, **settings), launcher).render(content, front_camera(16, 16))
+            assert launcher.launched <= launcher.loaded, f"{name}, {kind}"
+
+
+def test_captures_alone_load_no_more_than_they_need() -> None:
+    """A first frame does not wait for kernels of meshes, mirrors, lights, or of the other schedule."""
+    launcher = Recorder(parallel=False)
+    Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))
+    assert launcher.loaded == launcher.launched
