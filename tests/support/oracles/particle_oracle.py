@@ -37,6 +37,7 @@ class World:
     instance: np.ndarray  # (G,)
     gaussian: np.ndarray  # (G,), within the instance
     sharpest: np.ndarray  # (G,), inverse of the smallest scale
+    widest: np.ndarray  # (G,), the largest scale
     mean_size: np.ndarray  # (G,), largest coordinate of the mean
 
 
@@ -119,6 +120,7 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
             "instance": np.full(count, number),
             "gaussian": np.arange(count),
             "sharpest": 1.0 / scales.min(axis=1),
+            "widest": scales.max(axis=1),
             "mean_size": np.abs(mean).max(axis=1),
         }
         for name, values in row.items():
@@ -137,8 +139,8 @@ def sh_color(world: World, rows: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("nk,nkc->nc", sh_basis(direction), world.sh[rows]) + 0.5, 0.0)
 
 
-def hits(world: World, ray: Ray) -> Hits:
-    """All Gaussians whose response peaks on the ray beyond ``t_min``, sorted."""
+def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
+    """All Gaussians whose response peaks on the ray beyond ``t_min``, or their ``begin`` if that is nearer, sorted."""
     config = world.config.trace
     from_mean = ray.origin - world.mean
     distance = np.sqrt(np.einsum("ni,ni->n", from_mean, from_mean))
@@ -155,6 +157,7 @@ def hits(world: World, ray: Ray) -> Hits:
     off, origin, direction, closest = off[rows], origin[rows], direction[rows], closest[rows]
     peak, speed2, d2, reach2, whiten = peak[rows], speed2[rows], d2[rows], world.reach[rows] ** 2, world.whiten[rows]
     opacity, degree = world.opacity[rows], world.degree[rows]
+    t_min = np.minimum(ray.t_min, np.broadcast_to(begin, len(world.mean))[rows])
 
     # What is ``off`` moves the ray in canonical space; first order, and second order for what it hits in the middle.
     along = np.linalg.norm(np.einsum("nij,ni->nj", whiten, direction), axis=-1)
@@ -166,10 +169,10 @@ def hits(world: World, ray: Ray) -> Hits:
     def alpha_at(squared: np.ndarray) -> np.ndarray:
         return np.minimum(opacity * response(np.sqrt(np.maximum(squared, 0.0)), degree), ALPHA_MAX)
 
-    counts = (response(np.sqrt(d2), degree) >= world.threshold[rows]) & (peak > ray.t_min)
+    counts = (response(np.sqrt(d2), degree) >= world.threshold[rows]) & (peak > t_min)
     inside2, inside2_error = reach2 - d2, d2_error + BAND * (1.0 + reach2)
-    possible = (inside2 >= -inside2_error) & (peak >= ray.t_min - t_error)
-    doubtful = possible & ((inside2 <= inside2_error) | (peak <= ray.t_min + t_error))
+    possible = (inside2 >= -inside2_error) & (peak >= t_min - t_error)
+    doubtful = possible & ((inside2 <= inside2_error) | (peak <= t_min + t_error))
 
     # Half the chord through the ellipsoid beyond which the Gaussian is ignored, in canonical space.
     half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))

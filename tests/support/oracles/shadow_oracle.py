@@ -42,7 +42,7 @@ def light(
         origins: Shape (N, 3).
         directions: Unit, shape (N, 3).
         config: Its ``shadow_rays`` and ``response``.
-        t_min: Nearer Gaussians do not count; meshes do.
+        t_min: Gaussians do not count nearer than this and their own offset; meshes do.
         t_max: Distance of the light.
     """
     trace = replace(config.trace, hit_distance=config.shadow_rays.hit_distance)
@@ -64,12 +64,12 @@ def light(
 def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
     """What arrives along one ray, shape (3,), and its slack."""
     past_meshes, unsure = through_meshes(world.triangles, ray, t_max)
-    every = hits(world, ray)
+    shadow = world.config.shadow_rays
+    every = hits(world, ray, shadow.offset * world.widest + shadow.offset_absolute)
     error = every.t_error
     doubtful = every.doubtful | (np.abs(every.peak - t_max) <= error)
     found = picked(every, every.counts & (every.peak < t_max))
     slack = float(every.alpha[doubtful & (every.peak < t_max + error)].sum() + found.alpha_error.sum())
-    shadow = world.config.shadow_rays
     if shadow.method is ShadowMethod.FIRST_HITS and len(found) > shadow.hits:
         last, next_one = found.t[shadow.hits - 1 : shadow.hits + 1]
         if next_one - last <= 2.0 * error.max() or doubtful.any():

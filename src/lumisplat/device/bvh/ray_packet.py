@@ -84,7 +84,7 @@ def packet_of(lanes: int) -> RayPacket:
         """Where rays end, at most FAR; -FAR for those that are not active or end before they begin."""
         ends = Floats(-FAR)
         for lane in range(LANES):
-            if rays.is_active[first + lane] and limits[first + lane] > wp.max(rays.t_min[first + lane], 0.0):
+            if rays.is_active[first + lane] and limits[first + lane] > 0.0:
                 ends[lane] = wp.min(limits[first + lane], FAR)
         return ends
 

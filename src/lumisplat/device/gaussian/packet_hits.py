@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.device.bvh.node_test import larger
+from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
@@ -31,10 +31,11 @@ def packet_hits_of(lanes: int) -> PacketHits:
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
 
     @wp.func
-    def hit_distances(particle: Particle, hull: int, packet: PacketRays):
+    def hit_distances(particle: Particle, hull: int, begin: float, packet: PacketRays):
         """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there.
 
-        Its response must peak between ``t_min`` and ``t_max``, wherever on its hull it counts as hit.
+        Its response must peak between ``t_min``, or ``begin`` if that is nearer, and ``t_max``, wherever on its hull it
+        counts as hit.
         """
         origin = packet.origin
         direction = packet.direction
@@ -64,14 +65,14 @@ def packet_hits_of(lanes: int) -> PacketHits:
             peak = -(cx * ex + cy * ey + cz * ez) * per_unit
             inside = particle.reach2 - d2
             back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
-            is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > packet.t_min[lane], 1, 0)
+            is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > lesser(packet.t_min[lane], begin), 1, 0)
             is_hit = is_hit & wp.where(peak < packet.t_max[lane], 1, 0)
             t[lane] = wp.where(is_hit != 0, peak - back, FAR)
             distance2[lane] = d2
         return t, distance2
 
     @wp.func
-    def hit_responses(particle: Particle, packet: PacketRays):
+    def hit_responses(particle: Particle, begin: float, packet: PacketRays):
         """Whether each ray hits a Gaussian, as ``hit_distances`` has it, without the distance.
 
         Returns 0 or 1, and two numbers whose quotient is the squared canonical distance: most rays do not need it.
@@ -99,8 +100,8 @@ def packet_hits_of(lanes: int) -> PacketHits:
             k2 = kx * kx + ky * ky + kz * kz
             e2 = ex * ex + ey * ey + ez * ez
             peak = -(cx * ex + cy * ey + cz * ez)
-            hit = wp.where(k2 <= particle.reach2 * e2, 1, 0) & wp.where(peak > packet.t_min[lane] * e2, 1, 0)
-            is_hit[lane] = hit & wp.where(peak < packet.t_max[lane] * e2, 1, 0)
+            hit = wp.where(k2 <= particle.reach2 * e2, 1, 0) & wp.where(peak < packet.t_max[lane] * e2, 1, 0)
+            is_hit[lane] = hit & wp.where(peak > lesser(packet.t_min[lane], begin) * e2, 1, 0)
             across2[lane] = k2
             along2[lane] = e2
         return is_hit, across2, along2

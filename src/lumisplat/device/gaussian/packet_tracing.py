@@ -250,7 +250,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     ) -> float:
         """Adds the hits of a Gaussian to the lists of their rays; returns the distance of the nearest first hit."""
         index = instance.first + particle.index
-        t, distance2 = hit_distances(particle, config.hull, packet)
+        t, distance2 = hit_distances(particle, config.hull, FAR, packet)
         t, found = hits_before_cut(traced, t, index)
         nearest = float(FAR)
         if found == 0:

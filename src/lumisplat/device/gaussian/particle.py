@@ -75,6 +75,7 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
     particle.log_opacity = wp.log(gaussians.opacities[i])
     particle.reach2 = reach_squared(kernel, gaussians.opacities[i])
     particle.index = i
+    particle.largest_scale = wp.max(gaussians.scales[i])
     return particle
 
 

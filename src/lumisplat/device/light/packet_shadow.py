@@ -75,9 +75,15 @@ def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array[wp
 
 
 @wp.func
-def nearest_begin(packet: PacketRays) -> float:
+def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
+    """The distance from which on a Gaussian shadows a surface of wider Gaussians."""
+    return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
+
+
+@wp.func
+def nearest_begin(config: ShadowData, packet: PacketRays) -> float:
     """The least distance at which a hit may count."""
-    begin = float(FAR)
+    begin = config.offset_absolute
     for lane in range(packet.t_min.shape[0]):
         if packet.limit[lane] > 0.0:
             begin = lesser(begin, packet.t_min[lane])
@@ -159,7 +165,8 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         key: wp.uint32,
     ) -> int:
         """Adds what a Gaussian absorbs; returns 1 if a ray hits it, else 0."""
-        is_hit, across2, along2 = hit_responses(particle, packet)
+        begin = shadow_begin(config, particle, instance)
+        is_hit, across2, along2 = hit_responses(particle, begin, packet)
         found = int(0)
         for lane in range(LANES):
             found = found | is_hit[lane]
@@ -218,7 +225,8 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
         first_hits: FirstHits, packet: PacketRays, particle: Particle, instance: SplatInstanceData, config: ShadowData
     ) -> int:
         """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
-        t, distance2 = hit_distances(particle, config.hull, packet)
+        begin = shadow_begin(config, particle, instance)
+        t, distance2 = hit_distances(particle, config.hull, begin, packet)
         found = int(0)
         for lane in range(LANES):
             found = found | wp.where(t[lane] < FAR, 1, 0)

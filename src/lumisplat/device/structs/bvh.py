@@ -32,8 +32,8 @@ class Particle:
     """Squared canonical distance beyond which it is ignored; negative: it never counts."""
     index: int
     """In its asset."""
-    unused: int
-    """Fills the line."""
+    largest_scale: float
+    """Object space."""
 
 
 @struct
@@ -96,6 +96,10 @@ class ShadowData:
     threshold: float
     """A transmittance up to this counts as black, too, and the rest is stretched to 0..1."""
     color_strength: float
+    offset: float
+    """Scales of a Gaussian within which it does not shadow a surface of Gaussians."""
+    offset_absolute: float
+    """Added to that, scene units."""
     seed: wp.uint32
     sample: int
     """Its number, which stochastic shadows depend on."""

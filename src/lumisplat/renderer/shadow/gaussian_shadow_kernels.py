@@ -75,7 +75,7 @@ def shadow_kernel(lanes: int) -> Any:
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_absorption(absorption, packet)
-            begin = nearest_begin(packet)
+            begin = nearest_begin(config, packet)
             reach = largest(packet.limit)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
@@ -139,7 +139,7 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_first_hits(first_hits)
-            begin = nearest_begin(packet)
+            begin = nearest_begin(config, packet)
             reach = farthest_reach(first_hits, packet)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)

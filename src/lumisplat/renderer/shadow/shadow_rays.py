@@ -111,5 +111,7 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
     row["transmittance_min"] = config.shadow_rays.transmittance_min
     row["threshold"] = config.shadow_rays.transmittance_threshold
     row["color_strength"] = config.shadow_rays.color_strength
+    row["offset"] = config.shadow_rays.offset
+    row["offset_absolute"] = config.shadow_rays.offset_absolute
     row["seed"] = config.seed
     return table
