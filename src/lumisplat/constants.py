@@ -110,10 +110,14 @@ BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 EXPOSURE_MAX = 100
 """Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
 
+SURFACE_DEPTH_SCALES = 3.0
+"""How far from its mean a rasterised Gaussian's surface may lie, in its largest scales: where a Gaussian ends. Only
+splats smaller than a pixel, which dilation shows where their Gaussian is not, come that far."""
+
 SHADOW_OFFSET = 4.0
-"""Distance, in scales of a Gaussian, within which it neither shadows a surface nor, as the surface, is shadowed: of the
-two Gaussians the smaller one decides. Of three captures, lit from where they are seen, 2 leaves 1.6 to 4.6 % of the light
-in their own shadow, 3 0.8 to 3.1 %, 4 0.6 to 2.2 %; without the smaller one, 3 left 0.6 to 1.7 % (docs/adr/0018)."""
+"""Distance, in scales of a Gaussian, within which it neither shadows a surface nor, as the surface, is shadowed: the
+smaller one of the two decides. Of three captures, lit from where they are seen, 2 leaves 1.6 to 4.6 % of the light in
+their own shadow, 3 0.8 to 3.1 %, 4 0.6 to 2.2 %; by the surface's alone, 3 left 0.6 to 1.7 % (docs/adr/0018)."""
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
 """Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs

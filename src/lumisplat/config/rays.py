@@ -148,7 +148,8 @@ class ShadowConfig:
     """Where along a shadow ray a Gaussian is hit: which ones are the first of ``FIRST_HITS``. The other methods do not
     depend on it."""
     offset: float = SHADOW_OFFSET
-    """A splat surface is not shadowed by Gaussians nearer than this many times its own largest scale, 0..100."""
+    """A splat surface is not shadowed by Gaussians nearer than this many times their largest scale or that of its own
+    Gaussian, whichever is less, 0..100 (docs/method/shadows.md#offset)."""
     offset_absolute: float = 0.0
     """Added to that, scene units, 0..1e6."""
     transmittance_min: float = TRANSMITTANCE_MIN

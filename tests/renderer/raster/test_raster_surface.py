@@ -54,12 +54,35 @@ def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
     assert frame.gaussian_index[CENTRE] == index
 
 
-def test_depth_is_along_the_ray(renderer: ls.Renderer) -> None:
-    """A wall at one view depth has that depth_z everywhere, and the distance along each pixel's ray as depth."""
-    frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 5.0), 50.0, 0.9)]), front_camera(cx=20.0))
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_depth_is_along_the_ray(renderer: ls.Renderer, tilt: float) -> None:
+    """A flat Gaussian is a wall: depth_z is that of its plane in every pixel, depth the distance along the ray."""
+    wall = one_gaussian((0.0, 0.0, 5.0), (50.0, 50.0, 0.01), 0.9, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0, 0))
+    frame = renderer.render(ls.Scene([wall]), front_camera(cx=20.0))
     ray = oracles.pixel_rays(front_camera(cx=20.0))
-    assert_close(frame.depth_z, np.full((48, 64), 5.0), atol=1e-5)
-    assert_close(frame.depth, 5.0 * np.linalg.norm(ray, axis=-1), atol=1e-5)
+    normal = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    expected = 5.0 * normal[2] / (ray @ normal)
+    assert_close(frame.depth_z, expected, atol=2e-4)
+    assert_close(frame.depth, expected * np.linalg.norm(ray, axis=-1), atol=3e-4)
+
+
+def test_depth_of_a_round_gaussian(renderer: ls.Renderer) -> None:
+    """It responds most where the ray is nearest to its mean."""
+    frame = renderer.render(ls.Scene([one_gaussian((0.3, 0.2, 5.0), 2.0, 0.9)]), camera())
+    ray = oracles.pixel_rays(camera())
+    expected = ray @ [0.3, 0.2, 5.0] / (ray**2).sum(axis=-1)
+    seen = frame.gaussian_index >= 0
+    assert seen.mean() > 0.5
+    assert_close(frame.depth_z[seen], expected[seen], atol=1e-4)
+
+
+def test_surface_is_not_behind_the_mesh(renderer: ls.Renderer) -> None:
+    """Where a Gaussian's mean is before a mesh but its peak on the ray is not, the surface is the mesh's depth."""
+    tilted = one_gaussian((0.0, 0.0, 5.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(0.25), np.sin(0.25), 0.0, 0.0))
+    frame = renderer.render(ls.Scene([tilted], [quad(5.1, 9.0)]), camera())
+    splat = frame.gaussian_index >= 0
+    assert (frame.depth_z[splat] <= 5.1001).all()
+    assert 0.1 < (frame.depth_z[splat] > 5.0999).mean() < 0.6
 
 
 def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:

@@ -9,12 +9,19 @@ was so close that rounding may take the other side; ``tie`` those of them at whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from lumisplat.config import Antialiasing, RasterConfig, RenderConfig
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, COVARIANCE_2D_DET_MIN, JACOBIAN_CLAMP, NORMAL_DEGENERATE
+from lumisplat.constants import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    COVARIANCE_2D_DET_MIN,
+    JACOBIAN_CLAMP,
+    NORMAL_DEGENERATE,
+    SURFACE_DEPTH_SCALES,
+)
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.mesh import Mesh
@@ -33,7 +40,10 @@ class Splats:
     covariance_px: np.ndarray  # (N, 2, 2), dilated
     opacity: np.ndarray  # (N,), compensated
     color: np.ndarray  # (N, 3)
-    depth_z: np.ndarray  # (N,)
+    depth_z: np.ndarray  # (N,), of the mean
+    mean_camera: np.ndarray  # (N, 3)
+    canonical: np.ndarray  # (N, 3, 3), canonical space from camera space
+    widest: np.ndarray  # (N,), the largest scale
     normal: np.ndarray  # (N, 3), world, towards the eye
     gaussian_index: np.ndarray  # (N,)
     instance_index: np.ndarray  # (N,)
@@ -172,6 +182,9 @@ def project_instance(instance: SplatInstance, number: int, camera: Camera, confi
         opacity=opacity,
         color=sh_color(instance, camera.eye, config.sh_degree)[kept],
         depth_z=z,
+        mean_camera=mean_camera,
+        canonical=(view[:3, :3] @ axes / scales[:, None, :]).transpose(0, 2, 1),
+        widest=scales.max(axis=1),
         normal=normalized(np.einsum("nij,nj->ni", inverse_covariance, to_eye)),
         gaussian_index=kept,
         instance_index=np.full(len(kept), number),
@@ -189,7 +202,7 @@ def project(scene: Scene, camera: Camera, config: RasterConfig) -> Splats:
     parts = [project_instance(instance, i, camera, config) for i, instance in enumerate(scene.splats)]
     if not parts:
         empty = np.zeros(0)
-        return Splats(empty, empty, empty, empty, empty, empty, empty, empty)
+        return Splats(**{field.name: empty for field in fields(Splats)})
     joined = Splats(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
     return rows(joined, np.argsort(joined.depth_z, kind="stable"))
 
@@ -328,13 +341,14 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
         transmittance[at] = np.where(accepted, after, transmittance[at])
         last_z[at] = np.where(accepted, z, last_z[at])
         surface = accepted & (after < config.depth_iso_transmittance) & (gaussian[at] < 0)
-        depth_z[at] = np.where(surface, z, depth_z[at])
+        depth_z[at] = np.where(surface, peak_depth(splats, i, camera)[at], depth_z[at])
         gaussian[at] = np.where(surface, splats.gaussian_index[i], gaussian[at])
         instance[at] = np.where(surface, splats.instance_index[i], instance[at])
 
     hit = np.isfinite(fragments.depth_z)
     share = np.where(hit, transmittance, 0.0)
     surface = hit & (gaussian < 0)
+    depth_z = np.minimum(depth_z, fragments.depth_z)
     mean_length = np.linalg.norm(normal + share[..., None] * fragments.normal, axis=-1) / np.maximum(
         weight + share, 1e-30
     )
@@ -350,6 +364,15 @@ def composite(splats: Splats, fragments: Fragments, camera: Camera, config: Rast
         "tie": tie,
         "band": band | tie | (np.abs(mean_length - NORMAL_DEGENERATE) < BAND),
     }
+
+
+def peak_depth(splats: Splats, i: int, camera: Camera) -> np.ndarray:
+    """View depth at which splat ``i`` responds most on each pixel's ray, within three scales of its mean, (H, W)."""
+    rays = pixel_rays(camera)
+    direction = rays @ splats.canonical[i].T
+    z = direction @ (splats.canonical[i] @ splats.mean_camera[i]) / (direction**2).sum(axis=-1)
+    reach = SURFACE_DEPTH_SCALES * splats.widest[i] / np.linalg.norm(rays, axis=-1)
+    return np.maximum(np.clip(z, splats.depth_z[i] - reach, splats.depth_z[i] + reach), camera.near)
 
 
 def integrated_normal(normal_sum: np.ndarray, weight_sum: np.ndarray, camera: Camera) -> np.ndarray:

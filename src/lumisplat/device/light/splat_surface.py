@@ -114,7 +114,7 @@ def splat_interaction(
 
 @wp.func
 def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
-    """Distance from the Gaussians' surface within which Gaussians cast no shadow on it, scene units."""
+    """Distance from the Gaussians' surface within which Gaussians as large cast no shadow on it, scene units."""
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
     return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute

@@ -96,6 +96,7 @@ class SplatRaster:
         """Blends each pixel's splats front to back over the mesh or the background."""
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
+        self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
 
     def find_hits(
         self,
@@ -116,6 +117,7 @@ class SplatRaster:
             counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits))
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
+        self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
 
     def sample_hits(
         self,
@@ -127,6 +129,13 @@ class SplatRaster:
         """Samples one splat a pixel, with its weight as probability; the lists need no order."""
         inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
         self._run_tiles(scene, splat_tile_kernels.sample_tiles, splat_pixel_kernels.sample_pixels, inputs)
+        self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
+
+    def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
+        """Moves surfaces from the means of the picked Gaussians to where these respond most on the pixels' rays."""
+        width, height = scene.image_size
+        inputs = (scene.camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
+        self._launcher.run_banded(kernel, width * height, *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
         inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)

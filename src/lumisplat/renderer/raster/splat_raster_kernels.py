@@ -1,4 +1,4 @@
-"""Projection of splats. One item is a Gaussian of an asset's instance; writes its splat, depth key and tile rectangle.
+"""Splats before and after they are composited: their projection, and the depth of the surface in each pixel.
 
 The equations are in docs/method/rasterisation.md.
 """
@@ -6,10 +6,15 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.projection import project_gaussian
 from lumisplat.device.gaussian.splat_coverage import is_finite, tile_range
+from lumisplat.device.gaussian.surface_depth import peak_depth
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import RasterData, Splat, TileRect
+from lumisplat.device.structs.film import PixelData
+from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
@@ -30,7 +35,7 @@ def project_splats(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Projects the instances of one asset; the bits of a positive float sort as the float does."""
+    """Item = a Gaussian of an instance of one asset; the bits of a positive float sort as the float does."""
     i = start + wp.tid()
     view = camera[0]
     count = gaussians.means.shape[0]
@@ -48,3 +53,46 @@ def project_splats(
         splats_out[splat.index] = splat  # culled ones are never read
     keys_out[splat.index] = key
     rects_out[splat.index] = rect
+
+
+@wp.kernel
+def set_pixel_depth(
+    start: int,
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    meshes: MeshPixels,
+    pixels_inout: PixelData,
+):
+    """Item = pixel: moves the surface of its Gaussians from the mean of the picked one to the peak on the ray."""
+    i = start + wp.tid()
+    gaussian = pixels_inout.gaussian[i]
+    if gaussian >= 0:
+        ray = pixel_ray(camera[0], i % camera[0].width, i // camera[0].width)
+        number = pixels_inout.instance[i]
+        mean_z = pixels_inout.depth[i] / wp.length(ray)
+        depth_z = peak_depth(camera, instances, assets, number, gaussian, ray, mean_z, meshes.depth_z[i])
+        pixels_inout.depth[i] = depth_z * wp.length(ray)
+
+
+@wp.kernel
+def set_hit_depth(
+    start: int,
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    meshes: MeshPixels,
+    hits_inout: GaussianHits,
+):
+    """``set_pixel_depth`` for the hits of the pixels' rays."""
+    i = start + wp.tid()
+    x = i % camera[0].width
+    y = i // camera[0].width
+    hit = ray_of_pixel(camera[0].width, x, y)
+    if hits_inout.depth[hit] < wp.inf:
+        ray = pixel_ray(camera[0], x, y)
+        number = instance_of(instances, hits_inout.gaussian[hit])
+        gaussian = hits_inout.gaussian[hit] - instances[number].first
+        mean_z = hits_inout.depth[hit] / wp.length(ray)
+        depth_z = peak_depth(camera, instances, assets, number, gaussian, ray, mean_z, meshes.depth_z[i])
+        hits_inout.depth[hit] = depth_z * wp.length(ray)

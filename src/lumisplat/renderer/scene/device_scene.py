@@ -6,7 +6,7 @@ import numpy as np
 
 from lumisplat.config import RenderConfig
 from lumisplat.device.structs.camera import CameraData, SampleData
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
+from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
 from lumisplat.device.structs.shading import ShadingScene
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.bvh_scene import BvhScene
@@ -18,7 +18,7 @@ from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import table_dtype
+from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -43,6 +43,8 @@ class DeviceScene:
         """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
         self.assets: list[SplatAsset] = []
         """The distinct Gaussian sets."""
+        self.gaussians: DeviceArray
+        """One GaussianData for each of them; written by ``sync``."""
         self.camera = self._buffers.get("camera", CameraData, 1)
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
@@ -127,6 +129,9 @@ class DeviceScene:
             if structure != self._structure:
                 self._structure = None  # a failed upload does not count as finished
                 self.assets = sync_splat_assets(scene, self.assets, self._launcher.device)
+                self.gaussians = upload_structs(
+                    [asset.data for asset in self.assets], GaussianData, self._launcher.device
+                )
                 self._meshes.sync(scene)
                 self._structure = structure
                 self.version += 1
