@@ -473,6 +473,17 @@ COMPOSITE_BATCH = 32
 PAIR_SUM_THREADS = 4096
 """Items that add up the (tile, item) pairs of a frame in 64 bits, in the parallel schedule."""
 
+# --- Editing captures ---
+
+FLOATER_NEIGHBOURS = 4
+"""Others that a Gaussian must have around it."""
+
+FLOATER_REACH = 3.0
+"""How far around it, in its largest scale or the capture's median one: where a Gaussian ends."""
+
+FLOATER_PAIRS = 2**24
+"""Candidates whose distances are in memory at once: a few hundred MB."""
+
 # --- Files ---
 
 SCALE_MIN = 1e-12
