@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera, CameraModel
     from lumisplat.scene.editing.crop import crop
+    from lumisplat.scene.editing.decimate import decimate
     from lumisplat.scene.editing.floaters import remove_floaters
     from lumisplat.scene.editing.merge import merge
     from lumisplat.scene.editing.morton import sort_morton
@@ -149,6 +150,7 @@ _MODULE_OF = {
     "boundary_f": "metrics.shadows",
     "create_renderer": "renderer.renderer",
     "crop": "scene.editing.crop",
+    "decimate": "scene.editing.decimate",
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
@@ -251,6 +253,7 @@ __all__ = [
     "boundary_f",
     "create_renderer",
     "crop",
+    "decimate",
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",

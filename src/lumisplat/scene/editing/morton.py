@@ -31,10 +31,15 @@ def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
     """
     low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
     extent = np.maximum(high - low, np.finfo(np.float32).tiny)
-    code = np.zeros(len(positions), dtype=np.uint64)
+    shares = [np.clip((positions[:, axis] - low[axis]) / extent[axis], 0.0, 1.0) for axis in range(3)]
+    return np.argsort(morton_codes(np.stack(shares)), kind="stable")
+
+
+def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
+    """Places along the curve, shape (N,), of points in the unit cube, shape (3, N)."""
+    code = np.zeros(shares.shape[1], dtype=np.uint64)
     for axis in range(3):
-        share = np.clip((positions[:, axis] - low[axis]) / extent[axis], 0.0, 1.0)
-        bits = (share * (2**21 - 1)).astype(np.uint64)
+        bits = (shares[axis] * (2**21 - 1)).astype(np.uint64)
         # Moves 21 bits to every third place; each step halves the groups of bits that move together.
         for shift, mask in (
             (32, 0x1F00000000FFFF),
@@ -45,4 +50,4 @@ def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
         ):
             bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
         code |= bits << np.uint64(axis)
-    return np.argsort(code, kind="stable")
+    return code
