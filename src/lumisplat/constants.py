@@ -491,7 +491,7 @@ merge more where it is cheap, less evenly: 8 are 0.3 dB worse on the biker."""
 DECIMATE_COLOR_WEIGHT = 30.0
 """Loss by a difference of colours of 1, relative to that by an e-fold larger spread. Within 0.3 dB from 10 to 100."""
 
-DECIMATE_OPACITY_MIN = 1e-6
+DECIMATE_OPACITY_MIN = 1e-9
 """Opacity below which a Gaussian's mass falls no further: weights must not be 0."""
 
 DECIMATE_BLOCK = 2**13

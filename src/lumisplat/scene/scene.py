@@ -171,9 +171,7 @@ def check_similarity(
         reasons.append("shears (its axes meet at {:.5g}, {:.5g} and {:.5g} degrees)".format(*angles))
     if reasons:
         listed = " and ".join(reasons)
-        raise SceneError(
-            f"{name} {listed}: {taker} takes rotation, uniform scale and translation only"
-        )
+        raise SceneError(f"{name} {listed}: {taker} takes rotation, uniform scale and translation only")
 
 
 def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:

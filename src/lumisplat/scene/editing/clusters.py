@@ -72,6 +72,7 @@ def _curve(means: Doubles, step: int) -> _Indices:
 def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
     """Pairs of which each is the other's cheapest among the nearest along the curve."""
     count = parts.masses.size
+    numbers = np.arange(count)
     best, partner = np.full(count, np.inf), np.full(count, -1, np.intp)
     logs = log_determinants(parts.covariances)
     for apart in range(1, min(DECIMATE_NEIGHBOURS, count - 1) + 1):
@@ -80,12 +81,14 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
             block = slice(start, min(start + DECIMATE_BLOCK, costs.size))
             costs[block] = _costs(parts, logs, colors, block, slice(block.start + apart, block.stop + apart))
         # Costs that are equal, as of copies, must not all point the same way along the curve: few would be mutual.
-        costs += np.abs(costs) * 1e-9 * ((np.arange(costs.size) * 0.618034 + apart * 0.414214) % 1.0)
-        here, there = np.arange(costs.size), np.arange(apart, count)
+        ties = (numbers[: costs.size] * 0.6180339887 + apart * 0.4142135624) % 1.0
+        costs += 1e-9 * np.sqrt(parts.masses[: costs.size]) * ties
+        here, there = slice(0, count - apart), slice(apart, count)
         for own, other in ((here, there), (there, here)):
-            better = costs < best[own[0] : own[0] + own.size]
-            best[own[better]], partner[own[better]] = costs[better], other[better]
-    first = np.flatnonzero((partner[partner] == np.arange(count)) & (partner > np.arange(count)))
+            better = costs < best[own]
+            np.copyto(best[own], costs, where=better)
+            np.copyto(partner[own], numbers[other], where=better)
+    first = np.flatnonzero((partner[partner] == numbers) & (partner > numbers))
     return _Pairs(first, partner[first], best[first])
 
 
@@ -94,7 +97,9 @@ def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: sl
     first, second = parts.at(own), parts.at(other)
     merged = mixture(first, second)
     # Runnalls 2007, equation 16: a bound of how much less likely the mixture becomes, in shape.
-    shape = merged.masses * log_determinants(merged.covariances) - first.masses * logs[own] - second.masses * logs[other]
+    shape = (
+        merged.masses * log_determinants(merged.covariances) - first.masses * logs[own] - second.masses * logs[other]
+    )
     color = ((colors[:, own] - colors[:, other]) ** 2).sum(axis=0)
     spread = first.masses * second.masses / merged.masses
     # Over the root of the mass: between the loss as a whole, which spares the large, and that for each unit of mass.

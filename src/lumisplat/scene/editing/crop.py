@@ -43,9 +43,11 @@ def crop(
         inside &= ((gaussians.means >= low) & (gaussians.means <= high)).all(axis=1)
     if sphere is not None:
         center, radius = _pair("sphere", sphere, "a centre of three numbers and a radius")
-        check_positive("the radius of sphere", radius)
+        size = finite_numbers(radius, ())
+        check_positive("the radius of sphere", radius if size is None else size.item())
+        assert size is not None
         offset = gaussians.means - _point("sphere", center)
-        inside &= np.einsum("ij,ij->i", offset, offset) <= float(radius) ** 2
+        inside &= np.einsum("ij,ij->i", offset, offset) <= size.item() ** 2
     return remaining(gaussians, ~inside if outside else inside, "crop")
 
 

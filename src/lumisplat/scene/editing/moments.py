@@ -75,7 +75,7 @@ def mixture(first: Moments, second: Moments) -> Moments:
 
 def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moments:
     """The moments of ``count`` mixtures, to which the labels of the parts, shape (N,), assign them."""
-    masses = np.bincount(labels, parts.masses, count)
+    masses = np.bincount(labels, parts.masses, count).astype(np.float64, copy=False)
 
     def averages(values: Doubles) -> Doubles:
         return np.stack([np.bincount(labels, parts.masses * row, count) / masses for row in values])
