@@ -48,7 +48,7 @@ def crop(
         assert size is not None
         offset = gaussians.means - _point("sphere", center)
         inside &= np.einsum("ij,ij->i", offset, offset) <= size.item() ** 2
-    return remaining(gaussians, ~inside if outside else inside, "crop")
+    return remaining(gaussians, ~inside if outside else inside)
 
 
 def _pair(name: str, value: object, expected: str) -> tuple[npt.ArrayLike, npt.ArrayLike]:

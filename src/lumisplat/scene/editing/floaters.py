@@ -66,7 +66,7 @@ def remove_floaters(
         done += rows.size
         if progress:
             progress(done / gaussians.count)
-    return remaining(gaussians, ~floating, "remove_floaters")
+    return remaining(gaussians, ~floating)
 
 
 def _with_few(means: FloatArray, rows: _Indices, radii: FloatArray, neighbours: int) -> _Flags:

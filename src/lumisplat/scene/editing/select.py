@@ -73,7 +73,7 @@ def select(
     for name, (low, high) in given.items():
         values = _values(gaussians, name)
         kept &= (values >= low) & (values <= high)
-    return remaining(gaussians, kept, "select")
+    return remaining(gaussians, kept)
 
 
 def _limits(name: str, limits: object) -> tuple[float, float]:
