@@ -66,6 +66,14 @@ if TYPE_CHECKING:
     from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera, CameraModel
+    from lumisplat.scene.editing.crop import crop
+    from lumisplat.scene.editing.decimate import decimate
+    from lumisplat.scene.editing.floaters import remove_floaters
+    from lumisplat.scene.editing.merge import merge
+    from lumisplat.scene.editing.morton import sort_morton
+    from lumisplat.scene.editing.select import select
+    from lumisplat.scene.editing.sh_degree import limit_sh_degree
+    from lumisplat.scene.editing.transform import transform
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
@@ -141,6 +149,8 @@ _MODULE_OF = {
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
     "create_renderer": "renderer.renderer",
+    "crop": "scene.editing.crop",
+    "decimate": "scene.editing.decimate",
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
@@ -148,6 +158,7 @@ _MODULE_OF = {
     "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
+    "limit_sh_degree": "scene.editing.sh_degree",
     "load": "io",
     "load_animation": "io",
     "load_cameras": "io",
@@ -156,10 +167,12 @@ _MODULE_OF = {
     "load_radiance": "io",
     "load_rig": "io",
     "load_sequence": "io",
+    "merge": "scene.editing.merge",
     "ncm_ab": "metrics.lighting",
     "paa_y": "metrics.lighting",
     "psnr": "metrics.images",
     "relight": "relighting.probe_transfer",
+    "remove_floaters": "scene.editing.floaters",
     "render": "renderer.one_shot",
     "sae": "metrics.shadows",
     "save": "io",
@@ -167,10 +180,13 @@ _MODULE_OF = {
     "save_cameras": "io",
     "save_config": "io",
     "scale_light": "scene.ops.recolor",
+    "select": "scene.editing.select",
     "shadowed": "relighting.captured_shadow",
     "sm_iou": "metrics.shadows",
+    "sort_morton": "scene.editing.morton",
     "ssim": "metrics.images",
     "trace_rays": "renderer.one_shot",
+    "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
 }
 
@@ -236,6 +252,8 @@ __all__ = [
     "bind_gaussians",
     "boundary_f",
     "create_renderer",
+    "crop",
+    "decimate",
     "demo_cameras",
     "demo_scene",
     "demo_scene_lit",
@@ -243,6 +261,7 @@ __all__ = [
     "estimate_normals",
     "flip",
     "gaussians_from_mesh",
+    "limit_sh_degree",
     "load",
     "load_animation",
     "load_cameras",
@@ -251,10 +270,12 @@ __all__ = [
     "load_radiance",
     "load_rig",
     "load_sequence",
+    "merge",
     "ncm_ab",
     "paa_y",
     "psnr",
     "relight",
+    "remove_floaters",
     "render",
     "sae",
     "save",
@@ -262,10 +283,13 @@ __all__ = [
     "save_cameras",
     "save_config",
     "scale_light",
+    "select",
     "shadowed",
     "sm_iou",
+    "sort_morton",
     "ssim",
     "trace_rays",
+    "transform",
     "transmittance",
 ]
 

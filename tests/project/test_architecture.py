@@ -33,6 +33,7 @@ LAYERS = (
     "scene",
     "scene.sampling",
     "scene.ops",
+    "scene.editing",
     "scene.animation",
     "demo",
     "metrics",

@@ -41,7 +41,9 @@ Lights, soft shadows: lumisplat render scene.toml --pipeline hybrid --shadows so
 
 Avatars that walk through a capture: lumisplat animate scene.toml -o frames --video walk.mp4
 
-An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply"""
+An avatar in the light of a capture: lumisplat relight avatar.ply garden.ply -o relit.ply
+
+A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 5 --decimate 25% -o middle.spz"""
 
 _Command = (
     Annotated[Render, subcommand("render")]

@@ -76,9 +76,9 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
-        ``Gaussians`` for a capture; ``Mesh`` for a mesh, or ``Scene`` if it has several materials; ``Scene`` for
-        scenes. Arrays are read-only. Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes have
-        the axes of their files.
+        ``Gaussians`` for a capture, with the materials of R3DG, GS-IR and our own files, 2D Gaussians as flat ones;
+        ``Mesh`` for a mesh, or ``Scene`` if it has several materials; ``Scene`` for scenes. Arrays are read-only.
+        Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes have the axes of their files.
 
     Raises:
         FormatError: The file is missing, unknown, damaged or truncated, holds no Gaussians or invalid values, or needs
@@ -159,8 +159,8 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     Args:
         path: ``.ply`` (lossless), ``.compressed.ply`` (16 bytes per Gaussian and 9, 24 or 45 for SH; changes the order)
             or ``.spz`` (version 4).
-        gaussians: The capture. Only ``.ply`` stores normals and materials, and ``.spz`` does not store the kernel
-            degree; values that are left out are logged.
+        gaussians: The capture. Only ``.ply`` stores normals and materials, which a comment in its header marks as
+            linear, and ``.spz`` does not store the kernel degree; values that are left out are logged.
 
     Raises:
         FormatError: The extension is unknown, the format cannot store a value, or the file cannot be written.

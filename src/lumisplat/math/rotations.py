@@ -23,6 +23,15 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> _Doubles:
     return matrices_from_quaternions(quaternion[None])[0]
 
 
+def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> _Doubles:
+    """The matrix that turns about the fixed x axis, then y, then z, by angles in degrees, right-handed, shape (3,)."""
+    x, y, z = np.radians(np.asarray(angles, dtype=np.float64))
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
 def matrices_from_quaternions(wxyz: _Floats) -> _Doubles:
     """Rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
     w, x, y, z = np.asarray(wxyz, dtype=np.float64).T

@@ -38,6 +38,32 @@ def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = 
     return np.moveaxis(np.array(functions), 0, -1)
 
 
+def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[np.float64]:
+    """The matrix that turns harmonics: the turned coefficients are this times the old ones.
+
+    A function turned by R has at R d the value that it had at d. Functions of one degree turn into functions of the
+    same degree, so that the values at more directions than coefficients determine the matrix, to rounding.
+
+    Args:
+        rotation: R, new from old, shape (3, 3).
+        degree: Highest degree, at least 0.
+
+    Returns:
+        Orthogonal, shape (K, K), K = (degree + 1)^2; degrees do not mix.
+    """
+    count = (degree + 1) ** 2
+    turned = np.zeros((count, count))
+    turns = np.arange(4 * count) + 0.5  # directions spread evenly, on a spiral
+    z = 1.0 - turns / (2 * count)
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
+    directions = np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])
+    before, after = sh_basis(directions, degree), sh_basis(directions @ np.asarray(rotation, np.float64).T, degree)
+    for level in range(degree + 1):
+        band = slice(level**2, (level + 1) ** 2)
+        turned[band, band] = np.linalg.lstsq(after[:, band], before[:, band])[0]
+    return turned
+
+
 def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:
     """The functions up to degree 3, or to ``degree`` if that is lower, as polynomials."""
     functions = [np.full_like(x, SH_C0)]

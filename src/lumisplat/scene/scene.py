@@ -146,8 +146,12 @@ class Scene:
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
 
 
-def check_similarity(linear: npt.NDArray[np.float64]) -> None:
+def check_similarity(
+    linear: npt.NDArray[np.float64], name: str = "world_from_object", taker: str = "a splat instance"
+) -> None:
     """Checks that a matrix, shape (3, 3), is a rotation times a uniform scale, as a splat instance needs.
+
+    The message calls the matrix by ``name``, and says what takes it.
 
     Raises:
         SceneError: It mirrors, scales the axes differently or shears; the message says by how much.
@@ -167,9 +171,7 @@ def check_similarity(linear: npt.NDArray[np.float64]) -> None:
         reasons.append("shears (its axes meet at {:.5g}, {:.5g} and {:.5g} degrees)".format(*angles))
     if reasons:
         listed = " and ".join(reasons)
-        raise SceneError(
-            f"world_from_object {listed}: a splat instance takes rotation, uniform scale and translation only"
-        )
+        raise SceneError(f"{name} {listed}: {taker} takes rotation, uniform scale and translation only")
 
 
 def checked_lights(lights: Iterable[object]) -> tuple[Light, ...]:

@@ -131,7 +131,6 @@ def test_other_elements_of_text_are_skipped(tmp_path: Path) -> None:
     ("names", "message"),
     [
         (["x", "y", "z", "red", "green", "blue"], "a point cloud, not a Gaussian capture: no opacity, scale, rotation"),
-        ([n for n in NAMES if n != "scale_2"], "2D Gaussian capture"),
         ([n for n in NAMES if n != "opacity"], "no opacity"),
         ([n for n in NAMES if not n.startswith("rot")], "no rot_0, rot_1, rot_2, rot_3"),
         ([*NAMES, "f_rest_0", "f_rest_1"], "2 f_rest properties, expected 0, 9, 24 or 45"),

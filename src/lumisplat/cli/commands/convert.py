@@ -1,40 +1,143 @@
-"""``lumisplat convert``: a capture in another file format."""
+"""``lumisplat convert``: captures in another file format, cut, moved, joined or thinned on the way."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
-from lumisplat.cli.options.command import LoadingCommand
-from lumisplat.cli.output.console import byte_size, progress_bars
+from lumisplat.cli.options.captures import count_of, value_ranges
+from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.output.console import Report, byte_size, progress_bars
+
+_Edit = Callable[[ls.Gaussians], ls.Gaussians]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(LoadingCommand):
-    """Write a capture in another format: .ply (exact), .compressed.ply or .spz (small)."""
+    """Write captures in another format: .ply (exact), .compressed.ply or .spz (small). Several become one.
 
-    source: Positional[Annotated[Path, arg(metavar="IN")]]
-    """.ply, .compressed.ply, .spz, .sog, or a SOG folder."""
-    target: Positional[Annotated[Path, arg(metavar="OUT")]]
-    """.ply, .compressed.ply or .spz."""
+    Smaller: lumisplat convert garden.ply garden.spz
+
+    The middle of it, without strays: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o middle.ply
+
+    A quarter of the Gaussians: lumisplat convert garden.ply --decimate 25% -o quarter.spz
+
+    Two as one: lumisplat convert house.ply tree.ply -o both.ply
+
+    Whatever the order on the command line, captures are joined first; then follow --box and --sphere, --keep,
+    --floaters, --sh-degree, --decimate, --scale, --rotate, --translate and --morton. So coordinates and sizes are those
+    of the files, as lumisplat info shows them. For another order, convert twice.
+    """
+
+    files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
+    """.ply, .compressed.ply, .spz, .sog, or a SOG folder. Without -o, there are two, and the second is written."""
+    output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
+    """.ply, .compressed.ply or .spz. Needed to join captures."""
+    box: Annotated[
+        tuple[float, float, float, float, float, float] | None, arg(metavar="X Y Z X Y Z", help_behavior_hint="")
+    ] = None
+    """Keep what lies between two corners, with its mean."""
+    sphere: Annotated[tuple[float, float, float, float] | None, arg(metavar="X Y Z R", help_behavior_hint="")] = None
+    """Keep what lies within a radius of a point, with its mean; with --box, what lies in both."""
+    outside: Flag = False
+    """Keep what is outside of --box and --sphere instead."""
+    keep: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=MIN..MAX", help_behavior_hint="")] = ()
+    """Keep what has a value within limits, of which one may be missing: opacity=0.1.. or scale_max=..0.5. Also
+    scale_min, x, y, z, red, green, blue (mean colour, 0..1), roughness and metallic. May be given repeatedly."""
+    floaters: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
+    """Remove Gaussians with fewer than so many others within three of their scales; 4 suits most captures."""
+    sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
+    """Leave out harmonics above this degree; 0 is one colour for all directions."""
+    decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
+    """Merge neighbours until so many are left: for previews, and for what is far away."""
+    scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
+    """Larger or smaller about the origin."""
+    rotate: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Turn about the x axis, then y, then z, degrees: 180 0 0 makes y-down captures y-up."""
+    translate: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Move, last of the three."""
+    morton: Flag = False
+    """Sort along a Morton curve, so that neighbours are stored together; .compressed.ply always is."""
 
     def run(self) -> None:
-        """Converts, and prints the sizes."""
+        """Loads, edits, writes, and prints what became of it."""
+        sources, target = self._sources_and_target()
         with progress_bars() as report:
-            gaussians = self.load_asset(self.source, report)
-            if not isinstance(gaussians, ls.Gaussians):
-                raise ls.FormatError(
-                    self.source, "is not a capture: convert takes Gaussians only (Python: ls.gaussians_from_mesh)"
-                )
+            captures = [self._loaded(source, report) for source in sources]
+            gaussians = captures[0] if len(captures) == 1 else ls.merge(captures)
+            done: list[str] = []
+            for option, edit in self._edits(report):
+                gaussians, before = _edited(option, edit, gaussians), gaussians.count
+                if gaussians.count != before:
+                    done.append(f"{option}: {before:,} -> {gaussians.count:,} Gaussians")
             report("writing", 0.0)
-            ls.save(self.target, gaussians)
-        before, after = size_on_disk(self.source), size_on_disk(self.target)
-        print(
-            f"{self.target}: {gaussians.count:,} Gaussians, SH degree {gaussians.sh_degree}, "
-            f"{byte_size(before)} -> {byte_size(after)}"
-        )
+            ls.save(target, gaussians)
+        before, after = sum(map(size_on_disk, sources)), size_on_disk(target)
+        sizes = f"{byte_size(before)} -> {byte_size(after)}"
+        done.append(f"{target}: {gaussians.count:,} Gaussians, SH degree {gaussians.sh_degree}, {sizes}")
+        print("\n".join(done))
+
+    def _sources_and_target(self) -> tuple[tuple[Path, ...], Path]:
+        """What is read, and what is written."""
+        sources, target = self.files, self.output
+        if target is None and len(sources) == 2:
+            sources, target = sources[:1], sources[1]
+        if target is None and len(sources) > 2:
+            raise ls.ConfigError("several captures are joined only with -o: lumisplat convert A B -o OUT")
+        if target is None or not sources:
+            raise ls.ConfigError("convert needs what it reads and what it writes: lumisplat convert IN OUT")
+        if target.suffix.lower() not in (".ply", ".spz"):  # found now, rather than after the work
+            raise ls.FormatError(target, "unknown extension, expected .ply, .compressed.ply or .spz")
+        return sources, target
+
+    def _loaded(self, source: Path, report: Report) -> ls.Gaussians:
+        """One capture."""
+        gaussians = self.load_asset(source, report)
+        if not isinstance(gaussians, ls.Gaussians):
+            raise ls.FormatError(
+                source, "is not a capture: convert takes Gaussians only (Python: ls.gaussians_from_mesh)"
+            )
+        return gaussians
+
+    def _edits(self, report: Report) -> Iterator[tuple[str, _Edit]]:
+        """What is to be done, in order: the options that ask for it, and how."""
+        if self.box is not None or self.sphere is not None:
+            box = None if self.box is None else (self.box[:3], self.box[3:])
+            sphere = None if self.sphere is None else (self.sphere[:3], self.sphere[3])
+            given = [name for name, value in (("--box", box), ("--sphere", sphere)) if value is not None]
+            yield ", ".join(given), lambda g: ls.crop(g, box, sphere, outside=self.outside)
+        elif self.outside:
+            raise ls.ConfigError("--outside needs --box or --sphere")
+        if self.keep:
+            ranges = value_ranges(self.keep)
+            yield "--keep", lambda g: ls.select(g, **ranges)
+        if (neighbours := self.floaters) is not None:
+            bar = partial(report, "looking for floaters")
+            yield "--floaters", lambda g: ls.remove_floaters(g, neighbours, progress=bar)
+        if (degree := self.sh_degree) is not None:
+            yield "--sh-degree", lambda g: ls.limit_sh_degree(g, degree)
+        if (share := self.decimate) is not None:
+            merging = partial(report, "merging neighbours")
+            yield "--decimate", lambda g: ls.decimate(g, count_of(share, g.count), progress=merging)
+        if (self.scale, *self.rotate, *self.translate) != (1.0, *(0.0,) * 6):
+            yield "--scale, --rotate, --translate", self._placed
+        if self.morton:
+            yield "--morton", ls.sort_morton
+
+    def _placed(self, gaussians: ls.Gaussians) -> ls.Gaussians:
+        return ls.transform(gaussians, scale=self.scale, rotation_degrees=self.rotate, translation=self.translate)
+
+
+def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
+    """The edited capture; an error names the option that asked for it."""
+    try:
+        return edit(gaussians)
+    except ls.SceneError as error:
+        raise ls.ConfigError(f"{option}: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy.typing as npt
 from lumisplat.constants import KERNEL_DEGREE, LOGIT_MAX, SCALE_MIN
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
+from lumisplat.io.splats.material_columns import FIELDS as MATERIALS
+from lumisplat.io.splats.material_columns import LINEAR, MaterialColumns
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
 
@@ -38,6 +41,8 @@ class SplatColumns:
     albedo: Floats | None = None
     roughness: Floats | None = None
     metallic: Floats | None = None
+    material_columns: MaterialColumns = LINEAR
+    """How the normals and materials are stored."""
     opacities_are_logits: bool = True
     antialiased: bool = False
     kernel_degree: int = KERNEL_DEGREE
@@ -48,24 +53,23 @@ class SplatColumns:
         """Number of Gaussians, N."""
         return self.means.shape[0]
 
+    def property_names(self, field: str) -> Sequence[str]:
+        """PLY properties of a field, one for each of its columns."""
+        if field == "sh":
+            return sh_property_names(self.sh.shape[1])
+        return PROPERTY_NAMES.get(field) or self.material_columns.properties[field]
+
 
 PROPERTY_NAMES = {
     "means": ("x", "y", "z"),
     "rotations_wxyz": ("rot_0", "rot_1", "rot_2", "rot_3"),
     "log_scales": ("scale_0", "scale_1", "scale_2"),
     "opacities": ("opacity",),
-    "normals": ("nx", "ny", "nz"),
-    "albedo": ("albedo_0", "albedo_1", "albedo_2"),
-    "roughness": ("roughness",),
-    "metallic": ("metallic",),
 }
-"""PLY properties of each field, in order. The last three are our own, for relightable captures."""
+"""PLY properties of each field that all captures have, in order; those of SH are `sh_property_names`."""
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
-
-MATERIALS = ("normals", "albedo", "roughness", "metallic")
-"""Optional fields."""
 
 PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
@@ -79,7 +83,7 @@ def sh_property_names(coefficients: int) -> list[str]:
 
 
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
-    """Applies exp and sigmoid, and refuses or drops Gaussians that cannot be rendered.
+    """Applies exp and sigmoids, and refuses or drops Gaussians that cannot be rendered.
 
     Args:
         path: Named in errors.
@@ -103,7 +107,10 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     def select(values: Floats) -> FloatArray:
         return read_only_view(values[rows].astype(np.float32, copy=False))
 
-    extras = {name: getattr(columns, name) for name in MATERIALS}
+    stored = {name: getattr(columns, name) for name in MATERIALS}
+    extras = {
+        name: columns.material_columns.activated(name, values) for name, values in stored.items() if values is not None
+    }
     try:
         return Gaussians(
             select(columns.means),
@@ -111,7 +118,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
             select(scales),
             select(opacities),
             select(columns.sh),
-            **{name: select(values) for name, values in extras.items() if values is not None},
+            **{name: select(values) for name, values in extras.items()},
             antialiased=columns.antialiased,
             kernel_degree=columns.kernel_degree,
             comments=columns.comments,
@@ -150,7 +157,7 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
         if field == "log_scales":
             finite &= np.isfinite(scales)  # the exponential may overflow
         if not finite.all():
-            names = PROPERTY_NAMES.get(field) or sh_property_names(columns.sh.shape[1])
+            names = columns.property_names(field)
             bad = ~finite.reshape(columns.count, -1)
             invalid |= bad.any(axis=1)
             counts = np.count_nonzero(bad, axis=0)

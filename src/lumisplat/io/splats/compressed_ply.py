@@ -24,6 +24,7 @@ from lumisplat.io.ply.rows import PlyRows, read_ply_element, read_ply_rows
 from lumisplat.io.splats.columns import Floats, SplatColumns, sh_property_names, warn_lost_materials
 from lumisplat.io.splats.smallest_three import pack_smallest_three, unpack_smallest_three
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
+from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
 
 _log = logging.getLogger("lumisplat")
@@ -201,30 +202,6 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
             os.fspath(path),
             f"{coarse:,}",
         )
-
-
-def morton_order(positions: Floats) -> npt.NDArray[np.int64]:
-    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells per axis.
-
-    The curve leaves out a thousandth of the points at each end, so that one stray cannot put all others into one cell.
-    """
-    low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
-    extent = np.maximum(high - low, np.finfo(np.float32).tiny)
-    code = np.zeros(len(positions), dtype=np.uint64)
-    for axis in range(3):
-        share = np.clip((positions[:, axis] - low[axis]) / extent[axis], 0.0, 1.0)
-        bits = (share * (2**21 - 1)).astype(np.uint64)
-        # Moves 21 bits to every third place; each step halves the groups of bits that move together.
-        for shift, mask in (
-            (32, 0x1F00000000FFFF),
-            (16, 0x1F0000FF0000FF),
-            (8, 0x100F00F00F00F00F),
-            (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):
-            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
-        code |= bits << np.uint64(axis)
-    return np.argsort(code, kind="stable")
 
 
 def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:

@@ -1,33 +1,45 @@
 """Gaussian PLY as INRIA's trainer writes it, with or without further properties.
 
 Properties may have any order and any number type: x y z, f_dc_0..2, f_rest_* (0, 9, 24 or 45 of them, channel-major),
-opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures also have albedo_0..2
-(linear Rec.709), roughness and metallic, 0..1, and use nx, ny, nz, which INRIA fills with zeros. Axes are not changed.
+opacity (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz, any length). Relightable captures also have materials
+(`lumisplat.io.splats.material_columns`), and use nx, ny, nz, which INRIA fills with zeros. 2D Gaussians (Huang et al.
+2024) have no scale_2: they become flat 3D ones. Axes are not changed.
 """
 
 from __future__ import annotations
 
+import logging
+import math
+import os
 import re
 from collections.abc import Callable
 
 import numpy as np
 
-from lumisplat.constants import KERNEL_DEGREE, SH_DEGREE_MAX
+from lumisplat.constants import FLAT_THICKNESS, KERNEL_DEGREE, SH_DEGREE_MAX
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.ply.header import PlyElement, PlyHeader, ply_header_bytes
 from lumisplat.io.ply.rows import read_ply_rows
 from lumisplat.io.splats.columns import (
-    MATERIALS,
     PROPERTY_NAMES,
     Floats,
     SplatColumns,
     columns_from_gaussians,
     sh_property_names,
 )
+from lumisplat.io.splats.material_columns import (
+    FIELDS,
+    LINEAR,
+    LINEAR_COMMENT,
+    material_columns_of,
+    says_linear,
+)
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.gaussians import Gaussians
+
+_log = logging.getLogger("lumisplat")
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 
@@ -99,12 +111,16 @@ def read_splat_ply(header: PlyHeader, progress: Callable[[float], None] | None =
         columns = columns or _allocate(header, vertex, coefficients)
         with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
             for name, target in _targets(columns):
-                target[start : start + len(rows)] = rows[name]
+                if name in vertex.names:  # but for the third scale of 2D Gaussians
+                    target[start : start + len(rows)] = rows[name]
         start += len(rows)
         if progress:
             progress(start / vertex.count)
     if columns is None:
         raise FormatError(header.path, "holds zero Gaussians: there is nothing to render")
+    if "scale_2" not in vertex.names:
+        columns.log_scales[:, 2] = columns.log_scales[:, :2].min(axis=1) + math.log(FLAT_THICKNESS)
+    _leave_out_unknown_materials(header, vertex, columns)
     return columns
 
 
@@ -119,9 +135,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     coefficients = (degree + 1) ** 2
     required = [name for field in REQUIRED for name in PROPERTY_NAMES[field]] + sh_property_names(coefficients)
     missing = [name for name in required if name not in vertex.names]
-    if missing == ["scale_2"]:
-        raise FormatError(path, "a 2D Gaussian capture (no scale_2): only 3D Gaussians are supported")
-    if missing:
+    if missing and missing != ["scale_2"]:
         raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
     return coefficients
 
@@ -132,8 +146,11 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
     def empty(*shape: int) -> FloatArray:
         return np.empty((vertex.count, *shape), dtype=np.float32)
 
+    materials = material_columns_of(vertex.names, header.comments)
+
     def optional(field: str, *shape: int) -> FloatArray | None:
-        return empty(*shape) if set(PROPERTY_NAMES[field]) <= set(vertex.names) else None
+        names = materials.properties.get(field)
+        return empty(*shape) if names and set(names) <= set(vertex.names) else None
 
     return SplatColumns(
         means=empty(3),
@@ -145,6 +162,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
         albedo=optional("albedo", 3),
         roughness=optional("roughness"),
         metallic=optional("metallic"),
+        material_columns=materials,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
         comments=header.comments,
@@ -153,12 +171,43 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int) -> Splat
 
 def _targets(columns: SplatColumns) -> list[tuple[str, Floats]]:
     """Name and column, a view of shape (N,), of every property that ``columns`` has."""
-    targets = list(zip(sh_property_names(columns.sh.shape[1]), columns.sh.reshape(columns.count, -1).T, strict=True))
-    for field, names in PROPERTY_NAMES.items():
+    targets: list[tuple[str, Floats]] = []
+    for field in (*REQUIRED, "sh", *FIELDS):
         values = getattr(columns, field)
         if values is not None:
-            targets += zip(names, values.reshape(columns.count, -1).T, strict=True)
+            targets += zip(columns.property_names(field), values.reshape(columns.count, -1).T, strict=True)
     return targets
+
+
+def _leave_out_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
+    """Removes materials whose meaning nobody knows, and logs why.
+
+    Several trainers use our names for values before their activation. Without our comment, columns are ours if the file
+    has no others than we write, and all values are in range.
+    """
+    fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
+    if columns.material_columns is not LINEAR or not fields or says_linear(header.comments):
+        return
+    ours = {name for name, _ in _targets(columns)} | {"nx", "ny", "nz"}
+    foreign = [name for name in vertex.names if name not in ours]
+    reasons = [f"{', '.join(foreign[:3])} {'are' if foreign[1:] else 'is'} none of our columns"] if foreign else []
+    for field in fields:
+        values = getattr(columns, field)
+        outside = np.count_nonzero((values < 0.0) | (values > 1.0))
+        if outside:
+            reasons.append(f"{outside:,} of {values.size:,} values of {field} are outside 0..1")
+    if not reasons:
+        return
+    for field in fields:
+        setattr(columns, field, None)
+    _log.warning(
+        "%s: %s left out: an unknown trainer may have stored them before their activation (%s); if they are linear and "
+        "within 0..1, add the line 'comment %s' to the header",
+        os.fspath(header.path),
+        ", ".join(fields),
+        "; ".join(reasons),
+        LINEAR_COMMENT,
+    )
 
 
 def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
@@ -172,8 +221,12 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     rest = [f"f_rest_{i}" for i in range(3 * (columns.sh.shape[1] - 1))]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
     names += [*PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
-    names += [name for field in MATERIALS[1:] for name in PROPERTY_NAMES[field] if name in values]
-    header = ply_header_bytes(comments_with_settings(gaussians), [("vertex", columns.count, "float", names)])
+    materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
+    comments = comments_with_settings(gaussians)
+    if materials and not says_linear(comments):
+        comments += (LINEAR_COMMENT,)
+    names += materials
+    header = ply_header_bytes(comments, [("vertex", columns.count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(header)

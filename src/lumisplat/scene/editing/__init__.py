@@ -1,0 +1,1 @@
+"""Captures cut, cleaned, moved, joined, ordered and thinned: what returns other Gaussians than it was given."""

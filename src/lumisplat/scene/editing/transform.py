@@ -1,0 +1,79 @@
+"""Captures moved, turned and scaled for good, colours included."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import finite_numbers, matrix_4x4, read_only_view
+from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices, rotation_from_degrees
+from lumisplat.math.sh import sh_rotation
+from lumisplat.math.transforms import transform_points
+from lumisplat.scene.checks import check_argument, check_positive
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import check_similarity
+
+_Vector = npt.ArrayLike
+
+
+def transform(
+    gaussians: Gaussians,
+    matrix: npt.ArrayLike | None = None,
+    *,
+    scale: float = 1.0,
+    rotation_degrees: _Vector = (0.0, 0.0, 0.0),
+    translation: _Vector = (0.0, 0.0, 0.0),
+) -> Gaussians:
+    """Moves a capture: its Gaussians get other means, rotations, scales, normals and harmonics.
+
+    A `SplatInstance` places a capture without touching it; this is for files and for `merge`. Colours turn with the
+    capture: a camera that is moved alike sees the same picture.
+
+    Args:
+        gaussians: The capture.
+        matrix: ``new_from_old``, rotation, uniform scale and translation, shape (4, 4); None: the identity.
+        scale: After the matrix, the capture is scaled about the origin by this factor, above 0,
+        rotation_degrees: then turned about the x axis, about y, and about z, by these angles, right-handed,
+        translation: then moved by this, scene units.
+
+    Returns:
+        The moved Gaussians; opacities and materials are the same arrays.
+
+    Raises:
+        SceneError: A number is not finite, ``scale`` is not positive, or ``matrix`` mirrors, shears or scales the axes
+            differently.
+    """
+    check_argument("transform", gaussians, Gaussians, "Gaussians")
+    new_from_old = _placement(scale, rotation_degrees, translation) @ matrix_4x4("matrix", matrix)
+    check_similarity(new_from_old[:3, :3], "matrix", "transform")
+    factor = float(np.cbrt(np.linalg.det(new_from_old[:3, :3])))
+    rotation = new_from_old[:3, :3] / factor
+    turned = quaternions_from_matrices(rotation[None])[0]
+    harmonics = sh_rotation(rotation, gaussians.sh_degree)
+    changed = {
+        "means": transform_points(new_from_old, gaussians.means),
+        "rotations_wxyz": multiply_quaternions(turned, gaussians.rotations_wxyz),
+        "scales": gaussians.scales * factor,
+        "sh": np.einsum("jk,nkc->njc", harmonics, gaussians.sh, optimize=True),
+    }
+    if gaussians.normals is not None:
+        changed["normals"] = gaussians.normals @ rotation.T
+    with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
+        return replace(gaussians, **{name: read_only_view(v.astype(np.float32)) for name, v in changed.items()})
+
+
+def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) -> npt.NDArray[np.float64]:
+    """Scales, then turns, then moves; shape (4, 4)."""
+    check_positive("scale", scale)
+    angles, offset = finite_numbers(rotation_degrees, (3,)), finite_numbers(translation, (3,))
+    if angles is None:
+        raise SceneError(f"rotation_degrees is {rotation_degrees}, expected three finite angles")
+    if offset is None:
+        raise SceneError(f"translation is {translation}, expected three finite numbers")
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation_from_degrees(angles)
+    matrix[:3, 3] = offset
+    return matrix

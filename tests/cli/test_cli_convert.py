@@ -1,0 +1,118 @@
+"""``lumisplat convert``: what is done on the way, in which order, and what it prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.cli.options.captures import count_of, value_ranges
+from support.files.cli_files import Workplace
+
+
+@pytest.fixture
+def work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Workplace:
+    """A folder with a capture of 60 Gaussians."""
+    return Workplace(tmp_path, capsys)
+
+
+def same(first: ls.Gaussians, second: ls.Gaussians) -> None:
+    """All arrays, to the rounding of a PLY."""
+    assert first.arrays().keys() == second.arrays().keys()
+    for name, values in first.arrays().items():
+        np.testing.assert_allclose(values, second.arrays()[name], rtol=2e-6, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ("--box -1 -1 3 1 1 5", lambda g: ls.crop(g, box=((-1, -1, 3), (1, 1, 5)))),
+        ("--sphere 0 0 4 1.5 --outside", lambda g: ls.crop(g, sphere=((0, 0, 4), 1.5), outside=True)),
+        (
+            "--keep opacity=0.3.. --keep x=-1..0.5 --keep scale_max=..0.2",
+            lambda g: ls.select(g, opacity=(0.3, None), x=(-1, 0.5), scale_max=(None, 0.2)),
+        ),
+        ("--floaters 5", lambda g: ls.remove_floaters(g, 5)),
+        ("--decimate 20", lambda g: ls.decimate(g, 20)),
+        ("--decimate 25%", lambda g: ls.decimate(g, 15)),
+        ("--morton", ls.sort_morton),
+        (
+            "--scale 2 --rotate 180 0 90 --translate 1 -2 3",
+            lambda g: ls.transform(g, scale=2, rotation_degrees=(180, 0, 90), translation=(1, -2, 3)),
+        ),
+        # In the order of the help, not of the command line: the sphere is of the file.
+        (
+            "--translate 50 0 0 --decimate 10 --sphere 0 0 4 1.5",
+            lambda g: ls.transform(ls.decimate(ls.crop(g, sphere=((0, 0, 4), 1.5)), 10), translation=(50, 0, 0)),
+        ),
+    ],
+)
+def test_each_option_is_its_function(
+    work: Workplace, options: str, expected: Callable[[ls.Gaussians], ls.Gaussians]
+) -> None:
+    """What is written is what the functions of the same names return."""
+    outcome = work.run("convert", "@capture.ply", "@out.ply", *options.split())
+    assert (outcome.status, outcome.err) == (0, "")
+    same(work.capture("out.ply"), expected(work.capture("capture.ply")))
+
+
+def test_several_become_one(work: Workplace) -> None:
+    """All files before -o, in their order."""
+    capture = work.capture("capture.ply")
+    ls.save(work.path("other.ply"), ls.transform(capture, translation=(5, 0, 0)))
+    outcome = work.run("convert", "@capture.ply", "@other.ply", "@capture.ply", "-o", "@all.ply")
+    assert outcome.status == 0
+    assert "all.ply: 180 Gaussians" in outcome.out
+    same(work.capture("all.ply").subset(np.arange(60, 120)), work.capture("other.ply"))
+
+
+def test_it_says_what_became_of_it(work: Workplace) -> None:
+    """A line for each option that changed the number, and one for the file."""
+    lines = work.run(
+        "convert", "@capture.ply", "-o", "@a.ply", "--sphere", "0", "0", "4", "1.5", "--decimate", "10"
+    ).out
+    first, second, last = lines.splitlines()
+    inside = ls.crop(work.capture("capture.ply"), sphere=((0, 0, 4), 1.5)).count
+    assert (first, second) == (f"--sphere: 60 -> {inside} Gaussians", f"--decimate: {inside} -> 10 Gaussians")
+    assert last.startswith(str(work.path("a.ply"))) and "10 Gaussians, SH degree 0, " in last
+
+
+def test_harmonics_are_left_out(work: Workplace) -> None:
+    """--sh-degree, also where there are no more."""
+    capture = work.capture("capture.ply")
+    ls.save(work.path("sh2.ply"), replace(capture, sh=np.ones((60, 9, 3))))
+    assert "SH degree 1" in work.run("convert", "@sh2.ply", "@out.ply", "--sh-degree", "1").out
+    assert "SH degree 0" in work.run("convert", "@capture.ply", "@out.ply", "--sh-degree", "3").out
+
+
+def test_invalid_gaussians_are_counted(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """--drop-invalid leaves them out and says how many; without it the file is refused."""
+    data = bytearray(work.path("capture.ply").read_bytes())
+    data[-4:] = np.float32(np.nan).tobytes()
+    work.path("nan.ply").write_bytes(data)
+    refused = work.run("convert", "@nan.ply", "@out.ply")
+    assert refused.status == 2 and "1 NaN or infinite values in rot_3, in 1 of 60 Gaussians" in refused.err
+    assert "out.ply" not in work.files()
+    assert "59 Gaussians" in work.run("convert", "@nan.ply", "@out.ply", "--drop-invalid").out
+    assert "dropped 1 Gaussians: 1 NaN or infinite values in rot_3" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("text", "count"), [("10", 10), ("25%", 250), ("0.01%", 1), ("12.5%", 125), ("200%", 2000), ("5000", 5000)]
+)
+def test_counts(text: str, count: int) -> None:
+    """Numbers and percentages; at least one is left."""
+    assert count_of(text, 1000) == count
+
+
+def test_ranges() -> None:
+    """Either limit may be missing; numbers of all kinds."""
+    assert value_ranges(["x=-1..2", "opacity=.5..", "scale_max=..1e-3"]) == {
+        "x": (-1.0, 2.0),
+        "opacity": (0.5, None),
+        "scale_max": (None, 0.001),
+    }

@@ -1,0 +1,222 @@
+"""PLY files of trainers of relightable captures, packed by hand as those trainers write them, and told from ours."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.splat_files import capture, load_gaussians, parse_ply
+from support.kinds import present
+
+GEOMETRY = {"x": 1.0, "y": 2.0, "z": 3.0, "opacity": 0.5, "scale_0": -1.0, "scale_1": -2.0, "scale_2": -3.0}
+ROTATION = {"rot_0": 1.0, "rot_1": 0.0, "rot_2": 0.0, "rot_3": 0.0}
+SH = {"f_dc_0": 0.1, "f_dc_1": 0.2, "f_dc_2": 0.3, **{f"f_rest_{i}": 0.01 * i for i in range(45)}}
+NORMAL = {"nx": 0.0, "ny": -2.0, "nz": 0.0}
+INCIDENTS = {f"incidents_dc_{i}": 0.5 for i in range(3)} | {f"incidents_rest_{i}": 0.1 for i in range(45)}
+VISIBILITY = {"visibility_dc_0": 0.7} | {f"visibility_rest_{i}": 0.1 for i in range(15)}
+
+
+def sigmoid(x: float) -> float:
+    """The logistic function."""
+    return 1.0 / (1.0 + float(np.exp(-x)))
+
+
+def part(*names: str) -> dict[str, float]:
+    """Some of the columns of `GEOMETRY`."""
+    return {name: GEOMETRY[name] for name in names}
+
+
+def scales() -> dict[str, float]:
+    """The columns of the scales."""
+    return part("scale_0", "scale_1", "scale_2")
+
+
+def base_color(*raw: float) -> dict[str, float]:
+    """R3DG's columns of the base colour."""
+    return {f"base_color_{i}": value for i, value in enumerate(raw)}
+
+
+def r3dg_row(color: tuple[float, float, float], roughness: float) -> dict[str, float]:
+    """A row of Relightable 3D Gaussians, second stage: 130 columns in their order."""
+    row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
+    return row | base_color(*color) | {"roughness": roughness} | INCIDENTS | VISIBILITY
+
+
+def gs_ir_row(albedo: tuple[float, float, float], roughness: float, metallic: float) -> dict[str, float]:
+    """A row of GS-IR: 67 columns in their order."""
+    row = part("x", "y", "z") | SH | part("opacity") | {"normal_0": 0.0, "normal_1": 0.0, "normal_2": 4.0}
+    row |= {f"albedo_{i}": value for i, value in enumerate(albedo)} | {"roughness": roughness, "metallic": metallic}
+    return row | scales() | ROTATION
+
+
+def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
+    """A little-endian float PLY, byte by byte."""
+    lines = ["ply", "format binary_little_endian 1.0", *([f"comment {comment}"] if comment else [])]
+    lines += [f"element vertex {len(rows)}", *(f"property float {name}" for name in rows[0]), "end_header"]
+    body = b"".join(struct.pack("<f", value) for row in rows for value in row.values())
+    path.write_bytes("\n".join([*lines, ""]).encode() + body)
+    return path
+
+
+def test_the_rows_have_the_trainers_widths() -> None:
+    """What is packed here has as many columns as what they save."""
+    assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
+
+
+@pytest.mark.parametrize(
+    ("color", "roughness"),
+    [((0.0, 0.25, 1.0), 0.5), ((-3.0, 0.0, 40.0), -2.0)],
+    ids=["all raw values within 0..1", "any raw values"],
+)
+def test_r3dg(tmp_path: Path, color: tuple[float, float, float], roughness: float) -> None:
+    """R3DG: 0.77 sigmoid + 0.03, 0.9 sigmoid + 0.09, normals of any length; the rest as everywhere."""
+    loaded = load_gaussians(write(tmp_path / "point_cloud.ply", r3dg_row(color, roughness)))
+    expected = [0.77 * sigmoid(raw) + 0.03 for raw in color]
+    np.testing.assert_allclose(present(loaded.albedo), [expected], rtol=1e-6)
+    np.testing.assert_allclose(present(loaded.roughness), [0.9 * sigmoid(roughness) + 0.09], rtol=1e-6)
+    np.testing.assert_array_equal(present(loaded.normals), [[0, -1, 0]])
+    assert loaded.metallic is None
+    np.testing.assert_allclose(loaded.opacities, sigmoid(0.5), rtol=1e-6)
+    np.testing.assert_allclose(loaded.scales, np.exp([[-1.0, -2.0, -3.0]]), rtol=1e-6)
+    np.testing.assert_allclose(loaded.sh[0, 1], [0.0, 0.15, 0.3], rtol=1e-6)  # channel-major
+
+
+def test_the_first_r3dg(tmp_path: Path) -> None:
+    """R3DG's first release had metallic, and plain sigmoids for all three."""
+    row = r3dg_row((0.0, 0.25, 1.0), 0.5)
+    columns = list(row)
+    columns.insert(columns.index("roughness") + 1, "metallic")
+    loaded = load_gaussians(write(tmp_path / "first.ply", {name: row.get(name, 0.75) for name in columns}))
+    np.testing.assert_allclose(present(loaded.albedo), [[0.5, sigmoid(0.25), sigmoid(1.0)]], rtol=1e-6)
+    np.testing.assert_allclose(present(loaded.roughness), [sigmoid(0.5)], rtol=1e-6)
+    np.testing.assert_allclose(present(loaded.metallic), [sigmoid(0.75)], rtol=1e-6)
+
+
+def test_the_first_stage_of_r3dg(tmp_path: Path) -> None:
+    """Before materials are trained there are only normals, real ones."""
+    row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
+    loaded = load_gaussians(write(tmp_path / "stage1.ply", row))
+    np.testing.assert_array_equal(present(loaded.normals), [[0, -1, 0]])
+    assert loaded.albedo is None
+
+
+@pytest.mark.parametrize(
+    ("albedo", "roughness", "metallic"),
+    [((1.0, 1.0, 1.0), 1.0, 1.0), ((0.0, 0.25, 1.0), 0.5, 0.75), ((-3.0, 0.0, 9.0), -2.0, -7.0)],
+    ids=["untrained", "all raw values within 0..1", "any raw values"],
+)
+def test_gs_ir(tmp_path: Path, albedo: tuple[float, float, float], roughness: float, metallic: float) -> None:
+    """GS-IR: sigmoids of all three, although the columns have our names; normals from normal_0..2."""
+    loaded = load_gaussians(write(tmp_path / "gs_ir.ply", gs_ir_row(albedo, roughness, metallic)))
+    np.testing.assert_allclose(present(loaded.albedo), [[sigmoid(raw) for raw in albedo]], rtol=1e-6)
+    np.testing.assert_allclose(present(loaded.roughness), [sigmoid(roughness)], rtol=1e-6)
+    np.testing.assert_allclose(present(loaded.metallic), [sigmoid(metallic)], rtol=1e-6)
+    np.testing.assert_array_equal(present(loaded.normals), [[0, 0, 1]])
+
+
+def test_what_was_read_is_written_as_ours(tmp_path: Path) -> None:
+    """A capture of another trainer keeps its materials through our files, which say that they are ours."""
+    first = load_gaussians(write(tmp_path / "theirs.ply", r3dg_row((0.0, 0.25, 1.0), 0.5)))
+    ls.save(tmp_path / "ours.ply", first)
+    again = load_gaussians(tmp_path / "ours.ply")
+    ls.save(tmp_path / "twice.ply", again)
+    assert load_gaussians(tmp_path / "twice.ply").comments == ("lumisplat materials linear",)
+    for field in ("normals", "albedo", "roughness"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
+
+
+def test_only_materials_need_the_comment(tmp_path: Path) -> None:
+    """A capture without materials is written as before."""
+    ls.save(tmp_path / "plain.ply", capture(3))
+    assert load_gaussians(tmp_path / "plain.ply").comments == ()
+
+
+def unmarked(path: Path, roughness: np.ndarray) -> Path:
+    """A file of ours with materials, from before the comment."""
+    ls.save(path, capture(4, roughness=roughness))
+    path.write_bytes(path.read_bytes().replace(b"comment lumisplat materials linear\n", b""))
+    return path
+
+
+def test_our_older_files_stay_readable(tmp_path: Path) -> None:
+    """Without the comment, columns that only we write are ours if all their values are in range."""
+    path = unmarked(tmp_path / "old.ply", np.linspace(0.0, 1.0, 4))
+    assert load_gaussians(path).comments == ()
+    np.testing.assert_allclose(present(load_gaussians(path).roughness), np.linspace(0.0, 1.0, 4), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("row", "reason"),
+    [
+        ({"roughness": 0.5, "specular_0": 0.1}, "specular_0"),
+        ({"roughness": 0.5, "metallic": 1.5}, "1 of 1 values of metallic are outside 0..1"),
+    ],
+)
+def test_materials_of_unknown_trainers_are_left_out(
+    tmp_path: Path, row: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nobody knows what such columns mean: the capture is loaded without them, and a line says why and what to do."""
+    path = write(tmp_path / "unknown.ply", GEOMETRY | ROTATION | SH | row)
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        loaded = load_gaussians(path)
+    assert (loaded.roughness, loaded.metallic) == (None, None)
+    (message,) = [record.getMessage() for record in caplog.records]
+    for words in ("unknown.ply: ", "roughness", reason, "'comment lumisplat materials linear'"):
+        assert words in message
+
+
+def test_marked_files_out_of_range_are_refused(tmp_path: Path) -> None:
+    """A file that says that its values are linear, and holds others, is damaged."""
+    path = write(
+        tmp_path / "a.ply", GEOMETRY | ROTATION | SH | {"roughness": 2.0}, comment="lumisplat materials linear"
+    )
+    with pytest.raises(ls.FormatError, match=r"roughness: 1 of 1 are outside 0..1"):
+        ls.load(path)
+
+
+def test_invalid_raw_values_are_named_by_their_column(tmp_path: Path) -> None:
+    """NaN and infinity, whose sigmoid would be finite, are refused, under the name that the file has for them."""
+    bad = r3dg_row((0.0, np.inf, 0.0), np.nan)
+    path = write(tmp_path / "bad.ply", r3dg_row((0, 0, 0), 0), bad)
+    with pytest.raises(ls.FormatError, match=r"in base_color_1, 1 NaN or infinite values in roughness"):
+        ls.load(path)
+    assert load_gaussians(path, drop_invalid=True).count == 1
+
+
+def flat_row(x: float, turn: tuple[float, ...], log_scales: tuple[float, float]) -> dict[str, float]:
+    """A row of 2D Gaussian Splatting: 61 columns, two scales."""
+    row = {"x": x, "y": 0.0, "z": 4.0, "nx": 0.0, "ny": 0.0, "nz": 0.0} | SH | {"opacity": 2.0}
+    row |= {"scale_0": log_scales[0], "scale_1": log_scales[1]}
+    return row | {f"rot_{i}": value for i, value in enumerate(turn)}
+
+
+def test_two_scales_are_a_flat_gaussian(tmp_path: Path) -> None:
+    """2D Gaussians load with a third scale that is tiny beside both others, along the third axis: their normal."""
+    upright = flat_row(-1.0, (1, 0, 0, 0), (-2.0, -4.0))
+    turned = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
+    assert len(upright) == 61
+    loaded = load_gaussians(write(tmp_path / "surfels.ply", upright, turned))
+    np.testing.assert_allclose(loaded.scales[:, :2], np.exp([[-2.0, -4.0], [-5.0, -3.0]]), rtol=1e-6)
+    assert (loaded.scales[:, 2] <= 0.02 * loaded.scales[:, :2].min(axis=1)).all()
+    assert (loaded.scales[:, 2] > 0.0).all()
+    np.testing.assert_allclose(np.abs(ls.estimate_normals(loaded)), [[0, 0, 1], [0, 1, 0]], atol=1e-6)
+
+
+def test_flat_gaussians_survive_our_ply(tmp_path: Path) -> None:
+    """Saved, they are 3D Gaussians, as every reader expects."""
+    ls.save(tmp_path / "copy.ply", load_gaussians(write(tmp_path / "a.ply", flat_row(0.0, (1, 0, 0, 0), (-2, -3)))))
+    assert "scale_2" in parse_ply((tmp_path / "copy.ply").read_bytes())[0]
+    assert load_gaussians(tmp_path / "copy.ply").scales.min() < 0.02 * np.exp(-3)
+
+
+@pytest.mark.parametrize("missing", [("scale_1",), ("scale_1", "scale_2"), ("scale_2", "rot_3")])
+def test_other_missing_scales_are_still_refused(tmp_path: Path, missing: tuple[str, ...]) -> None:
+    """Only scale_2 may be absent."""
+    row = {name: value for name, value in (GEOMETRY | ROTATION | SH).items() if name not in missing}
+    with pytest.raises(ls.FormatError, match=f"no {missing[-1] if missing[-1] != 'scale_2' else 'scale_1'}"):
+        ls.load(write(tmp_path / "a.ply", row))

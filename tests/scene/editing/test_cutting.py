@@ -1,0 +1,190 @@
+"""Captures cut by place, value and neighbours, and the rest unchanged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from support.scenes.raster_scenes import random_gaussians
+
+
+def rows_of(part: ls.Gaussians, whole: ls.Gaussians) -> list[int]:
+    """Which Gaussians of a capture a part consists of, found by their means; all else must be theirs, too."""
+    index = {bytes(mean): row for row, mean in enumerate(np.ascontiguousarray(whole.means))}
+    rows = [index[bytes(mean)] for mean in np.ascontiguousarray(part.means)]
+    for name, values in part.arrays().items():
+        np.testing.assert_array_equal(values, whole.arrays()[name][rows])
+    return rows
+
+
+@pytest.fixture
+def capture() -> ls.Gaussians:
+    """A hundred Gaussians in a box, with materials."""
+    rng = np.random.default_rng(5)
+    return random_gaussians(3, count=100, degree=2, roughness=rng.random(100), metallic=rng.random(100))
+
+
+def test_crop_by_a_box(capture: ls.Gaussians) -> None:
+    """Opposite corners, in any order; the faces belong to the inside; the outside is the rest."""
+    low, high = np.array([-1.0, -0.5, 3.5]), np.array([0.5, 1.0, 5.0])
+    expected = [i for i, mean in enumerate(capture.means) if (mean >= low).all() and (mean <= high).all()]
+    assert 5 < len(expected) < 95
+    assert rows_of(ls.crop(capture, box=(low, high)), capture) == expected
+    mixed = ([low[0], high[1], low[2]], [high[0], low[1], high[2]])
+    assert rows_of(ls.crop(capture, box=mixed), capture) == expected
+    assert rows_of(ls.crop(capture, box=(low, high), outside=True), capture) == sorted({*range(100)} - {*expected})
+    one = capture.means[7]
+    assert rows_of(ls.crop(capture, box=(one, one)), capture) == [7]
+
+
+def test_crop_by_a_sphere_and_both(capture: ls.Gaussians) -> None:
+    """Within the radius; box and sphere together keep what is in both."""
+    center, radius = np.array([0.2, 0.1, 4.0]), 1.2
+    inside = np.linalg.norm(capture.means.astype(np.float64) - center, axis=1) <= radius
+    assert rows_of(ls.crop(capture, sphere=(center, radius)), capture) == np.flatnonzero(inside).tolist()
+    box = ((-9, -9, -9), (9, 9, 4))
+    both = inside & (capture.means[:, 2] <= 4)
+    assert rows_of(ls.crop(capture, box=box, sphere=(center, radius)), capture) == np.flatnonzero(both).tolist()
+
+
+def test_nothing_to_do_is_the_same_capture(capture: ls.Gaussians) -> None:
+    """What removes nothing copies nothing."""
+    assert ls.crop(capture, sphere=((0, 0, 4), 100.0)) is capture
+    assert ls.select(capture, opacity=(0.0, 1.0)) is capture
+    assert ls.limit_sh_degree(capture, 2) is capture
+    assert ls.decimate(capture, 100) is capture
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("opacity", lambda g: g.opacities),
+        ("scale_min", lambda g: g.scales.min(axis=1)),
+        ("scale_max", lambda g: g.scales.max(axis=1)),
+        ("x", lambda g: g.means[:, 0]),
+        ("y", lambda g: g.means[:, 1]),
+        ("z", lambda g: g.means[:, 2]),
+        ("red", lambda g: 0.5 + SH_C0 * g.sh[:, 0, 0]),
+        ("green", lambda g: 0.5 + SH_C0 * g.sh[:, 0, 1]),
+        ("blue", lambda g: 0.5 + SH_C0 * g.sh[:, 0, 2]),
+        ("roughness", lambda g: g.roughness),
+        ("metallic", lambda g: g.metallic),
+    ],
+)
+def test_select_by_each_value(capture: ls.Gaussians, name: str, values: Any) -> None:
+    """Limits on one side or both."""
+    all_values = values(capture)
+    low, high = (float(x) for x in np.quantile(all_values, (0.313, 0.717)))
+    for limits in ((low, None), (None, high), (low, high)):
+        kept = all_values >= (low if limits[0] is not None else -np.inf)
+        kept &= all_values <= (high if limits[1] is not None else np.inf)
+        selected = ls.select(capture, **{name: limits})
+        assert rows_of(selected, capture) == np.flatnonzero(kept).tolist()
+
+
+def test_select_by_several_values(capture: ls.Gaussians) -> None:
+    """All ranges count."""
+    both = ls.select(capture, opacity=(0.5, None), z=(None, 4.0))
+    assert rows_of(both, capture) == np.flatnonzero((capture.opacities >= 0.5) & (capture.means[:, 2] <= 4)).tolist()
+
+
+def cloud_with_strays() -> tuple[ls.Gaussians, int]:
+    """A dense sheet of small Gaussians, a far background of few wide ones, and three small strays at the end."""
+    rng = np.random.default_rng(1)
+    sheet = np.column_stack([rng.uniform(-1, 1, (2000, 2)), np.full(2000, 4.0)])
+    far = np.column_stack([10.0 * np.indices((5, 5)).reshape(2, -1).T - 20.0, np.full(25, 50.0)])
+    strays = np.array([[0, 0, 2.0], [0.5, 0.3, 6.0], [-3, 2, 4.0]])
+    means = np.concatenate([sheet, far, strays])
+    scales = np.concatenate([np.full(2000, 0.05), np.full(25, 8.0), np.full(3, 0.05)])
+    count = len(means)
+    sh = np.zeros((count, 1, 3))
+    rotations = np.tile([1.0, 0, 0, 0], (count, 1))
+    return ls.Gaussians(means, rotations, np.repeat(scales[:, None], 3, axis=1), np.full(count, 0.8), sh), count - 3
+
+
+def test_floaters_are_removed_and_backgrounds_stay() -> None:
+    """Lonely small Gaussians go; lonely wide ones, which reach others, stay."""
+    cloud, solid = cloud_with_strays()
+    heard: list[float] = []
+    assert rows_of(ls.remove_floaters(cloud, progress=heard.append), cloud) == list(range(solid))
+    assert heard == sorted(heard) and heard[-1] == 1.0
+
+
+@pytest.mark.parametrize(("neighbours", "reach"), [(1, 1.0), (4, 3.0), (20, 2.0)])
+def test_neighbours_are_counted_exactly(neighbours: int, reach: float) -> None:
+    """The same Gaussians as by comparing each with each."""
+    capture = random_gaussians(8, count=700, scale_range=(0.001, 0.9))
+    capture = replace(capture, scales=capture.scales * 0.5)
+    largest = capture.scales.max(axis=1)
+    radii = np.float32(reach) * np.maximum(largest, np.median(largest).astype(np.float32))
+    steps = capture.means[:, None] - capture.means[None]
+    others = (np.einsum("ijk,ijk->ij", steps, steps) <= radii[:, None] ** 2).sum(axis=1) - 1
+    kept = np.flatnonzero(others >= neighbours)
+    assert 0 < kept.size < 700
+    assert rows_of(ls.remove_floaters(capture, neighbours, reach), capture) == kept.tolist()
+
+
+def test_limited_harmonics_keep_the_lower_ones(capture: ls.Gaussians) -> None:
+    """Degrees above go, those below keep their bits."""
+    for degree in (0, 1):
+        limited = ls.limit_sh_degree(capture, degree)
+        assert limited.sh_degree == degree
+        np.testing.assert_array_equal(limited.sh, capture.sh[:, : (degree + 1) ** 2])
+        assert limited.means is capture.means
+
+
+def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
+    """A permutation, by which neighbours in memory are nearer to each other."""
+    ordered = ls.sort_morton(capture)
+    assert sorted(rows_of(ordered, capture)) == list(range(100))
+    walk = [np.linalg.norm(np.diff(one.means, axis=0), axis=1).mean() for one in (ordered, capture)]
+    assert walk[0] < 0.5 * walk[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (ls.crop, "crop takes a box or a sphere"),
+        (lambda g: ls.crop(g, box=((0, 0, 0), (1, 1))), "box has the point .*, expected three finite numbers"),
+        (lambda g: ls.crop(g, box=cast(Any, (1, 2, 3))), "box is .*, expected two corners"),
+        (lambda g: ls.crop(g, sphere=((0, 0, np.nan), 1.0)), "sphere has the point"),
+        (lambda g: ls.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a positive number"),
+        (
+            lambda g: ls.crop(g, sphere=((99, 0, 0), 1.0)),
+            r"nothing is left of 100 Gaussians, whose means lie within \(",
+        ),
+        (ls.select, "select takes at least one range"),
+        (lambda g: ls.select(g, opacity=(0.7, 0.3)), r"opacity is \(0.7, 0.3\), expected the smaller value first"),
+        (lambda g: ls.select(g, opacity=(np.nan, None)), "expected the smaller value first"),
+        (lambda g: ls.select(g, x=cast(Any, 3.0)), "x is 3.0, expected its smallest and largest value"),
+        (lambda g: ls.select(g, opacity=(2.0, None)), "nothing is left of 100"),
+        (lambda g: ls.select(replace(g, roughness=None), roughness=(0, 1)), "cannot go by roughness: the capture has"),
+        (lambda g: ls.remove_floaters(g, 0), "neighbours is 0"),
+        (lambda g: ls.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a positive number"),
+        (lambda g: ls.remove_floaters(g, 1000, 1e-6), "nothing is left"),
+        (lambda g: ls.limit_sh_degree(g, 4), "degree is 4"),
+        (lambda g: ls.decimate(g, 0), "count is 0"),
+        (lambda g: ls.decimate(g, cast(Any, 0.25)), "count is 0.25, expected a whole number"),
+        (lambda _: ls.crop(cast(Any, "a.ply"), sphere=((0, 0, 0), 1.0)), "crop takes Gaussians, got a str"),
+        (lambda _: ls.merge([]), "merge takes at least one capture"),
+        (lambda g: ls.merge(cast(Any, [g, 3])), "merge takes a list of Gaussians, got a int"),
+        (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is one float32, expected a list"),
+    ],
+)
+def test_mistakes_are_one_line(capture: ls.Gaussians, change: Any, message: str) -> None:
+    """Every wrong argument is named, and what was expected."""
+    with pytest.raises(ls.SceneError, match=message) as error:
+        change(capture)
+    assert "\n" not in str(error.value)
+
+
+def test_merge_says_what_it_leaves_out(capture: ls.Gaussians, caplog: pytest.LogCaptureFixture) -> None:
+    """Materials that only one of the captures has are named in a log line."""
+    both = ls.merge([capture, replace(capture, roughness=None)])
+    assert (both.count, both.roughness is None, both.metallic is None) == (200, True, False)
+    assert [r.getMessage() for r in caplog.records] == ["merge: not all captures have roughness: left out"]
