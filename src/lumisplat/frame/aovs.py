@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS
+from lumisplat.config import AOVS, listed_names
+from lumisplat.config.checks import quoted
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame_data import FrameData
 from lumisplat.math.arrays import FloatArray
@@ -42,6 +43,18 @@ class LightLayers(NamedTuple):
 def present_layers(frame: FrameData) -> tuple[str, ...]:
     """The layers that ``frame`` has, in the order of `LAYERS`."""
     return tuple(layer for layer in LAYERS if layer not in AOVS or getattr(frame, _field(layer)) is not None)
+
+
+def layer_names(layers: object) -> tuple[str, ...]:
+    """Names of layers, given as a list or as a text with commas.
+
+    Raises:
+        ConfigError: It is neither; whether there are such layers is not checked.
+    """
+    names = listed_names(layers)
+    if names is None:
+        raise ConfigError(f"layers is {quoted(layers)}, expected some of {', '.join(LAYERS)}")
+    return names
 
 
 def check_layer(frame: FrameData, layer: str) -> None:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.arrays import box_text, matrix_4x4
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians
@@ -54,6 +54,11 @@ class SplatInstance:
         check_similarity(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
+    def __repr__(self) -> str:
+        material = f", material={type(self.material).__name__}" if self.material is not None else ""
+        kept = ", shadow_only" if self.shadow_only else ""
+        return f"SplatInstance({self.gaussians!r}, {_placement(self.transform, self.name)}{material}{kept})"
+
     @property
     def transform(self) -> npt.NDArray[np.float64]:
         """``world_from_object``, never None."""
@@ -87,6 +92,9 @@ class MeshInstance:
     def __post_init__(self) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
         object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
+
+    def __repr__(self) -> str:
+        return f"MeshInstance({self.mesh!r}, {_placement(self.transform, self.name)})"
 
     @property
     def transform(self) -> npt.NDArray[np.float64]:
@@ -122,6 +130,13 @@ class Scene:
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
 
+    def __repr__(self) -> str:
+        bounds = f", bounds={box_text(*self.bounds())}" if self.splats or self.meshes else ""
+        return (
+            f"Scene(splats={len(self.splats)}, gaussians={self.gaussian_count}, meshes={len(self.meshes)}, "
+            f"faces={self.face_count}, lights={len(self.lights)}{bounds})"
+        )
+
     @property
     def gaussian_count(self) -> int:
         """Number of Gaussians over all instances."""
@@ -144,6 +159,13 @@ class Scene:
             raise SceneError("an empty scene has no bounds")
         worlds = [transform_points(matrix, points) for points, matrix in clouds]
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+
+
+def _placement(matrix: npt.NDArray[np.float64], name: str) -> str:
+    """Name and position of an instance, and its scale unless that is 1."""
+    scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
+    scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
+    return f"name={name!r}, position=({', '.join(f'{value:.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
 def check_similarity(linear: npt.NDArray[np.float64]) -> None:
