@@ -43,7 +43,11 @@ WHOLE = "expected a whole number from"
         (ls.RenderConfig, {"seed": 0.5}, f"seed is 0.5, {WHOLE} 0 to 4294967295"),
         (ls.RenderConfig, {"max_bounces": 2.5}, f"max_bounces is 2.5, {WHOLE} 0 to 64"),
         (ls.RenderConfig, {"max_bounces": np.float32(2.0)}, f"max_bounces is 2.0, {WHOLE} 0 to 64"),
-        (ls.RenderConfig, {"background": "wite"}, "background is 'wite', expected three numbers in 0..1, '#ff8800'"),
+        (
+            ls.RenderConfig,
+            {"background": "mauvish"},
+            "background is 'mauvish', expected three numbers in 0..1, '#ff8800'",
+        ),
         (ls.RenderConfig, {"background": "1,0"}, "background is '1,0', expected three numbers in 0..1"),
         (ls.RenderConfig, {"background": "#11223344"}, "background is '#11223344', expected three numbers in 0..1"),
         (ls.RenderConfig, {"background": 0.5}, "background is 0.5, expected three numbers"),

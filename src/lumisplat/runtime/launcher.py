@@ -99,8 +99,8 @@ class Launcher:
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.
 
-        Takes seconds at their first use on a machine, which one log line announces, so that nobody waits without knowing
-        for what; they are then cached on disk. Warp's compilers release the GIL.
+        Takes seconds at their first use on a machine, which one log line announces, so that nobody waits unknowingly;
+        they are then cached on disk. Warp's compilers release the GIL.
         """
         label = "compiling kernels (once)"
         if progress:
