@@ -81,8 +81,8 @@ def test_shadows_of_a_lit_scene(work):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        (("--view", "shadow"), "no 'lights'"),
-        (("--aov", "albedo"), "no 'albedo'"),
+        (("--view", "shadow", "--lighting", "off"), "no 'lights'"),
+        (("--aov", "albedo", "--lighting", "off"), "no 'albedo'"),
         (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
         (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
         (("--view", "shadows"), "'shadows'"),

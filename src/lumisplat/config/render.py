@@ -93,7 +93,8 @@ class RenderConfig:
     response: ResponseConfig = field(default_factory=ResponseConfig)
     """How Gaussians respond to rays of all kinds."""
     lighting: bool | None = None
-    """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any."""
+    """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any, or
+    is of meshes alone, which would be flat areas of colour otherwise."""
     shadows: Shadows = Shadows.HARD
     """Whether lights are blocked by what stands in their way, in lit frames."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)

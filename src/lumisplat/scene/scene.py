@@ -19,6 +19,9 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
 
+Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+"""Corners (min, max) of a box, world space, shape (3,) each."""
+
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
@@ -70,6 +73,11 @@ class SplatInstance:
         """Means in world space, shape (N, 3)."""
         return transform_points(self.transform, self.gaussians.means)
 
+    def bounds(self) -> Bounds:
+        """Corners (min, max) of the world-space bounding box of the means, shape (3,) each."""
+        points = self.world_means
+        return points.min(axis=0), points.max(axis=0)
+
     @property
     def scale(self) -> float:
         """Uniform scale factor of the transform."""
@@ -101,6 +109,11 @@ class MeshInstance:
         """``world_from_object``, never None."""
         assert self.world_from_object is not None
         return self.world_from_object
+
+    def bounds(self) -> Bounds:
+        """Corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""
+        points = transform_points(self.transform, self.mesh.positions)
+        return points.min(axis=0), points.max(axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +151,15 @@ class Scene:
         )
 
     @property
+    def is_lit_by_default(self) -> bool:
+        """Whether frames are lit unless ``RenderConfig.lighting`` decides: it has lights, or it is of meshes alone.
+
+        Meshes without any light are flat areas of colour; a headlight at the camera shows their shape. Captures bring
+        their light with them.
+        """
+        return bool(self.lights) or (bool(self.meshes) and not self.splats)
+
+    @property
     def gaussian_count(self) -> int:
         """Number of Gaussians over all instances."""
         return sum(instance.gaussians.count for instance in self.splats)
@@ -147,18 +169,17 @@ class Scene:
         """Number of triangles over all instances."""
         return sum(instance.mesh.face_count for instance in self.meshes)
 
-    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def bounds(self) -> Bounds:
         """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
         Raises:
             SceneError: The scene is empty.
         """
-        clouds = [(i.gaussians.means, i.transform) for i in self.splats]
-        clouds += [(i.mesh.positions, i.transform) for i in self.meshes]
-        if not clouds:
+        boxes = [instance.bounds() for instance in (*self.splats, *self.meshes)]
+        if not boxes:
             raise SceneError("an empty scene has no bounds")
-        worlds = [transform_points(matrix, points) for points, matrix in clouds]
-        return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+        lows, highs = zip(*boxes, strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def _placement(matrix: npt.NDArray[np.float64], name: str) -> str:

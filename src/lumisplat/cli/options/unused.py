@@ -28,7 +28,7 @@ def unused_options(
         rays: The options of rays.
         light: The options of light.
     """
-    lit = bool(scene.lights) if config.lighting is None else config.lighting
+    lit = scene.is_lit_by_default if config.lighting is None else config.lighting
     shadowed = lit and config.shadows is not ls.Shadows.OFF
     if config.pipeline is ls.Pipeline.TRACE and raster:
         yield f"not used by --pipeline trace: {', '.join(raster)} (they are of --pipeline raster and hybrid)"
