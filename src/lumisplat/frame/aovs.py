@@ -62,7 +62,9 @@ def check_layer(frame: FrameData, layer: str) -> None:
     if layer not in LAYERS:
         raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
     if layer not in present_layers(frame):
-        raise ConfigError(f"the frame has no '{layer}': lit frames do, where RenderConfig.aovs asks for it")
+        asked = frame.config is not None and layer in frame.config.aovs
+        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else "RenderConfig.aovs asks for it"
+        raise ConfigError(f"the frame has no '{layer}': {why}")
 
 
 def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:

@@ -6,7 +6,7 @@ import json
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -14,6 +14,11 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
+
+if TYPE_CHECKING:
+    from lumisplat.math.arrays import FloatArray
+
+    Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +77,7 @@ class Info(LoadingCommand):
             case _:
                 return head | facts.radiance_facts(held)
 
-    def _load(self, path: Path) -> tuple[str, Any]:
+    def _load(self, path: Path) -> tuple[str, Held]:
         """What kind of file it is, and what is in it."""
         suffix = path.suffix.lower()
         if suffix == ".json" and path.name != "meta.json":

@@ -56,6 +56,10 @@ class Render(FrameCommand):
     transmittance_min: Annotated[float | None, setting("0..1", "0.0001")] = None
     """Pixels and rays, also rays to lights, end where less than this of what lies behind would show."""
 
+    depth_iso: Annotated[float | None, setting("0..1", "0.7")] = None
+    """Depth, normal, position and indices are those of the first Gaussian behind which the transmittance is below
+    this."""
+
     def run(self) -> None:
         """Renders and writes the pictures."""
         writer = FrameWriter(self.aov, self.view)
@@ -94,7 +98,7 @@ class Render(FrameCommand):
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""
         end = without_none({"transmittance_min": self.transmittance_min})
-        shared = without_none({"sh_degree": self.sh_degree}) | end
+        shared = without_none({"sh_degree": self.sh_degree, "depth_iso_transmittance": self.depth_iso}) | end
         raster = {
             "strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy),
             "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
 
@@ -137,4 +137,4 @@ def _plain(value: Any) -> Any:
     """A value as JSON holds it; infinity is None."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    return list(value) if isinstance(value, tuple) else value
+    return [*cast("tuple[Any, ...]", value)] if isinstance(value, tuple) else value
