@@ -15,6 +15,7 @@ import numpy.typing as npt
 from lumisplat.config import AOVS, ToneMap
 from lumisplat.errors import FormatError
 from lumisplat.frame.aovs import LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
+from lumisplat.frame.depth_png import depth_range, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
 from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
 from lumisplat.frame.views import VIEWS, layer_pictures, view_limits, view_picture
@@ -56,7 +57,8 @@ class Frame(FrameData):
         Args:
             path: File to write.
             layers: Some of `LAYERS`, as a list or as a text with commas: channels of the EXR (None: all that the frame
-                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all.
+                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth is
+                also written as 16-bit grey, ``NAME.depth16.png``, whose text chunks say its range, see `depth_range`.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
@@ -72,6 +74,8 @@ class Frame(FrameData):
             write_png(path, self.pixels_srgb())
             for name, picture in pictures.items():
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
+            if "depth" in pictures:
+                write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
         elif suffix == ".exr":
             write_exr(path, self.layers(layers))
         elif suffix == ".npz":
@@ -91,6 +95,11 @@ class Frame(FrameData):
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for the view of a frame, expected .png")
         write_png(path, self.view(view, limits))
         self._warn_of_nonfinite(path)
+
+    @property
+    def depth_range(self) -> tuple[float, float] | None:
+        """The nearest and the farthest surface, scene units along the ray; None: nothing is seen."""
+        return depth_range(self.depth)
 
     def view(self, name: str, limits: tuple[float, float] | None = None) -> FloatArray:
         """A picture that explains the frame, in display colours, (H, W, 3), 0..1.
