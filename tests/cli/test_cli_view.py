@@ -108,7 +108,7 @@ def test_renderers_are_asked_for_what_is_needed():
 
 
 def test_depth_can_be_measured(work):
-    """--aov depth also writes 16-bit grey; the range in the file's text, which is printed too, gives the depths back."""
+    """--aov depth also writes 16-bit grey; the range in its text, which is printed too, gives the depths back."""
     outcome = work.run(*ARGS, "--frame", "left", "--aov", "depth", "-o", "@a.png")
     assert outcome.status == 0 and work.path("a.depth.png").exists()
     frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")

@@ -57,8 +57,8 @@ class Frame(FrameData):
         Args:
             path: File to write.
             layers: Some of `LAYERS`, as a list or as a text with commas: channels of the EXR (None: all that the frame
-                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth is
-                also written as 16-bit grey, ``NAME.depth16.png``, whose text chunks say its range, see `depth_range`.
+                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth
+                is also written as 16-bit grey, ``NAME.depth16.png``, whose text says its range, see `depth_range`.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
