@@ -283,6 +283,13 @@ DILATION_PX2 = 0.3
 JACOBIAN_CLAMP = 1.3
 """The Jacobian is taken no further out than this many times tan(fov / 2): beyond, the linearisation explodes."""
 
+COMPILING_ANNOUNCED_S = 1.0
+"""Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
+
+NOTEBOOK_PNG_PIXELS_MAX = 2**20
+"""Pixels above which notebooks are given JPEGs of opaque frames: a PNG of a capture takes about 2 bytes a pixel, ten
+times as much, and notebooks keep pictures in base64."""
+
 NEAR_PLANE = 0.01
 """Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""
 

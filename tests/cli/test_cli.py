@@ -141,7 +141,7 @@ def test_bench_settings(work, monkeypatch):
 
 def test_options_that_nothing_uses(work, monkeypatch, caplog):
     """What is asked for in vain is said in one line, once the scene is known; bench knows at once."""
-    args = ("render", "@mesh.obj", "--width", "16", "-o", "@a.png", "--device", "cpu")
+    args = ("render", "@mesh.obj", "--lighting", "off", "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert work.run(*args, *TRACE_OPTIONS).status == 0
     (record,) = caplog.records
     assert record.getMessage() == (

@@ -344,7 +344,8 @@ def test_formats_and_stats(work):
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (("--frames", "3"), "--frames is '3', expected A:B"),
+        (("--frames", "last"), "--frames is 'last', expected frames such as 1-100"),
+        (("--frames", "4"), "--frames is '4', of an animation of 4 frames, 0-3"),
         (("--frames", "2:9"), "--frames is '2:9', of an animation of 4 frames"),
         (("--frames", "2:2"), "--frames is '2:2', of an animation of 4 frames"),
         (("--fps", "0"), "--fps is 0"),

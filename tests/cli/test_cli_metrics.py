@@ -160,7 +160,6 @@ def test_one_avatar_is_one_column(work):
         (("@a.png", "@small.png"), "small.png: the image is 20 x 16, its reference 19 x 16"),
         (("@a.png", "@room.ply"), "room.ply: is corrupt, or no image"),
         (("@ours", "@a.png"), "ours: is a folder and"),
-        (("@ours", "@fewer"), "fewer: has no picture 'frame_1'"),
         (("@ours", "@empty"), "empty: holds no pictures"),
         (("@a.png", "@b.png", "--metrics", "psnr,vmaf"), "--metrics has 'vmaf', expected some of psnr, ssim"),
         (("@a.png", "@b.png", "--metrics", ""), "--metrics has ''"),
@@ -172,7 +171,7 @@ def test_one_avatar_is_one_column(work):
         (("@avatar.ply", "--scene", "@mesh.obj"), "mesh.obj: has no Gaussians"),
         (("@avatar.ply", "--scene", "@nowhere.ply"), "nowhere.ply: no such file"),
         (("@lost.ply", "--scene", "@room.ply"), "no Gaussian of the scene is within 1.5 of the avatar's centre"),
-        (("@avatar.ply", "--scene", "@room.ply", "--radius", "-1"), "radius is -1"),
+        (("@avatar.ply", "--scene", "@room.ply", "--radius", "-1"), "--radius is -1"),
     ],
 )
 def test_mistakes_are_one_line(work, args, named):
@@ -183,9 +182,28 @@ def test_mistakes_are_one_line(work, args, named):
     assert named in done.err
 
 
-def test_missing_packages_are_said(work, monkeypatch):
+def test_missing_packages_are_said(work, monkeypatch, caplog):
     """A metric whose package is not installed says what to install; the others do not need it."""
     monkeypatch.setitem(__import__("sys").modules, "flip_evaluator", None)
+    caplog.clear()
     done = work.run("metrics", "@a.png", "@b.png")
+    assert done.status == 0 and rows(done.out)["a"][0] == "13.98" and rows(done.out)["a"][2] == "-"
+    (line,) = caplog.messages
+    assert line.startswith("no flip: ") and "pip install 'lumisplat[metrics]'" in line
+    done = work.run("metrics", "@a.png", "@b.png", "--metrics", "flip")
     assert done.status == 2 and "pip install 'lumisplat[metrics]'" in done.err
     assert work.run("metrics", "@a.png", "@b.png", "--metrics", "psnr").status == 0
+
+
+def test_what_can_be_compared_is(work, caplog):
+    """A picture without a partner or of another size costs the figures of others nothing; a line names it."""
+    done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr")
+    assert done.status == 0 and list(rows(done.out)) == ["psnr", "frame_0", "frame_2", "mean"]
+    assert caplog.messages == [f"{work.path('fewer')}: has no picture 'frame_1' as the other folder does: left out"]
+    caplog.clear()
+    write_png(work.path("fewer") / "frame_2.png", np.full((16, 19, 3), 0.5))
+    done = work.run("metrics", "@ours", "@fewer", "--metrics", "psnr", "--json")
+    content = json.loads(done.out)
+    first, second = content["images"]
+    assert done.status == 0 and first["psnr"] == content["mean"]["psnr"] and second["psnr"] is None
+    assert len(content["problems"]) == 1 and "its reference 19 x 16" in content["problems"][0]

@@ -117,7 +117,7 @@ def test_darkness_is_told(work):
         (("@ball.ply", "@room.ply", "--exponent", "0"), "exponent is 0.0"),
         (("@ball.ply", "@room.ply", "--degree", "9"), "degree is 9, expected a whole number from 0 to 8"),
         (("@ball.ply", "@room.ply", "--near", "0"), "near is 0.0"),
-        (("@ball.ply", "@room.ply", "--at", "nan", "0", "0"), "--at is nan 0 0, expected finite numbers"),
+        (("@ball.ply", "@room.ply", "--at", "nan", "0", "0"), "--at is 'nan,0,0', expected finite numbers"),
         (("@ball.ply", "@room.ply", "--background", "mauve"), "mauve"),
         (("@ball.ply", "@room.ply", "--device", "cuda:7"), "cuda:7"),
     ],

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import warp as wp
+from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli.output.frame_writer import FrameWriter
@@ -81,8 +83,8 @@ def test_shadows_of_a_lit_scene(work):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        (("--view", "shadow"), "no 'lights'"),
-        (("--aov", "albedo"), "no 'albedo'"),
+        (("--view", "shadow", "--lighting", "off"), "no 'lights'"),
+        (("--aov", "albedo", "--lighting", "off"), "no 'albedo'"),
         (("--view", "depth", "--aov", "depth"), "--view and --aov do not go together"),
         (("--view", "depth", "--format", "exr"), "--view is a picture to look at, expected .png"),
         (("--view", "shadows"), "'shadows'"),
@@ -103,3 +105,32 @@ def test_renderers_are_asked_for_what_is_needed():
     assert FrameWriter("", "shadow").aovs == ("lights",)
     assert FrameWriter("", "hits").aovs == ("hits",)
     assert FrameWriter("", "depth").aovs == () and FrameWriter("", None).aovs == ()
+
+
+def test_depth_can_be_measured(work):
+    """--aov depth also writes 16-bit grey; the range in its text, which is printed too, gives the depths back."""
+    outcome = work.run(*ARGS, "--frame", "left", "--aov", "depth", "-o", "@a.png")
+    assert outcome.status == 0 and work.path("a.depth.png").exists()
+    frame = ls.render(mesh_scene(work), ls.load_cameras(work.path("cameras.json"))[0], device="cpu")
+    assert frame.depth_range is not None
+    near, far = frame.depth_range
+    with Image.open(work.path("a.depth16.png")) as picture:
+        texts, values = dict(picture.text), np.asarray(picture, np.int64)
+        assert picture.mode == "I;16"
+    assert (float(texts["depth_near"]), float(texts["depth_far"])) == (near, far)
+    assert f"from {near:.6g} (1) to {far:.6g} (65535)" in outcome.out
+    hit = np.isfinite(frame.depth)
+    np.testing.assert_array_equal(values > 0, hit)
+    depth = near + (values - 1) / 65534 * (far - near)
+    np.testing.assert_allclose(depth[hit], frame.depth[hit], atol=0.51 / 65534 * (far - near) + 1e-6)
+
+
+def test_depth_of_nothing_and_of_one_plane(work):
+    """No surface is 0 everywhere; a range of no length divides by nothing."""
+    frame = ls.render(ls.Scene(), front_camera(8, 6), device="cpu")
+    assert frame.depth_range is None
+    frame.save(work.path("none.png"), layers="depth")
+    assert not np.asarray(Image.open(work.path("none.depth16.png"))).any()
+    flat = replace(frame, depth=np.full_like(frame.depth, 2.0))
+    flat.save(work.path("flat.png"), layers="depth")
+    assert (np.asarray(Image.open(work.path("flat.depth16.png"))) == 1).all()

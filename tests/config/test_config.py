@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import re
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,20 +21,20 @@ WHOLE = "expected a whole number from"
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        (ls.RenderConfig, {"pipeline": "trace"}, "pipeline is 'trace', expected a Pipeline such as Pipeline.TRACE"),
-        (ls.RenderConfig, {"pipeline": None}, "pipeline is None, expected a Pipeline such as Pipeline.RASTER"),
-        (ls.RenderConfig, {"pipeline": ls.TraceStrategy.SORTED}, "expected a Pipeline such as Pipeline.RASTER"),
+        (ls.RenderConfig, {"pipeline": "rays"}, "pipeline is 'rays', expected 'raster', 'trace' or 'hybrid'"),
+        (ls.RenderConfig, {"pipeline": None}, "pipeline is None, expected 'raster', 'trace' or 'hybrid'"),
+        (ls.RenderConfig, {"pipeline": ls.TraceStrategy.SORTED}, "expected 'raster', 'trace' or 'hybrid'"),
         (
             ls.RasterConfig,
-            {"antialiasing": "on"},
-            "antialiasing is 'on', expected an Antialiasing such as Antialiasing.ON",
+            {"antialiasing": "On"},
+            "antialiasing is 'On', expected 'auto', 'off' or 'on'",
         ),
-        (ls.TraceConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a TraceStrategy such as"),
-        (ls.TraceConfig, {"hit_distance": "hull"}, "expected a HitDistance such as HitDistance.HULL"),
+        (ls.TraceConfig, {"strategy": "stochastic"}, "strategy is 'stochastic', expected 'sorted', 'stochastic-hit'"),
+        (ls.TraceConfig, {"hit_distance": "far"}, "expected 'peak' or 'hull'"),
         (
             ls.TraceConfig,
             {"normal_method": 1},
-            "normal_method is 1, expected a NormalMethod such as NormalMethod.PLANE",
+            "normal_method is 1, expected 'plane' or 'ellipsoid'",
         ),
         (ls.RenderConfig, {"raster": {"dilation": 0.0}}, "raster is {'dilation': 0.0}, expected a RasterConfig"),
         (ls.RenderConfig, {"trace": ls.RasterConfig()}, "expected a TraceConfig"),
@@ -42,29 +43,35 @@ WHOLE = "expected a whole number from"
         (ls.RenderConfig, {"seed": 0.5}, f"seed is 0.5, {WHOLE} 0 to 4294967295"),
         (ls.RenderConfig, {"max_bounces": 2.5}, f"max_bounces is 2.5, {WHOLE} 0 to 64"),
         (ls.RenderConfig, {"max_bounces": np.float32(2.0)}, f"max_bounces is 2.0, {WHOLE} 0 to 64"),
-        (ls.RenderConfig, {"background": "white"}, "background is 'white', expected three numbers in 0..1 or None"),
+        (
+            ls.RenderConfig,
+            {"background": "mauvish"},
+            "background is 'mauvish', expected three numbers in 0..1, '#ff8800'",
+        ),
+        (ls.RenderConfig, {"background": "1,0"}, "background is '1,0', expected three numbers in 0..1"),
+        (ls.RenderConfig, {"background": "#11223344"}, "background is '#11223344', expected three numbers in 0..1"),
         (ls.RenderConfig, {"background": 0.5}, "background is 0.5, expected three numbers"),
-        (ls.RenderConfig, {"background": np.eye(3)}, "expected 0.0 to 1.0"),
-        (ls.RenderConfig, {"background": ("r", "g", "b")}, "background is 'r', expected 0.0 to 1.0"),
+        (ls.RenderConfig, {"background": np.eye(3)}, "expected three numbers in 0..1"),
+        (ls.RenderConfig, {"background": ("r", "g", "b")}, "expected three numbers in 0..1"),
         (ls.RenderConfig, {"lighting": 1}, "lighting is 1, expected True or False"),
-        (ls.RenderConfig, {"shadows": True}, "shadows is True, expected a Shadows such as Shadows.OFF"),
+        (ls.RenderConfig, {"shadows": True}, "shadows is True, expected 'off', 'hard' or 'soft'"),
         (ls.RenderConfig, {"shadow_rays": None}, "shadow_rays is None, expected a ShadowConfig"),
         (ls.RenderConfig, {"response": ls.TraceConfig()}, "expected a ResponseConfig"),
         (ls.RenderConfig, {"jitter": 3}, "jitter is 3, expected True or False"),
-        (ls.RenderConfig, {"tone_map": "agx"}, "tone_map is 'agx', expected a ToneMap such as ToneMap.AGX"),
-        (ls.RenderConfig, {"aovs": "albedo"}, "aovs is 'albedo', expected some of albedo, emission"),
+        (ls.RenderConfig, {"tone_map": "aces"}, "tone_map is 'aces', expected 'none', 'neutral' or 'agx'"),
+        (ls.RenderConfig, {"aovs": "albdo"}, "aovs is 'albdo', expected some of albedo, emission"),
         (ls.RenderConfig, {"aovs": ("depth",)}, "aovs is ('depth',), expected some of"),
         (ls.RenderConfig, {"aovs": [["hits"]]}, "aovs is [['hits']], expected some of"),
         (ls.RenderConfig, {"aovs": 3}, "aovs is 3, expected some of"),
-        (ls.ShadowConfig, {"method": "exact"}, "method is 'exact', expected a ShadowMethod such as ShadowMethod.EXACT"),
+        (ls.ShadowConfig, {"method": "fast"}, "method is 'fast', expected 'exact', 'first-hits' or 'stochastic'"),
         (ls.ShadowConfig, {"hits": 17}, "hits is 17, expected 4, 8, 16 or 32"),
         (ls.ShadowConfig, {"offset": -1.0}, "offset is -1.0, expected 0.0 to 100.0"),
         (ls.ShadowConfig, {"offset_absolute": np.inf}, "offset_absolute is inf, expected 0.0 to 1000000.0"),
-        (ls.ShadowConfig, {"hit_distance": "hull"}, "expected a HitDistance such as HitDistance.HULL"),
+        (ls.ShadowConfig, {"hit_distance": "far"}, "expected 'peak' or 'hull'"),
         (ls.ShadowConfig, {"transmittance_min": 1.5}, "transmittance_min is 1.5, expected 0.0 to 1.0"),
         (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
         (ls.ShadowConfig, {"color_strength": 6.0}, "color_strength is 6.0, expected 0.0 to 5.0"),
-        (ls.RasterConfig, {"strategy": "sorted"}, "strategy is 'sorted', expected a RasterStrategy such as"),
+        (ls.RasterConfig, {"strategy": "Sorted"}, "strategy is 'Sorted', expected 'sorted' or 'stochastic'"),
         (ls.RasterConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),
         (ls.RasterConfig, {"dilation": "0.3"}, "dilation is '0.3', expected 0.0 to 10.0"),
         (ls.RasterConfig, {"dilation": True}, "dilation is True, expected 0.0 to 10.0"),
@@ -167,3 +174,65 @@ def test_numbers_of_numpy_are_settings() -> None:
     scene = ls.Scene([random_gaussians(5, 60, degree=2)])
     frame, expected = (ls.render(scene, front_camera(24, 18), c, device="cpu") for c in (config, plain))
     np.testing.assert_array_equal(frame.color, expected.color)
+
+
+CHOICES = [
+    (ls.RenderConfig, "pipeline", ls.Pipeline),
+    (ls.RenderConfig, "shadows", ls.Shadows),
+    (ls.RenderConfig, "tone_map", ls.ToneMap),
+    (ls.RasterConfig, "strategy", ls.RasterStrategy),
+    (ls.RasterConfig, "antialiasing", ls.Antialiasing),
+    (ls.TraceConfig, "strategy", ls.TraceStrategy),
+    (ls.TraceConfig, "hit_distance", ls.HitDistance),
+    (ls.TraceConfig, "normal_method", ls.NormalMethod),
+    (ls.ShadowConfig, "method", ls.ShadowMethod),
+    (ls.ShadowConfig, "hit_distance", ls.HitDistance),
+    (ls.RelightConfig, "normals", ls.NormalEstimate),
+    (ls.DeepShadowConfig, "layout", ls.AtlasLayout),
+    (ls.DeepShadowConfig, "absorption", ls.Absorption),
+    (ls.DeepShadowConfig, "sampling", ls.ReceiverSampling),
+]
+
+
+@pytest.mark.parametrize(("settings", "name", "kind"), CHOICES)
+def test_choices_are_taken_by_their_values(settings: type[Any], name: str, kind: type[Enum]) -> None:
+    """Each value is accepted as a string, and becomes the member, so that settings compare and are read as before."""
+    for member in kind:
+        by_value = settings(**{name: member.value})
+        assert getattr(by_value, name) is member and by_value == settings(**{name: member})
+
+
+def test_every_choice_of_the_settings_is_listed() -> None:
+    """The list above misses none, also not of settings that are added later."""
+    every = {
+        (kind, field.name)
+        for kind in (getattr(ls, name) for name in ls.__all__)
+        if isinstance(kind, type) and is_dataclass(kind) and kind.__module__.startswith("lumisplat.config")
+        for field in fields(kind)
+        if isinstance(field.default, Enum)
+    }
+    assert every <= {(kind, name) for kind, name, _ in CHOICES}
+
+
+@pytest.mark.parametrize(
+    ("text", "color"),
+    [
+        ("black", (0.0, 0.0, 0.0)),
+        ("White", (1.0, 1.0, 1.0)),
+        ("#ff8000", (1.0, 128 / 255, 0.0)),
+        ("#f80", (1.0, 136 / 255, 0.0)),
+        ("0.5,0.25,0", (0.5, 0.25, 0.0)),
+        ("0.5 0.25 0", (0.5, 0.25, 0.0)),
+        ("transparent", None),
+        ("none", None),
+    ],
+)
+def test_backgrounds_are_taken_as_text(text: str, color: tuple[float, float, float] | None) -> None:
+    """As the command line takes them."""
+    assert ls.RenderConfig(background=cast(Any, text)) == ls.RenderConfig(background=color)
+
+
+def test_single_names_of_images_are_taken() -> None:
+    """One name needs no tuple, several may be one text."""
+    assert ls.RenderConfig(aovs=cast(Any, "hits")).aovs == ("hits",)
+    assert ls.RenderConfig(aovs=cast(Any, "hits, albedo")).aovs == ("albedo", "hits")

@@ -95,9 +95,19 @@ def test_reprs_are_short(frame: ls.Frame) -> None:
     """A frame, a capture and a mesh show what they are, not their arrays."""
     gaussians = scenes.random_gaussians(3, count=40)
     assert len(gaussians) == 40
-    assert repr(gaussians) == f"Gaussians(count=40, sh_degree={gaussians.sh_degree})"
-    assert repr(frame) == "Frame(40 x 30, name='', background=(0.5, 0.25, 0.125))"
-    assert repr(scenes.octahedron((0.4, 0.2, 4.0), 0.5)) == "Mesh(name='', vertices=6, faces=8, normals)"
+    low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in gaussians.bounds())
+    assert repr(gaussians) == f"Gaussians(count=40, sh_degree={gaussians.sh_degree}, bounds=({low})..({high}))"
+    assert repr(frame) == (
+        "Frame(40 x 30, name='', background=(0.5, 0.25, 0.125), raster, unlit, gaussians=40, faces=8)"
+    )
+    mesh = scenes.octahedron((0.4, 0.2, 4.0), 0.5)
+    described = "Mesh(name='', vertices=6, faces=8, bounds=(-0.1, -0.3, 3.5)..(0.9, 0.7, 4.5), normals)"
+    assert repr(mesh) == described
+    placed = ls.MeshInstance(mesh, np.diag([2.0, 2.0, 2.0, 1.0]), name="top")
+    assert repr(placed) == f"MeshInstance({described}, name='top', position=(0, 0, 0), scale=2)"
+    scene = ls.Scene([gaussians], [mesh], [ls.LightEnvironment(image=np.ones((64, 128, 3)))])
+    assert repr(scene).startswith("Scene(splats=1, gaussians=40, meshes=1, faces=8, lights=1, bounds=(")
+    assert "array" not in repr(scene) + repr(scene.splats) + repr(scene.meshes)
 
 
 def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
     assert shown.max() > 0.3
 
 
-AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", {"gamma": 2}, "pca"))
+AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", {"gamma": 2}, "mean"))
 """Arguments of wrong types."""
 
 
@@ -198,7 +198,11 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         (lambda: ls.RelightConfig(exponent=0.0), ls.ConfigError, "exponent is 0.0, expected 0.1 to 64.0"),
         (lambda: ls.RelightConfig(scale_max=-1.0), ls.ConfigError, "scale_max is -1.0"),
         (lambda: ls.RelightConfig(gamma=np.inf), ls.ConfigError, "gamma is inf"),
-        (lambda: ls.RelightConfig(normals=PCA), ls.ConfigError, "such as NormalEstimate.PCA"),
+        (
+            lambda: ls.RelightConfig(normals=PCA),
+            ls.ConfigError,
+            "normals is 'mean', expected 'auto', 'smallest-axis' or 'pca'",
+        ),
         (lambda: ls.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )

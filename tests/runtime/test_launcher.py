@@ -150,9 +150,32 @@ def test_kernels_compile_without_warnings(names: list[str], tmp_path: Path) -> N
     """Nobody who renders for the first time is to read a compiler's remarks."""
     program = (
         f"import importlib, warp as wp; wp.config.kernel_cache_dir = {str(tmp_path)!r}; wp.init();"
-        "from lumisplat.runtime.launcher import Launcher;"
+        "from lumisplat.runtime.launcher import Launcher; wp.config.log_level = wp.LOG_INFO;"
         f"Launcher('cpu').load([importlib.import_module(name) for name in {names!r}])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert "warning generated" not in done.stderr and "warnings generated" not in done.stderr
     assert done.stdout.count("(compiled)") == len(names)
+
+
+def test_warp_says_nothing_on_standard_output() -> None:
+    """What a program prints can be piped: neither Warp's banner nor its lines about modules are among it."""
+    program = (
+        "import lumisplat as ls; ls.create_renderer(device='cpu'); print('mine'); help(ls.render); "
+        "assert callable(ls.render), 'a module hides the function'"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("mine\nHelp on function render in module lumisplat.renderer.one_shot")
+
+
+def test_compiling_is_announced_once_it_takes_long(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """By one log line; modules that load at once are not worth a word."""
+    monkeypatch.setattr(wp, "load_module", lambda *_, **__: time.sleep(0.3))
+    launcher = Launcher("cpu", threads=1)
+    launcher.load([film_kernels])
+    assert not caplog.messages
+    monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 0.05)
+    launcher.load([film_kernels, binning_kernels])
+    assert caplog.messages == ["compiling kernels (once): this takes up to a minute"]

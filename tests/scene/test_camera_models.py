@@ -112,7 +112,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": "fisheye"}, "camera model is 'fisheye', expected one of CameraModel.PINHOLE, CameraModel.FISHEYE"),
+        ({"model": "fish"}, "camera model is 'fish', expected 'pinhole', 'fisheye' or 'orthographic'"),
         ({"aperture": -0.1}, "camera aperture is -0.1, expected the radius of a lens"),
         ({"aperture": np.nan}, "camera aperture is nan, expected a finite number"),
         ({"exposure": np.nan}, "camera exposure is nan, expected a finite number"),

@@ -24,8 +24,10 @@ from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.input.numbers import joined_numbers
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.parse_errors import ArgumentsError, panels_as_errors
+from lumisplat.cli.words import logging_in_shell_words, shell_words
 
 _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA GPU.
 
@@ -81,7 +83,7 @@ def main(args: Sequence[str] | None = None) -> int:
         with panels_as_errors():
             command = tyro.cli(
                 _Command,  # pyright: ignore[reportArgumentType]
-                args=args or ["--help"],
+                args=joined_numbers(args) or ["--help"],
                 prog="lumisplat",
                 description=_DESCRIPTION,
                 config=(FlagCreatePairsOff,),
@@ -97,7 +99,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(command: Command) -> int:
     """Runs a command; its exit status."""
     try:
-        command.run()
+        with logging_in_shell_words(command):
+            command.run()
     except KeyboardInterrupt as stop:
         print(f"interrupted: {stop}" if stop.args else "interrupted", file=sys.stderr)
         return 130
@@ -106,7 +109,7 @@ def _run(command: Command) -> int:
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
             traceback.print_exc()
-        print(f"error: {_one_line(error)}", file=sys.stderr)
+        print(f"error: {shell_words(_one_line(error), command)}", file=sys.stderr)
         return 2
     return 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
-from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole
+from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.raster import Antialiasing, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
     HitDistance,
@@ -42,9 +42,11 @@ __all__ = [
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
-    "check_enum",
     "check_flag",
     "check_kind",
     "check_range",
     "check_whole",
+    "choices",
+    "enum_member",
+    "listed_names",
 ]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Iterable
 from enum import Enum
-from typing import TypeGuard
+from typing import TypeGuard, TypeVar, cast
 
 import numpy as np
 
 from lumisplat.errors import ConfigError
+
+_Choice = TypeVar("_Choice", bound=Enum)
 
 
 def check_range(name: str, value: object, low: float, high: float) -> None:
@@ -29,18 +32,49 @@ def check_flag(name: str, value: object) -> None:
         raise ConfigError(f"{name} is {quoted(value)}, expected True or False")
 
 
-def check_enum(name: str, value: object, kind: type[Enum]) -> None:
-    """Raises ConfigError unless ``value`` is a member of ``kind``; the message names the one of that value, if any."""
-    if not isinstance(value, kind):
-        meant = {member.value: member for member in kind}.get(str(value), next(iter(kind)))
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ConfigError(f"{name} is {quoted(value)}, expected {article} {kind.__name__} such as {meant}")
+def enum_member(name: str, value: object, kind: type[_Choice]) -> _Choice:
+    """A member of ``kind``, given as such or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+
+    Raises:
+        ConfigError: ``value`` is neither.
+    """
+    if isinstance(value, kind):
+        return value
+    if isinstance(value, str):
+        for member in kind:
+            if member.value == value:
+                return member
+    raise ConfigError(f"{name} is {quoted(value)}, expected {choices(kind)}")
+
+
+def take_enum(settings: object, name: str, kind: type[Enum]) -> None:
+    """Makes a frozen dataclass's field, which may be given by its value, a member of ``kind``.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    object.__setattr__(settings, name, enum_member(name, getattr(settings, name), kind))
+
+
+def choices(kind: type[Enum]) -> str:
+    """The values of an enum as a message lists them: ``'raster', 'trace' or 'hybrid'``."""
+    *others, last = (f"'{member.value}'" for member in kind)
+    return f"{', '.join(others)} or {last}"
 
 
 def check_kind(name: str, value: object, kind: type) -> None:
     """Raises ConfigError unless ``value`` is a ``kind``."""
     if not isinstance(value, kind):
         raise ConfigError(f"{name} is {quoted(value)}, expected a {kind.__name__}")
+
+
+def listed_names(value: object) -> tuple[str, ...] | None:
+    """Names that are given as a list, or as one text with commas; None: it is neither, or holds something else."""
+    if isinstance(value, str):
+        return tuple(name.strip() for name in value.split(",") if name.strip())
+    names = list(cast(Iterable[object], value)) if isinstance(value, Iterable) else [None]
+    texts = [name for name in names if isinstance(name, str)]
+    return tuple(texts) if len(texts) == len(names) else None
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_enum, check_range, check_whole
+from lumisplat.config.checks import check_range, check_whole, take_enum
 from lumisplat.constants import DEPTH_ISO_TRANSMITTANCE, DILATION_PX2, SH_DEGREE_MAX, TRANSMITTANCE_MIN
 
 
@@ -54,8 +54,8 @@ class RasterConfig:
     """Depth, normal and index are those of the first Gaussian behind which the transmittance is below this, 0..1."""
 
     def __post_init__(self) -> None:
-        check_enum("strategy", self.strategy, RasterStrategy)
-        check_enum("antialiasing", self.antialiasing, Antialiasing)
+        take_enum(self, "strategy", RasterStrategy)
+        take_enum(self, "antialiasing", Antialiasing)
         check_range("dilation", self.dilation, 0.0, 10.0)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_enum, check_flag, check_range, check_whole, is_whole, quoted
+from lumisplat.config.checks import check_flag, check_range, check_whole, is_whole, quoted, take_enum
 from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
@@ -120,10 +120,10 @@ class TraceConfig:
     faster and biased towards opaque (Hu et al. 2025, figure 4)."""
 
     def __post_init__(self) -> None:
-        check_enum("strategy", self.strategy, TraceStrategy)
+        take_enum(self, "strategy", TraceStrategy)
         _check_hits("hits_per_pass", self.hits_per_pass)
-        check_enum("hit_distance", self.hit_distance, HitDistance)
-        check_enum("normal_method", self.normal_method, NormalMethod)
+        take_enum(self, "hit_distance", HitDistance)
+        take_enum(self, "normal_method", NormalMethod)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
         check_range("depth_iso_transmittance", self.depth_iso_transmittance, 0.0, 1.0)
@@ -161,9 +161,9 @@ class ShadowConfig:
     """How much partial shadows take on the colour of the Gaussians in the way, 0..5: stained glass."""
 
     def __post_init__(self) -> None:
-        check_enum("method", self.method, ShadowMethod)
+        take_enum(self, "method", ShadowMethod)
         _check_hits("hits", self.hits)
-        check_enum("hit_distance", self.hit_distance, HitDistance)
+        take_enum(self, "hit_distance", HitDistance)
         check_range("offset", self.offset, 0.0, 100.0)
         check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_enum, check_range, check_whole
+from lumisplat.config.checks import check_range, check_whole, take_enum
 
 
 class NormalEstimate(Enum):
@@ -45,5 +45,5 @@ class RelightConfig:
         check_range("exponent", self.exponent, 0.1, 64.0)
         check_range("scale_max", self.scale_max, 0.0, 1000.0)
         check_range("gamma", self.gamma, 0.0, 1000.0)
-        check_enum("normals", self.normals, NormalEstimate)
+        take_enum(self, "normals", NormalEstimate)
         check_whole("rows", self.rows, 8, 128)

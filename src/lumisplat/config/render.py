@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import cast
 
-from lumisplat.config.checks import check_enum, check_flag, check_kind, check_range, check_whole, quoted
+from lumisplat.config.checks import (
+    check_flag,
+    check_kind,
+    check_whole,
+    listed_names,
+    quoted,
+    take_enum,
+)
+from lumisplat.config.colors import display_color
 from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.renamed import refuse_renamed
@@ -68,6 +74,9 @@ class RenderConfig:
     ``shadow_rays``  shadow rays            shadow rays                  shadow rays
     ===============  =====================  ===========================  ================
 
+    A choice may be given by its value, here and in all other settings: ``pipeline="hybrid"`` is
+    ``pipeline=Pipeline.HYBRID``.
+
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
@@ -75,7 +84,8 @@ class RenderConfig:
     pipeline: Pipeline = Pipeline.RASTER
     """How the surfaces that the camera sees are found."""
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
-    """Display-referred sRGB behind everything, 0..1 each; None leaves the frame transparent."""
+    """Display-referred sRGB behind everything, 0..1 each; None leaves the frame transparent. Also accepted are
+    ``"#ff8800"``, names such as ``"white"``, and ``"transparent"``, which become numbers or None."""
     raster: RasterConfig = field(default_factory=RasterConfig)
     """Settings of the rasteriser."""
     trace: TraceConfig = field(default_factory=TraceConfig)
@@ -83,7 +93,8 @@ class RenderConfig:
     response: ResponseConfig = field(default_factory=ResponseConfig)
     """How Gaussians respond to rays of all kinds."""
     lighting: bool | None = None
-    """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any."""
+    """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any, or
+    is of meshes alone, which would be flat areas of colour otherwise."""
     shadows: Shadows = Shadows.HARD
     """Whether lights are blocked by what stands in their way, in lit frames."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)
@@ -91,7 +102,8 @@ class RenderConfig:
     tone_map: ToneMap = ToneMap.NONE
     """How lit frames become pictures; pixels that show only a capture stay as captured."""
     aovs: tuple[str, ...] = ()
-    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``."""
+    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``. A single
+    name, or several with commas, becomes a tuple."""
     samples: int = 1
     """Samples a pixel, averaged, at least 1. The unlit, sorted raster is exact with one, and takes no more."""
     jitter: bool = True
@@ -104,18 +116,17 @@ class RenderConfig:
     background."""
 
     def __post_init__(self) -> None:
-        check_enum("pipeline", self.pipeline, Pipeline)
-        if self.background is not None:
-            # A list or an array becomes a tuple, so that equal backgrounds make equal settings.
-            object.__setattr__(self, "background", _checked_background(self.background))
+        take_enum(self, "pipeline", Pipeline)
+        # A list, an array or a text becomes a tuple, so that equal backgrounds make equal settings.
+        object.__setattr__(self, "background", display_color("background", self.background))
         check_kind("raster", self.raster, RasterConfig)
         check_kind("trace", self.trace, TraceConfig)
         check_kind("response", self.response, ResponseConfig)
         if self.lighting is not None:
             check_flag("lighting", self.lighting)
-        check_enum("shadows", self.shadows, Shadows)
+        take_enum(self, "shadows", Shadows)
         check_kind("shadow_rays", self.shadow_rays, ShadowConfig)
-        check_enum("tone_map", self.tone_map, ToneMap)
+        take_enum(self, "tone_map", ToneMap)
         # In one order, each once, so that settings that ask for the same images are equal.
         object.__setattr__(self, "aovs", _checked_aovs(self.aovs))
         check_whole("samples", self.samples, 1, SAMPLES_MAX)
@@ -124,23 +135,9 @@ class RenderConfig:
         check_whole("max_bounces", self.max_bounces, 0, 64)
 
 
-def _checked_background(background: Iterable[float]) -> tuple[float, float, float]:
-    """Three numbers in 0..1."""
-    try:
-        red, green, blue = background
-    except (TypeError, ValueError):
-        raise ConfigError(f"background is {quoted(background)}, expected three numbers in 0..1 or None") from None
-    for value in (red, green, blue):
-        check_range("background", value, 0.0, 1.0)
-    return float(red), float(green), float(blue)
-
-
 def _checked_aovs(aovs: object) -> tuple[str, ...]:
     """Names of images, in the order of `AOVS`, each once."""
-    refusal = ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
-    if isinstance(aovs, str) or not isinstance(aovs, Iterable):
-        raise refusal
-    names = list(cast(Iterable[object], aovs))
-    if not all(isinstance(name, str) and name in AOVS for name in names):
-        raise refusal
+    names = listed_names(aovs)
+    if names is None or not {*names} <= {*AOVS}:
+        raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
     return tuple(name for name in AOVS if name in names)

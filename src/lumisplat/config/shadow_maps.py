@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from lumisplat.config.checks import check_enum, check_flag, check_range, check_whole
+from lumisplat.config.checks import check_flag, check_range, check_whole, take_enum
 from lumisplat.errors import ConfigError
 
 
@@ -83,7 +83,7 @@ class DeepShadowConfig:
     """Seed of these points, 0..2^32 - 1."""
 
     def __post_init__(self) -> None:
-        check_enum("layout", self.layout, AtlasLayout)
+        take_enum(self, "layout", AtlasLayout)
         check_whole("resolution", self.resolution, 8, 8192)
         if self.resolution % 8:
             raise ConfigError(f"resolution is {self.resolution}, expected a multiple of 8")
@@ -91,10 +91,10 @@ class DeepShadowConfig:
         for name in ("max_distance", "region_radius"):
             if getattr(self, name) is not None:
                 check_range(name, getattr(self, name), 1e-6, 1e9)
-        check_enum("absorption", self.absorption, Absorption)
+        take_enum(self, "absorption", Absorption)
         check_range("strength", self.strength, 0.0, 100.0)
         check_flag("region", self.region)
         check_flag("culling", self.culling)
-        check_enum("sampling", self.sampling, ReceiverSampling)
+        take_enum(self, "sampling", ReceiverSampling)
         check_whole("samples", self.samples, 1, 1024)
         check_whole("seed", self.seed, 0, 2**32 - 1)

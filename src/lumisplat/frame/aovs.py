@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS
+from lumisplat.config import AOVS, listed_names
+from lumisplat.config.checks import quoted
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame_data import FrameData
 from lumisplat.math.arrays import FloatArray
@@ -44,12 +45,26 @@ def present_layers(frame: FrameData) -> tuple[str, ...]:
     return tuple(layer for layer in LAYERS if layer not in AOVS or getattr(frame, _field(layer)) is not None)
 
 
+def layer_names(layers: object) -> tuple[str, ...]:
+    """Names of layers, given as a list or as a text with commas.
+
+    Raises:
+        ConfigError: It is neither; whether there are such layers is not checked.
+    """
+    names = listed_names(layers)
+    if names is None:
+        raise ConfigError(f"layers is {quoted(layers)}, expected some of {', '.join(LAYERS)}")
+    return names
+
+
 def check_layer(frame: FrameData, layer: str) -> None:
     """Raises ConfigError unless ``frame`` has the layer."""
     if layer not in LAYERS:
         raise ConfigError(f"unknown layer '{layer}', expected some of {', '.join(LAYERS)}")
     if layer not in present_layers(frame):
-        raise ConfigError(f"the frame has no '{layer}': lit frames do, where RenderConfig.aovs asks for it")
+        asked = frame.config is not None and layer in frame.config.aovs
+        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else "RenderConfig.aovs asks for it"
+        raise ConfigError(f"the frame has no '{layer}': {why}")
 
 
 def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:

@@ -14,12 +14,14 @@ import numpy.typing as npt
 
 from lumisplat.config import AOVS, ToneMap
 from lumisplat.errors import FormatError
-from lumisplat.frame.aovs import LAYERS, RADIANCE, Image, exr_channels, present_layers
+from lumisplat.frame.aovs import LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
+from lumisplat.frame.depth_png import depth_range, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
+from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
 from lumisplat.frame.views import VIEWS, layer_pictures, view_limits, view_picture
 from lumisplat.io.images.exr import write_exr
 from lumisplat.io.images.npz import write_npz
-from lumisplat.io.images.png import write_png
+from lumisplat.io.images.png import to_bytes, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import lit_picture
@@ -41,7 +43,7 @@ class Frame(FrameData):
     NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {"shadow": "lights"}
     """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
 
-    def save(self, path: str | os.PathLike[str], layers: Collection[str] | None = None) -> None:
+    def save(self, path: str | os.PathLike[str], layers: Collection[str] | str | None = None) -> None:
         """Writes the frame in the format that the extension names.
 
         ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none; a lit frame is exposed and
@@ -54,14 +56,17 @@ class Frame(FrameData):
 
         Args:
             path: File to write.
-            layers: Some of `LAYERS`: channels of the EXR (None: all that the frame has), or pictures beside the PNG,
-                ``NAME.depth.png`` and so on (None: no picture). An NPZ has all.
+            layers: Some of `LAYERS`, as a list or as a text with commas: channels of the EXR (None: all that the frame
+                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth
+                is also written as 16-bit grey, ``NAME.depth16.png``, whose text says its range, see `depth_range`.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
             FormatError: The extension is none of these, or the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
+        layers = None if layers is None else layer_names(layers)
+        layers = None if layers is None else layer_names(layers)
         if suffix == ".png":
             pictures: dict[str, FloatArray] = {}
             for layer in layers or ():
@@ -69,6 +74,8 @@ class Frame(FrameData):
             write_png(path, self.pixels_srgb())
             for name, picture in pictures.items():
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
+            if "depth" in pictures:
+                write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
         elif suffix == ".exr":
             write_exr(path, self.layers(layers))
         elif suffix == ".npz":
@@ -88,6 +95,11 @@ class Frame(FrameData):
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for the view of a frame, expected .png")
         write_png(path, self.view(view, limits))
         self._warn_of_nonfinite(path)
+
+    @property
+    def depth_range(self) -> tuple[float, float] | None:
+        """The nearest and the farthest surface, scene units along the ray; None: nothing is seen."""
+        return depth_range(self.depth)
 
     def view(self, name: str, limits: tuple[float, float] | None = None) -> FloatArray:
         """A picture that explains the frame, in display colours, (H, W, 3), 0..1.
@@ -115,11 +127,11 @@ class Frame(FrameData):
         return view_limits(self, name)
 
     def pixels_srgb(self) -> FloatArray:
-        """What a PNG shows: (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
+        """What a PNG shows: 0..1, (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
 
         An unlit frame is shown as trained. A lit one is exposed by its camera's ``exposure`` and tone-mapped as its
         ``config`` says; pixels that only show a capture are what they are in the unlit frame. Pixels that are not
-        finite are black.
+        finite are black. Captures may be brighter than a display's white: that is clipped here, and kept in ``color``.
         """
         frame, transparent = self._without_nonfinite(), self.background is None
         parts = frame._lit_parts()
@@ -129,13 +141,48 @@ class Frame(FrameData):
             captured, weight, light = (unpremultiplied(part, frame.alpha) for part in parts) if transparent else parts
             tone_map = self.config.tone_map if self.config else ToneMap.NONE
             pixels = lit_picture(captured, weight, light, self.camera.exposure, tone_map)
-        return np.concatenate([pixels, frame.alpha[..., None]], axis=2) if transparent else pixels
+        pixels = np.concatenate([pixels, frame.alpha[..., None]], axis=2) if transparent else pixels
+        return np.clip(pixels, 0.0, 1.0)
 
-    def layers(self, names: Collection[str] | None = None) -> dict[str, Image]:
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """What a PNG shows, see `pixels_srgb`, so that NumPy and what builds on it take a frame for a picture.
+
+        Args:
+            dtype: Of the array; None: float32, 0..1. With ``uint8``, the bytes of a PNG.
+            copy: The array is always a new one: False is refused.
+
+        Raises:
+            ValueError: ``copy`` is False, as NumPy's protocol wants it.
+        """
+        if copy is False:
+            raise ValueError("the picture of a frame is computed: there is no array of it without a copy")
+        pixels = self.pixels_srgb()
+        if dtype is None:
+            return pixels
+        return to_bytes(pixels, "a frame") if np.dtype(dtype) == np.uint8 else pixels.astype(dtype)
+
+    def _repr_mimebundle_(
+        self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
+    ) -> MimeBundle:
+        """The frame in a notebook: a picture and a line of text. It never raises: without a picture, there is text."""
+        try:
+            return mime_bundle(self.pixels_srgb(), repr(self), include, exclude)
+        except Exception as error:  # a notebook would show a traceback in place of the cell's result
+            return {"text/plain": f"{self!r} (no picture: {error})"}, {}
+
+    def _repr_png_(self) -> bytes | None:
+        """A PNG, for notebooks that take no bundle; None for a frame that the bundle shows as JPEG, or cannot show."""
+        try:
+            pixels = self.pixels_srgb()
+            return encoded(pixels, "image/png") if mime_type(pixels) == "image/png" else None
+        except Exception:
+            return None
+
+    def layers(self, names: Collection[str] | str | None = None) -> dict[str, Image]:
         """EXR channels: linear ``R G B A`` and those of some layers.
 
         Args:
-            names: Some of `LAYERS`; None: all that the frame has.
+            names: Some of `LAYERS`, as a list or as a text with commas; None: all that the frame has.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
@@ -145,7 +192,7 @@ class Frame(FrameData):
         if frame._lit_parts() is None:
             linear = decode_srgb(frame.straight()) * frame.alpha[..., None]
         channels: dict[str, Image] = {name: linear[..., i] for i, name in enumerate("RGB")} | {"A": frame.alpha}
-        return channels | exr_channels(self, present_layers(self) if names is None else names)
+        return channels | exr_channels(self, present_layers(self) if names is None else layer_names(names))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Every image by name, and the lights' names if there are any."""

@@ -101,7 +101,17 @@ class FrameData:
 
     def __repr__(self) -> str:
         camera = self.camera
-        return f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background})"
+        how = "unlit" if self.light is None else "lit"
+        if self.config is not None:
+            how = f"{self.config.pipeline.value}, {how}"
+        samples = f", samples={self.samples}" * bool(self.samples)
+        held = ""
+        if self.stats is not None:
+            held = f", gaussians={self.stats.gaussian_count}, faces={self.stats.triangle_count}"
+        return (
+            f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background}, "
+            f"{how}{samples}{held})"
+        )
 
     @property
     def depth_z(self) -> FloatArray:

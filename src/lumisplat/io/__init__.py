@@ -61,6 +61,9 @@ _WRITERS = {
 }
 """Writers of `save` by extension; the first one that a file name ends with is used."""
 
+_INNER_LISTED = 8
+"""How many captures of a folder a message lists."""
+
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
 WRITABLE = ".ply, .compressed.ply, .spz"
 
@@ -124,12 +127,21 @@ def _extension(path: Path) -> str:
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
-        raise FormatError(path, "is a folder without a meta.json, expected a SOG folder or a file")
+        raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{_inner_sog(path)}")
     if not path.exists():
         raise FormatError(path, "no such file")
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
     return ".sog" if path.name == "meta.json" else path.suffix.lower()
+
+
+def _inner_sog(folder: Path) -> str:
+    """Which folders in a folder are SOG captures, such as the levels of a streamed one, as the end of a message."""
+    inner = sorted(meta.parent.name for meta in folder.glob("*/meta.json"))
+    if not inner:
+        return ""
+    more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
+    return f": give one of the captures in it, {', '.join(inner[:_INNER_LISTED])}{more}"
 
 
 def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:

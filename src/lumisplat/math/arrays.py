@@ -99,6 +99,12 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
     return matrix
 
 
+def box_text(low: npt.NDArray[Any], high: npt.NDArray[Any]) -> str:
+    """A box by its corners, as texts show it: ``(-1, 0, 2.5)..(1, 3, 4)``."""
+    low_text, high_text = (", ".join(f"{value:.4g}" for value in corner) for corner in (low, high))
+    return f"({low_text})..({high_text})"
+
+
 def refuse_rows(name: str, problem: str, offenders: npt.NDArray[np.bool_]) -> None:
     """Raises a `SceneError` that counts the rows where ``offenders`` is true, if there are any."""
     count = np.count_nonzero(offenders)

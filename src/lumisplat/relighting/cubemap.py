@@ -14,7 +14,7 @@ from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.tone_map import captured_radiance
-from lumisplat.renderer.renderer import Renderer
+from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.scene import Scene
@@ -72,6 +72,9 @@ def render_cube(scene: Scene, position: _Doubles, renderer: Renderer, face_px: i
     Raises:
         SceneError: No pixel is finite, or the renderer refuses the scene.
     """
+    if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights:
+        # The headlight that shows meshes alone goes with the viewer: it is no light of the place.
+        renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
     cube = _cube(face_px)
     colors: list[FloatArray] = []
     covered = 0.0

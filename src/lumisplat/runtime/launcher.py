@@ -8,17 +8,25 @@ Every kernel that may be banded takes ``start`` first and works on item ``start 
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import time
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from types import ModuleType
 
 import warp as wp
 
-from lumisplat.constants import BLOCK_THREADS
+from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S
 from lumisplat.errors import ConfigError, DeviceError
+
+_log = logging.getLogger("lumisplat")
+
+# Warp prints its banner and a line for each module it loads on standard output, where they would mix with what a
+# program writes. Whoever wants them sets the level again, after this import.
+if wp.config.log_level == wp.LOG_INFO:
+    wp.config.log_level = wp.LOG_WARNING
 
 Progress = Callable[[str, float], None]
 """Called with a label of the work and the fraction done, 0..1."""
@@ -91,7 +99,8 @@ class Launcher:
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.
 
-        Takes seconds at their first use on a machine; they are then cached on disk. Warp's compilers release the GIL.
+        Takes seconds at their first use on a machine, which one log line announces, so that nobody waits unknowingly;
+        they are then cached on disk. Warp's compilers release the GIL.
         """
         label = "compiling kernels (once)"
         if progress:
@@ -100,6 +109,9 @@ class Launcher:
             self._pool.submit(wp.load_module, module, device=self.device, block_dim=BLOCK_THREADS) for module in modules
         ]
         with _joined(jobs):
+            loading = wait(jobs, COMPILING_ANNOUNCED_S, FIRST_EXCEPTION).not_done
+            if loading:
+                _log.warning("%s: this takes up to a minute", label)
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()
                 if progress:

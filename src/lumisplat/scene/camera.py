@@ -9,9 +9,9 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_number
+from lumisplat.config.checks import enum_member, is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
-from lumisplat.errors import SceneError
+from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import finite_numbers, matrix_4x4
 from lumisplat.scene.checks import check_positive
 
@@ -89,7 +89,7 @@ class Camera:
             )
         if self.aperture < 0.0:
             raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
-        _check_model(self.model)
+        object.__setattr__(self, "model", _model_of(self.model))
         object.__setattr__(self, "camera_from_world", _rigid("camera_from_world", self.camera_from_world))
         if self.camera_from_world_end is not None:
             end = _rigid("camera_from_world_end", self.camera_from_world_end)
@@ -110,7 +110,7 @@ class Camera:
         fov_y: float = 0.8,
         near: float = NEAR_PLANE,
         name: str = "",
-        model: CameraModel = CameraModel.PINHOLE,
+        model: CameraModel | str = CameraModel.PINHOLE,
         aperture: float = 0.0,
         focus_distance: float | None = None,
     ) -> Camera:
@@ -141,6 +141,7 @@ class Camera:
         if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
             raise SceneError("look_at needs eye and target apart, and up not parallel to the view direction")
         distance = float(np.linalg.norm(forward))
+        model = _model_of(model)
         focal = _focal_length(model, fov_y, height, distance)
         return cls(
             width=width,
@@ -250,10 +251,12 @@ def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float
     return focal / distance if model is CameraModel.ORTHOGRAPHIC else focal
 
 
-def _check_model(model: object) -> None:
-    if not isinstance(model, CameraModel):
-        models = ", ".join(f"CameraModel.{one.name}" for one in CameraModel)
-        raise SceneError(f"camera model is {model!r}, expected one of {models}")
+def _model_of(model: object) -> CameraModel:
+    """The model, given as such or by its value, such as "fisheye"."""
+    try:
+        return enum_member("camera model", model, CameraModel)
+    except ConfigError as error:
+        raise SceneError(str(error)) from None
 
 
 def _pixel_count(name: str, value: object) -> int:

@@ -13,6 +13,7 @@ from lumisplat.constants import KERNEL_DEGREE, KERNEL_DEGREE_MAX
 from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     FloatArray,
+    box_text,
     float_array,
     normalise_rows,
     read_only_view,
@@ -120,7 +121,10 @@ class Gaussians:
         extras = "".join(f", {name}" for name in _OPTIONAL if getattr(self, name) is not None)
         antialiased = ", antialiased" if self.antialiased else ""
         kernel = f", kernel_degree={self.kernel_degree}" if self.kernel_degree != KERNEL_DEGREE else ""
-        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}{antialiased}{kernel}{extras})"
+        bounds = box_text(*self.bounds())
+        return (
+            f"Gaussians(count={self.count}, sh_degree={self.sh_degree}, bounds={bounds}{antialiased}{kernel}{extras})"
+        )
 
     @property
     def count(self) -> int:

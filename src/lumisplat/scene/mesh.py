@@ -13,6 +13,7 @@ from lumisplat.errors import SceneError, check_shapes
 from lumisplat.math.arrays import (
     FloatArray,
     IntArray,
+    box_text,
     float_array,
     normalise_rows,
     read_only_array,
@@ -82,7 +83,8 @@ class Mesh:
 
     def __repr__(self) -> str:
         extras = "".join(f", {name}" for name in ("normals", "uvs", "colors") if getattr(self, name) is not None)
-        return f"Mesh(name={self.name!r}, vertices={self.vertex_count}, faces={self.face_count}{extras})"
+        counts = f"vertices={self.vertex_count}, faces={self.face_count}, bounds={box_text(*self.bounds())}"
+        return f"Mesh(name={self.name!r}, {counts}{extras})"
 
     @property
     def vertex_count(self) -> int:

@@ -11,13 +11,16 @@ import numpy.typing as npt
 
 from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.arrays import box_text, matrix_4x4
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
+
+Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+"""Corners (min, max) of a box, world space, shape (3,) each."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -54,6 +57,11 @@ class SplatInstance:
         check_similarity(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
+    def __repr__(self) -> str:
+        material = f", material={type(self.material).__name__}" if self.material is not None else ""
+        kept = ", shadow_only" if self.shadow_only else ""
+        return f"SplatInstance({self.gaussians!r}, {_placement(self.transform, self.name)}{material}{kept})"
+
     @property
     def transform(self) -> npt.NDArray[np.float64]:
         """``world_from_object``, never None."""
@@ -64,6 +72,11 @@ class SplatInstance:
     def world_means(self) -> npt.NDArray[np.float64]:
         """Means in world space, shape (N, 3)."""
         return transform_points(self.transform, self.gaussians.means)
+
+    def bounds(self) -> Bounds:
+        """Corners (min, max) of the world-space bounding box of the means, shape (3,) each."""
+        points = self.world_means
+        return points.min(axis=0), points.max(axis=0)
 
     @property
     def scale(self) -> float:
@@ -88,11 +101,19 @@ class MeshInstance:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
         object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
 
+    def __repr__(self) -> str:
+        return f"MeshInstance({self.mesh!r}, {_placement(self.transform, self.name)})"
+
     @property
     def transform(self) -> npt.NDArray[np.float64]:
         """``world_from_object``, never None."""
         assert self.world_from_object is not None
         return self.world_from_object
+
+    def bounds(self) -> Bounds:
+        """Corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""
+        points = transform_points(self.transform, self.mesh.positions)
+        return points.min(axis=0), points.max(axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +143,22 @@ class Scene:
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
 
+    def __repr__(self) -> str:
+        bounds = f", bounds={box_text(*self.bounds())}" if self.splats or self.meshes else ""
+        return (
+            f"Scene(splats={len(self.splats)}, gaussians={self.gaussian_count}, meshes={len(self.meshes)}, "
+            f"faces={self.face_count}, lights={len(self.lights)}{bounds})"
+        )
+
+    @property
+    def is_lit_by_default(self) -> bool:
+        """Whether frames are lit unless ``RenderConfig.lighting`` decides: it has lights, or it is of meshes alone.
+
+        Meshes without any light are flat areas of colour; a headlight at the camera shows their shape. Captures bring
+        their light with them.
+        """
+        return bool(self.lights) or (bool(self.meshes) and not self.splats)
+
     @property
     def gaussian_count(self) -> int:
         """Number of Gaussians over all instances."""
@@ -132,18 +169,24 @@ class Scene:
         """Number of triangles over all instances."""
         return sum(instance.mesh.face_count for instance in self.meshes)
 
-    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def bounds(self) -> Bounds:
         """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
         Raises:
             SceneError: The scene is empty.
         """
-        clouds = [(i.gaussians.means, i.transform) for i in self.splats]
-        clouds += [(i.mesh.positions, i.transform) for i in self.meshes]
-        if not clouds:
+        boxes = [instance.bounds() for instance in (*self.splats, *self.meshes)]
+        if not boxes:
             raise SceneError("an empty scene has no bounds")
-        worlds = [transform_points(matrix, points) for points, matrix in clouds]
-        return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+        lows, highs = zip(*boxes, strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _placement(matrix: npt.NDArray[np.float64], name: str) -> str:
+    """Name and position of an instance, and its scale unless that is 1."""
+    scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
+    scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
+    return f"name={name!r}, position=({', '.join(f'{value:.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
 def check_similarity(

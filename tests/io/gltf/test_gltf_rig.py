@@ -324,6 +324,8 @@ def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: py
     caplog.clear()
     assert ls.load_rig(path, vertex_colors=False).mesh.colors is None
     assert not caplog.records
+    ls.load(path)
+    assert "COLOR_0 makes 100 % of the vertices of 'tube' black" in caplog.text
 
 
 @pytest.mark.data

@@ -218,7 +218,7 @@ def test_colour_turns_with_the_object(renderer: ls.Renderer, degree: int) -> Non
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 1.0), None])
 def test_empty_views(way: str, background: tuple[float, float, float] | None) -> None:
     """With nothing in sight there is only background: no alpha, no surface, no normal."""
-    renderer = renderer_of(way, ls.RenderConfig(background=background))
+    renderer = renderer_of(way, ls.RenderConfig(lighting=False, background=background))
     behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
     for scene in (ls.Scene(), ls.Scene([behind]), ls.Scene([], [quad(-3.0)]), ls.Scene([behind], [quad(-3.0)])):
         frame = renderer.render(scene, front_camera(33, 17))

@@ -8,6 +8,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.compare.images import assert_close
+from support.compare.ways import renderer_of
 from support.oracles import raster_oracle as oracles
 from support.scenes.raster_scenes import (
     checker_quad,
@@ -20,6 +21,12 @@ from support.scenes.raster_scenes import (
 )
 
 GREY = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1))
+
+
+@pytest.fixture
+def renderer(way: str) -> ls.Renderer:
+    """A renderer without the headlight that shows meshes alone: here their own colours are looked at."""
+    return renderer_of(way, ls.RenderConfig(lighting=False))
 
 
 def plane_depth(camera: ls.Camera, point: np.ndarray, normal: np.ndarray) -> np.ndarray:

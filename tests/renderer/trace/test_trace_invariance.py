@@ -170,7 +170,7 @@ def test_hidden_gaussians_change_nothing(way: str, strategy: ls.TraceStrategy) -
 def test_empty_views(way: str, strategy: ls.TraceStrategy) -> None:
     """With nothing in sight there is only background: no alpha, no surface, no normal."""
     for background in ((0.2, 0.5, 1.0), None):
-        config = replace(settings(strategy), background=background)
+        config = replace(settings(strategy), background=background, lighting=False)
         behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
         faint = one_gaussian(opacity=0.003)
         for scene in (

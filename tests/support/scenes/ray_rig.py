@@ -51,7 +51,7 @@ class RayRig:
     ) -> None:
         self._launcher = Launcher(device, threads)
         self.buffers = Buffers(device)
-        self._config = RenderConfig(pipeline=Pipeline.TRACE)
+        self._config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         self.scene = DeviceScene(self._launcher, Buffers(device), self._config)
         self.color, self.transmittance = color, transmittance
         self._meshes = MeshTracer(self._launcher, self.buffers)
@@ -62,7 +62,7 @@ class RayRig:
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, **limits: float | np.ndarray
     ) -> Hits:
         """The nearest triangles; ``t_min`` and ``t_max`` are 0 and infinite unless given."""
-        self._sync(scene, RenderConfig(pipeline=Pipeline.TRACE))
+        self._sync(scene, RenderConfig(pipeline=Pipeline.TRACE, lighting=False))
         rays = self._rays(origins, directions, **limits)
         hits = self._meshes.find(self.scene, rays, "test.hits")
         face, weights = hits.face.numpy().copy(), hits.weights.numpy()
@@ -82,7 +82,7 @@ class RayRig:
         **limits: float | np.ndarray,
     ) -> np.ndarray:
         """What rays see, mirrors and glass included, shape (N, 3)."""
-        config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces)
+        config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False, background=background, max_bounces=bounces)
         plan = self._sync(scene, config)
         self.waves = []
         hits = self.find_hits(self.scene, self._rays(origins, directions, **limits), "test")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import partial
@@ -15,6 +14,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.input.up_axis import resolved_up
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
@@ -45,8 +45,9 @@ class Animate(FrameCommand):
     """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
-    frames: Annotated[str, arg(metavar="A:B", help_behavior_hint="")] = ""
-    """Only these frames, from A to before B, such as 0:48, 48: or :10."""
+    frames: Annotated[str, arg(metavar="FRAMES", help_behavior_hint="")] = ""
+    """Only these frames, from 0: 1-100 (both), 1-100x2 (every second), 1,5,9, or A:B, from A to before B, such as 0:48,
+    48: or :10. Parts may be joined by commas."""
     fps: Annotated[float | None, arg(metavar="FPS", help_behavior_hint="")] = None
     """Frames a second, in place of the scene file's; the animation lasts as long as before."""
     overwrite: Flag = False
@@ -84,7 +85,7 @@ class Animate(FrameCommand):
             renderer = self.start_renderer(report, config, profile=self.stats)
             animation = self._animation(environment, report)
             cameras = self._cameras(animation)
-            wanted = _frame_range(self.frames, animation.frame_count)
+            wanted = frame_numbers("--frames", self.frames, animation.frame_count)
             if self.video is not None:
                 check_video(self.video, animation.fps)
             folder = FrameFolder(self.output, self.format)
@@ -104,7 +105,7 @@ class Animate(FrameCommand):
         if self.video is not None:
             print(f"{self.video} ({animation.fps:g} frames a second, {len(wanted) / animation.fps:.2f} s)")
 
-    def _progress(self, folder: FrameFolder, wanted: range) -> str:
+    def _progress(self, folder: FrameFolder, wanted: Sequence[int]) -> str:
         """What is there already, and how to go on."""
         there = sum(folder.is_finished(index) for index in wanted)
         again = "the same command without --overwrite" if self.overwrite else "the same command"
@@ -180,23 +181,6 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
     if length == math.inf:
         raise ls.ConfigError(f"--fps is {fps}, of an animation of {animation.duration:g} s: too many frames")
     return replace(animation, fps=fps, frame_count=max(1, round(length)))
-
-
-def _frame_range(text: str, count: int) -> range:
-    """The frames of ``A:B``; of an empty text all.
-
-    Raises:
-        ConfigError: It is no such range, or holds no frame of the animation.
-    """
-    if not text:
-        return range(count)
-    found = re.fullmatch(r"(\d*):(\d*)", text)
-    if not found:
-        raise ls.ConfigError(f"--frames is '{text}', expected A:B, such as 0:48, 48: or :10")
-    first, end = int(found[1] or 0), int(found[2] or count)
-    if not first < end <= count:
-        raise ls.ConfigError(f"--frames is '{text}', of an animation of {count} frames, 0:{count}")
-    return range(first, end)
 
 
 def _flat(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:

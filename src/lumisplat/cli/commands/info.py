@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
-from lumisplat.cli.options.command import LoadingCommand
+from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
+
+if TYPE_CHECKING:
+    from lumisplat.math.arrays import FloatArray
+
+    Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,53 +27,104 @@ class Info(LoadingCommand):
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
     """Any file that render takes, cameras and environments too."""
+    json: Flag = False
+    """Print JSON instead of tables: a list with an object for each file; the guide to captures lists the keys."""
 
     def run(self) -> None:
-        """Prints a table for each asset."""
+        """Prints a table for each asset, or everything as JSON."""
         if not self.files:
             raise ls.ConfigError("no file given")
+        if self.json:
+            print(json.dumps([self._facts(path) for path in self.files], indent=2))
+            return
         for path in self.files:
             self._print(path)
 
     def _print(self, path: Path) -> None:
         from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
 
+        kind, held = self._load(path)
+        size = ("file", byte_size(size_on_disk(path)))
+        match held:
+            case ls.Gaussians():
+                print_table(str(path), [("kind", kind), size, *gaussian_rows(held)])
+            case ls.Mesh():
+                print_table(str(path), [("kind", kind), size, *mesh_rows(held)])
+            case ls.Scene():
+                _print_scene(path, size, held)
+            case list():
+                print_table(str(path), camera_rows(held))
+            case _:
+                print_table(str(path), radiance_rows(held))
+
+    def _facts(self, path: Path) -> dict[str, Any]:
+        """What is in a file, as plain values."""
+        from lumisplat.cli.output import facts
+
+        kind, held = self._load(path)
+        head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
+        match held:
+            case ls.Gaussians():
+                return head | facts.capture_facts(held)
+            case ls.Mesh():
+                return head | facts.mesh_facts(held)
+            case ls.Scene():
+                animation = _animation(path)
+                animated = facts.animation_facts(animation) if animation else None
+                return head | facts.scene_facts(held, _cameras(path)) | {"animation": animated}
+            case list():
+                return head | facts.camera_facts(held)
+            case _:
+                return head | facts.radiance_facts(held)
+
+    def _load(self, path: Path) -> tuple[str, Held]:
+        """What kind of file it is, and what is in it."""
         suffix = path.suffix.lower()
         if suffix == ".json" and path.name != "meta.json":
-            print_table(str(path), camera_rows(ls.load_cameras(path)))
-            return
+            return "cameras", ls.load_cameras(path)
         if suffix in (".hdr", ".pic", ".exr"):
-            print_table(str(path), radiance_rows(ls.load_radiance(path)))
-            return
+            return "radiance", ls.load_radiance(path)
         with progress_bars() as report:
             asset = self.load_asset(path, report)
-        size = ("file", byte_size(size_on_disk(path)))
-        if isinstance(asset, ls.Gaussians):
-            print_table(str(path), [("kind", "capture"), size, *gaussian_rows(asset)])
-        elif isinstance(asset, ls.Mesh):
-            print_table(str(path), [("kind", "mesh"), size, *mesh_rows(asset)])
-        else:
-            _print_scene(path, size, asset)
+        kinds = {ls.Gaussians: "capture", ls.Mesh: "mesh", ls.Scene: "scene"}
+        return kinds[type(asset)], asset
+
+
+def _cameras(path: Path) -> list[ls.Camera]:
+    """The cameras that a scene's file has."""
+    return ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf") else []
+
+
+def _animation(path: Path) -> ls.Animation | None:
+    """The animation of a scene file; None: it has no actors."""
+    if path.suffix.lower() != ".toml" or not tomllib.loads(path.read_text(encoding="utf-8")).get("actors"):
+        return None
+    return ls.load_animation(path)
 
 
 def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
-    """Tables of a scene as a whole, of its captures and meshes, lights and cameras."""
-    from lumisplat.cli.output.describe import box, camera_rows, changed_settings, light_row, mesh_rows, splat_rows
+    """Tables of a scene as a whole, of its captures and meshes, actors, lights and cameras."""
+    from lumisplat.cli.output import describe
 
-    cameras = ls.load_cameras(path) if path.suffix.lower() in (".toml", ".glb", ".gltf") else []
+    cameras, animation = _cameras(path), _animation(path)
     counts = f"{len(scene.splats)} captures, {len(scene.meshes)} meshes"
     counts += f", {len(scene.lights)} lights" * bool(scene.lights) + f", {len(cameras)} cameras" * bool(cameras)
     rows = [("kind", "scene"), size, ("holds", counts)]
     if scene.splats or scene.meshes:
-        rows.append(("bounds", box(*scene.bounds())))
-    settings = changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
+        rows.append(("bounds", describe.box(*scene.bounds())))
+    if animation is not None:
+        length = f"{animation.frame_count:,} frames at {animation.fps:g} a second, {animation.duration:.4g} s"
+        rows.append(("animation", length))
+    settings = describe.changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
     print_table(str(path), rows + [("settings", settings)] * bool(settings))
     for index, splat in enumerate(scene.splats):
-        print_table(f"  capture {index}   {splat.name}", splat_rows(splat))
+        print_table(f"  capture {index}   {splat.name}", describe.splat_rows(splat))
     for index, mesh in enumerate(scene.meshes):
         names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
-        print_table(f"  mesh {index}   {' / '.join(names)}", mesh_rows(mesh.mesh))
+        print_table(f"  mesh {index}   {' / '.join(names)}", describe.placed_mesh_rows(mesh))
+    for index, actor in enumerate(animation.actors if animation else ()):
+        print_table(f"  actor {index}   {actor.name}", describe.actor_rows(actor))
     if scene.lights:
-        print_table("  lights", [light_row(light) for light in scene.lights])
+        print_table("  lights", [describe.light_row(light) for light in scene.lights])
     if cameras:
-        print_table("  cameras", camera_rows(cameras)[1:])
+        print_table("  cameras", describe.camera_rows(cameras)[1:])

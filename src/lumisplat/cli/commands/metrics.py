@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
     _Capture = ls.Gaussians | ls.Scene
 
+_log = logging.getLogger("lumisplat")
+
 _OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "flip": "flip"}
 _OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
 _OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
@@ -32,7 +36,10 @@ _Figures = dict[str, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics(LoadingCommand):
-    """Compare pictures with references, or an avatar's light with a scene's."""
+    """Compare pictures with references, or an avatar's light with a scene's.
+
+    What can be compared is; for the rest, a line says what is missing.
+    """
 
     files: Positional[
         Annotated[tuple[Path, ...], arg(metavar="IMAGE REFERENCE | AVATAR --scene SCENE", help_behavior_hint="")]
@@ -48,7 +55,8 @@ class Metrics(LoadingCommand):
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
     """How far from the avatar's centre the scene counts."""
     json: Flag = False
-    """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf"."""
+    """Print JSON instead of a table; figures that do not exist are null, infinite ones "inf", and "problems" says
+    why."""
 
     def run(self) -> None:
         """Prints the figures."""
@@ -70,12 +78,13 @@ class Metrics(LoadingCommand):
         names = _wanted(self.metrics)
         pairs = picture_pairs(image, reference)
         with progress_bars() as report:
-            figures = [_compared(pair, names, report, index / len(pairs)) for index, pair in enumerate(pairs)]
-            report("comparing", 1.0)
+            figures, problems = _compared(pairs, names, report)
+        for problem in problems:
+            _log.warning("%s", problem)
         means = {name: _mean([row[name] for row in figures]) for name in names}
         if self.json:
             images = [{"name": pair.name, **_plain(row)} for pair, row in zip(pairs, figures, strict=True)]
-            print(json.dumps({"images": images, "mean": _plain(means)}, indent=2))
+            print(json.dumps({"images": images, "mean": _plain(means), "problems": problems}, indent=2))
             return
         rows = [[pair.name, *_cells(row)] for pair, row in zip(pairs, figures, strict=True)]
         print_columns(["", *names], rows if len(rows) == 1 else [*rows, ["mean", *_cells(means)]])
@@ -148,23 +157,51 @@ def _wanted(names: str | None) -> list[str]:
     return list(dict.fromkeys(chosen))
 
 
-def _compared(pair: Pair, names: Sequence[str], report: Report, share: float) -> _Figures:
-    """The figures of one pair.
+def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[_Figures], list[str]]:
+    """The figures of each pair, NaN for those that cannot be computed, and why they cannot, each reason once.
+
+    Raises:
+        FormatError: There is not a single figure.
+        MissingExtraError: There is none, because a package is missing.
+    """
+    rows: list[_Figures] = []
+    problems: dict[str, ls.LumisplatError] = {}
+    for index, pair in enumerate(pairs):
+        report("comparing", index / len(pairs))
+        row = dict.fromkeys(names, math.nan)
+        for name in names:
+            try:
+                row[name] = _figure(name, pair)
+            except ls.MissingExtraError as error:
+                problems.setdefault(f"no {name}: {error}", error)
+            except ls.SceneError as error:
+                problems.setdefault(str(error), error)
+        rows.append(row)
+    report("comparing", 1.0)
+    if problems and all(math.isnan(value) for row in rows for value in row.values()):
+        raise next(iter(problems.values()))
+    return rows, [*problems]
+
+
+def _figure(name: str, pair: Pair) -> float:
+    """One figure of one pair.
 
     Raises:
         FormatError: A picture cannot be read, or the two cannot be compared; names both.
+        MissingExtraError: The package of the metric is not installed.
     """
-    report("comparing", share)
-    figures: _Figures = {}
-    for known, load in ((_OF_PICTURES, ls.load_image), (_OF_SHADOWS, _shadow_strength)):
-        wanted = [name for name in names if name in known]
-        if wanted:
-            image, reference = load(pair.image), load(pair.reference)
-            try:
-                figures |= {name: _metric(known[name])(image, reference) for name in wanted}
-            except ls.SceneError as error:
-                raise ls.FormatError(pair.image, f"cannot be compared with {pair.reference}: {error}") from None
-    return {name: figures[name] for name in names}
+    load = _loaded_picture if name in _OF_PICTURES else _shadow_strength
+    image, reference = load(pair.image), load(pair.reference)
+    try:
+        return _metric((_OF_PICTURES | _OF_SHADOWS)[name])(image, reference)
+    except ls.SceneError as error:
+        raise ls.FormatError(pair.image, f"cannot be compared with {pair.reference}: {error}") from None
+
+
+@lru_cache(maxsize=2)
+def _loaded_picture(path: Path) -> npt.NDArray[np.float32]:
+    """A picture in display colours; the last two are kept for the next metric."""
+    return ls.load_image(path)
 
 
 def _metric(name: str) -> Callable[..., float]:
@@ -172,6 +209,7 @@ def _metric(name: str) -> Callable[..., float]:
     return getattr(ls, name)
 
 
+@lru_cache(maxsize=2)
 def _shadow_strength(path: Path) -> npt.NDArray[np.float32]:
     """The mean of the channels: of linear files as it is, of others as they are shown."""
     linear = path.suffix.lower() in (".exr", ".hdr")

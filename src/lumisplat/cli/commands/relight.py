@@ -11,9 +11,10 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.input.up_axis import WORLD_FROM_ENVIRONMENT, UpOption, resolved_up
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
-from lumisplat.cli.options.settings import changed_config, parse_background, setting
+from lumisplat.cli.options.settings import changed_config, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
@@ -38,9 +39,7 @@ class Relight(LoadingCommand, DeviceCommand):
     """What gives light, without the avatar: captures, meshes or a scene.toml, whose settings and background count."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
     """.ply, .compressed.ply or .spz."""
-    at: Annotated[
-        tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="(default: its middle)")
-    ] = None
+    at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
     """Where the light is gathered, in the scene's coordinates; without: the middle of the avatar."""
     gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
     """Brightness as a whole, a factor of light. At 1, only surroundings as bright as display white keep the avatar's
@@ -70,17 +69,16 @@ class Relight(LoadingCommand, DeviceCommand):
             gamma=self.gamma,
             normals=ls.NormalEstimate(self.normals),
         )
-        if self.at is not None and not all(map(math.isfinite, self.at)):
-            raise ls.ConfigError(f"--at is {' '.join(f'{x:g}' for x in self.at)}, expected finite numbers")
+        at = None if self.at is None else vector("--at", self.at, "0,1,2.5")
         self._check_outputs()
         rendering = scene_settings(scene_file(self.scene))
         if self.background is not None:
-            rendering = changed_config(rendering, {"background": parse_background(self.background)})
+            rendering = changed_config(rendering, {"background": self.background})
         with progress_bars() as report:
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
             scene = self.load_scene(self.scene, report)
-            place = self._place(avatar)
+            place = at or _middle(avatar)
             report("gathering light", 0.0)
             probe = ls.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
             report("relighting", 0.0)
@@ -110,16 +108,6 @@ class Relight(LoadingCommand, DeviceCommand):
             "is not a capture, nor a scene.toml with one: relight takes Gaussians (Python: ls.gaussians_from_mesh)",
         )
 
-    def _place(self, avatar: ls.SplatInstance) -> tuple[float, float, float]:
-        """Where the light is gathered."""
-        if self.at is not None:
-            return self.at
-        from lumisplat.cli.input.framing import bulk_bounds
-
-        low, high = bulk_bounds(ls.Scene(splats=(avatar,)))
-        x, y, z = (float(value) for value in 0.5 * (low + high))
-        return x, y, z
-
     def _print_summary(
         self, relit: ls.Gaussians, probe: ls.EnvironmentProbe, place: tuple[float, float, float]
     ) -> None:
@@ -136,3 +124,12 @@ class Relight(LoadingCommand, DeviceCommand):
             print(f"to keep the avatar about as bright as it was: --gamma {1.0 / brightness:.2g}")
         if self.probe is not None:
             print(f"{self.probe}: the light as an image")
+
+
+def _middle(avatar: ls.SplatInstance) -> tuple[float, float, float]:
+    """The middle of the bulk of an avatar."""
+    from lumisplat.cli.input.framing import bulk_bounds
+
+    low, high = bulk_bounds(ls.Scene(splats=(avatar,)))
+    x, y, z = (float(value) for value in 0.5 * (low + high))
+    return x, y, z

@@ -40,7 +40,8 @@ class Render(FrameCommand):
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Also write some of depth, normal, gaussian_index, instance_index, position and, of lit frames, albedo, emission,
-    reflection, lights, hits (with commas): into the EXR, or beside the PNG as NAME.depth.png. An NPZ has them all."""
+    reflection, lights, hits (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also as 16-bit
+    NAME.depth16.png, whose range is printed. An NPZ has them all."""
     view: Annotated[
         ViewName | None,
         arg(metavar="{normal,depth,index,shadow,hits,transmittance}", help_behavior_hint=""),
@@ -55,6 +56,10 @@ class Render(FrameCommand):
     """Highest degree of view-dependent colour."""
     transmittance_min: Annotated[float | None, setting("0..1", "0.0001")] = None
     """Pixels and rays, also rays to lights, end where less than this of what lies behind would show."""
+
+    depth_iso: Annotated[float | None, setting("0..1", "0.7")] = None
+    """Depth, normal, position and indices are those of the first Gaussian behind which the transmittance is below
+    this."""
 
     def run(self) -> None:
         """Renders and writes the pictures."""
@@ -94,7 +99,7 @@ class Render(FrameCommand):
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""
         end = without_none({"transmittance_min": self.transmittance_min})
-        shared = without_none({"sh_degree": self.sh_degree}) | end
+        shared = without_none({"sh_degree": self.sh_degree, "depth_iso_transmittance": self.depth_iso}) | end
         raster = {
             "strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy),
             "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 import lumisplat as ls
+
+_log = logging.getLogger("lumisplat")
 
 _EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
@@ -24,9 +27,11 @@ def picture_pairs(image: Path, reference: Path) -> list[Pair]:
 
     Pictures of folders are paired by their names without the extension: a PNG may have an EXR as reference.
 
+    Pictures without a partner are left out, and a log line says which.
+
     Raises:
-        FormatError: One is missing, only one is a folder, a folder has no pictures or two of the same name, or a
-            picture has no partner.
+        FormatError: One is missing, only one is a folder, a folder has no pictures or two of the same name, or no
+            picture has a partner.
     """
     for path in (image, reference):
         if not path.exists():
@@ -37,11 +42,15 @@ def picture_pairs(image: Path, reference: Path) -> list[Pair]:
     if not image.is_dir():
         return [Pair(image.stem, image, reference)]
     ours, theirs = _pictures(image), _pictures(reference)
+    both = sorted({*ours} & {*theirs})
     for folder, missing in ((reference, sorted({*ours} - {*theirs})), (image, sorted({*theirs} - {*ours}))):
         if missing:
             count = f" ({len(missing)} pictures of the other folder are missing)" if len(missing) > 1 else ""
-            raise ls.FormatError(folder, f"has no picture '{missing[0]}' as the other folder does{count}")
-    return [Pair(name, ours[name], theirs[name]) for name in sorted(ours)]
+            problem = ls.FormatError(folder, f"has no picture '{missing[0]}' as the other folder does{count}")
+            if not both:
+                raise problem
+            _log.warning("%s: left out", problem)
+    return [Pair(name, ours[name], theirs[name]) for name in both]
 
 
 def _pictures(folder: Path) -> dict[str, Path]:

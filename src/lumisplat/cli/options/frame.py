@@ -13,7 +13,7 @@ from lumisplat.cli.input.up_axis import UpOption
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
-from lumisplat.cli.options.settings import Changes, changed_config, parse_background, setting
+from lumisplat.cli.options.settings import Changes, changed_config, setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image height; alone, it keeps the camera's aspect ratio."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """black, white, transparent, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
+    """transparent, a name such as white, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
     rays: RayGroup = field(default_factory=RayOptions)
@@ -57,7 +57,7 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         if self.pipeline is not None:
             own["pipeline"] = ls.Pipeline(self.pipeline)
         if self.background is not None:
-            own["background"] = parse_background(self.background)
+            own["background"] = self.background
         return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
 
     def load_cameras(self, scene_file: Path | None) -> list[ls.Camera]:

@@ -21,8 +21,8 @@ class LightOptions:
     """Settings of `lumisplat.RenderConfig` and `lumisplat.ShadowConfig`, an environment, and the exposure."""
 
     lighting: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
-    """auto: lit if the scene has lights. on: also without any, by a headlight at the camera. off: captures as
-    trained, meshes in their flat colours."""
+    """auto: lit if the scene has lights; meshes alone are lit by a headlight at the camera. on: captures, too. off:
+    captures as trained, meshes in their flat colours."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
     """soft: lights that have a size cast penumbrae, which --samples make smooth. off: light passes through
     everything."""

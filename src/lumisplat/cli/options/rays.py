@@ -37,6 +37,10 @@ class RayOptions:
     for --shadow-method first-hits."""
     normals: Annotated[Literal["plane", "ellipsoid"] | None, setting("{plane,ellipsoid}", "plane")] = None
     """Normal of a Gaussian: of its plane of largest density, or of its ellipsoid where the ray enters."""
+    acceptance_scale: Annotated[float | None, setting("0.001..1", "1.0")] = None
+    """Of stochastic-hit: below 1 it accepts sooner, which is faster and too opaque."""
+    no_adaptive_clamping: Flag = False
+    """--min-response limits the response alone, not the response times the opacity."""
     hits_per_pass: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
     """Gaussians that a ray collects at once."""
     no_jitter: Flag = False
@@ -57,8 +61,13 @@ class RayOptions:
                 "hits_per_pass": self.hits_per_pass,
                 "hit_distance": hit_distance,
                 "normal_method": self.normals and ls.NormalMethod(self.normals),
+                "acceptance_scale": self.acceptance_scale,
             },
-            "response": {"kernel_degree": self.kernel_degree, "min_response": self.min_response},
+            "response": {
+                "kernel_degree": self.kernel_degree,
+                "min_response": self.min_response,
+                "adaptive_clamping": False if self.no_adaptive_clamping else None,
+            },
             "shadow_rays": {"hit_distance": hit_distance},
         }
         return without_none(frame) | {name: without_none(group) for name, group in groups.items()}

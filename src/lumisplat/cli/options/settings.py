@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 Changes = dict[str, Any]
 """Settings by the names of `lumisplat.RenderConfig`; those of a group are a dictionary under the group's name."""
 
-_COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "transparent": None}
-
 
 def setting(metavar: str, default: str) -> object:
     """Marks an option that is None unless given: then the scene file's value holds, or the library's default.
@@ -61,23 +59,3 @@ def given_options(options: DataclassInstance, names: Sequence[str] | None = None
         for field in fields(options)
         if getattr(options, field.name) != field.default and (names is None or field.name in names)
     ]
-
-
-def parse_background(text: str) -> tuple[float, float, float] | None:
-    """Reads ``black``, ``white``, ``transparent`` (None), ``#rrggbb`` or ``r,g,b`` in 0..1.
-
-    Raises:
-        ConfigError: It is none of them.
-    """
-    if text in _COLORS:
-        return _COLORS[text]
-    try:
-        if text.startswith("#") and len(text) == 7:
-            red, green, blue = bytes.fromhex(text[1:])
-            return red / 255.0, green / 255.0, blue / 255.0
-        red, green, blue = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ls.ConfigError(
-            f"--background is '{text}', expected black, white, transparent, #rrggbb or r,g,b in 0..1"
-        ) from None
-    return red, green, blue

@@ -10,7 +10,7 @@ from lumisplat.cli.options.rays import RayOptions
 from lumisplat.cli.options.settings import given_options
 
 _OF_SAMPLES = ("samples", "seed", "no_jitter")
-_OF_SHADOW_RAYS = ("kernel_degree", "min_response")
+_OF_SHADOW_RAYS = ("kernel_degree", "min_response", "no_adaptive_clamping")
 _OF_SHADOWS = (
     *("shadow_method", "shadow_hits", "shadow_offset", "shadow_offset_absolute", "shadow_threshold", "shadow_color"),
 )
@@ -28,7 +28,7 @@ def unused_options(
         rays: The options of rays.
         light: The options of light.
     """
-    lit = bool(scene.lights) if config.lighting is None else config.lighting
+    lit = scene.is_lit_by_default if config.lighting is None else config.lighting
     shadowed = lit and config.shadows is not ls.Shadows.OFF
     if config.pipeline is ls.Pipeline.TRACE and raster:
         yield f"not used by --pipeline trace: {', '.join(raster)} (they are of --pipeline raster and hybrid)"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
 from lumisplat.cli.output.console import byte_size
+from lumisplat.cli.output.facts import black_share
 from lumisplat.cli.output.pictures import file_stems
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
 
 def splat_rows(splat: ls.SplatInstance) -> Rows:
     """A capture in a scene, with its material."""
-    rows = gaussian_rows(splat.gaussians)
+    rows = _placed(gaussian_rows(splat.gaussians), splat)
     if splat.material is not None:
         rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
     if splat.sh_degree < splat.gaussians.sh_degree:
@@ -71,6 +72,40 @@ def splat_rows(splat: ls.SplatInstance) -> Rows:
     if splat.shadow_only:
         rows.append(("shadow only", "stays as captured, takes shadows"))
     return rows
+
+
+def placed_mesh_rows(instance: ls.MeshInstance) -> Rows:
+    """A mesh in a scene."""
+    return _placed(mesh_rows(instance.mesh), instance)
+
+
+def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
+    """Rows with the box in the world after that of the asset itself."""
+    after = next(index for index, (name, _) in enumerate(rows) if name == "bounds") + 1
+    return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
+
+
+def actor_rows(actor: ls.Actor) -> Rows:
+    """An actor: what it is, how it moves by itself, and how through the scene."""
+    subject, rig, motion = actor.subject, actor.rig, actor.motion
+    rows = [("kind", type(subject).__name__)]
+    if isinstance(subject, ls.GaussianSequence):
+        rows.append(("frames", f"{subject.frame_count:,} at {subject.fps:g} a second, {subject.duration:.4g} s"))
+    if rig is not None and rig.clips:
+        clip = actor.clip or rig.clips[0]
+        rows.append(("clip", f"{clip}   {rig.duration(clip):.4g} s" + "   once" * (not actor.loop)))
+        others = [name for name in rig.clips if name != clip]
+        if others:
+            rows.append(("other clips", ", ".join(others)))
+    if actor.speed != 1.0:
+        rows.append(("speed", f"{actor.speed:g}"))
+    if motion is not None:
+        rows.append(("keyframes", f"{motion.count:,}, the last at {motion.duration:.4g} s"))
+    rows += [("at the start", box(*instance.bounds())) for instance in actor.at(0.0)]
+    texts = [
+        text for text, is_so in (("casts no shadow", not actor.casts_shadow), ("not relit", not actor.relight)) if is_so
+    ]
+    return rows + [("light", ", ".join(texts))] * bool(texts)
 
 
 def mesh_rows(mesh: ls.Mesh) -> Rows:
@@ -82,6 +117,7 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         ("faces", f"{mesh.face_count:,}"),
         ("bounds", box(*mesh.bounds())),
         ("has", ", ".join(has) or "positions only"),
+        *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
         ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
         ("surface", _surface(material)),
     ]

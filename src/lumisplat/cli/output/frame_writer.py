@@ -30,7 +30,7 @@ class FrameWriter:
     view: ViewName | None
     layers: tuple[str, ...] = field(init=False)
     legend: str | None = field(default=None, init=False)
-    """What the colours of the view mean, once a frame has been written."""
+    """What the colours of the view or the values of the depth mean, once a frame has been written."""
     _limits: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -56,8 +56,22 @@ class FrameWriter:
         """
         if self.view is None:
             frame.save(path, self.layers)
+            if "depth" in self.layers and path.suffix.lower() == ".png":
+                self.legend = _depth_legend(path.with_suffix(".depth16.png"), frame, first=self.legend is None)
             return
         self._limits = self._limits or frame.view_limits(self.view)
         if self.view in _LEGENDS:
             self.legend = _LEGENDS[self.view].format(*self._limits)
         frame.save_view(path, self.view, self._limits)
+
+
+def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
+    """What the values of 16-bit depth mean: of one frame its range, of several where it is."""
+    if not first:
+        return (
+            ".depth16.png: depth in scene units, from depth_near (1) to depth_far (65535) of each file's text; 0: none"
+        )
+    if frame.depth_range is None:
+        return f"{path}: no surface is seen, all values are 0"
+    near, far = frame.depth_range
+    return f"{path}: depth in scene units from {near:.6g} (1) to {far:.6g} (65535); 0: no surface"

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import RIG_BLACK_COLOR, RIG_BLACK_SHARE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.animations import read_clips
@@ -20,8 +19,9 @@ from lumisplat.io.gltf.meshes import RawPrimitive, read_raw
 from lumisplat.io.gltf.nodes import hierarchy, node_columns, node_matrix, scene_nodes
 from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.gltf.skins import Influences, Skin, read_skin
+from lumisplat.io.gltf.vertex_colors import warn_black
 from lumisplat.io.meshes.mesh_arrays import placeable_material
-from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
+from lumisplat.math.arrays import IntArray, read_only_view
 from lumisplat.scene.animation.clips import Channel, Clip
 from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, join_triangles
 from lumisplat.scene.animation.skeleton import Skeleton
@@ -166,22 +166,9 @@ def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_co
     if vertex_colors and any(raw.colors is not None for raw, _ in pieces):
         per_piece = [np.ones_like(raw.positions) if raw.colors is None else raw.colors for raw, _ in pieces]
         colors = read_only_view(np.concatenate(per_piece))
-        _warn_black(file, colors, first.name)
+        warn_black(file.path, colors, first.name, "leave it out (vertex_colors = false)")
     uv_parts = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
     uvs = read_only_view(np.concatenate(uv_parts)) if uv_parts else None
     material = placeable_material(file.path, first.material, uvs, first.name)
     indices = join_triangles(parts, triangles, skeleton)
     return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)
-
-
-def _warn_black(file: GltfFile, colors: FloatArray, name: str) -> None:
-    """Logs a line if vertex colours make most of a mesh black."""
-    black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
-    if black > RIG_BLACK_SHARE:
-        _log.warning(
-            "%s: COLOR_0 makes %d %% of the vertices of %r black: if it holds something else than colour, leave it out "
-            "(vertex_colors = false)",
-            file.path,
-            round(100.0 * black),
-            name,
-        )

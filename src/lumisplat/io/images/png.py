@@ -1,9 +1,10 @@
-"""PNG files: 8-bit sRGB."""
+"""PNG files: 8-bit sRGB, and 16-bit grey with text."""
 
 from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,27 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
     pixels = to_bytes(srgb, path)
     with atomic_write(path) as temporary:
         Image.fromarray(pixels).save(temporary, format="PNG")
+
+
+def write_gray_png(path: PathLike, values: npt.NDArray[np.uint16], texts: Mapping[str, str]) -> None:
+    """Writes a 16-bit grey PNG.
+
+    Args:
+        path: The file to write. It appears complete or not at all.
+        values: Shape (H, W).
+        texts: Text chunks by their keywords, in Latin-1.
+
+    Raises:
+        FormatError: The file cannot be written.
+    """
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    for keyword, text in texts.items():
+        info.add_text(keyword, text)
+    with atomic_write(path) as temporary:
+        Image.fromarray(values).save(temporary, format="PNG", pnginfo=info)
 
 
 def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:

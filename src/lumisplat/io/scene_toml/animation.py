@@ -10,19 +10,14 @@ direct = 0.7
 
 from __future__ import annotations
 
-import numpy as np
-
-from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.scene_toml.actors import Load, read_actors
 from lumisplat.io.scene_toml.cameras import LoadCameras, read_scene_cameras
-from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.scene_file import read_document, static_scene
-from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
+from lumisplat.io.scene_toml.timing import read_timing
+from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
-
-ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
 
 
 def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
@@ -37,28 +32,11 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
         document = read_document(path)
         if not document.tables("actors"):
             raise document.error("lists no [[actors]]: there is nothing to animate")
-        table = document.table("animation")
-        given = table.take(ANIMATION_KEYS)
-        lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
-        fps = given.get("fps", 25.0)
-        if not 0.0 < fps < np.inf:
-            raise table.wrong("fps", "a positive number of frames a second")
-        _check_length(table)
+        fps, lighting = read_timing(document)
         actors = read_actors(document, load)
-        count = _frame_count(table, fps, actors)
+        count = _frame_count(document.table("animation"), fps, actors)
         cameras = read_scene_cameras(document, load_cameras)
         return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
-
-
-def _check_length(table: TomlTable) -> None:
-    """Refuses an invalid ``duration`` or ``frames`` before any actor is loaded."""
-    given = table.values
-    if "duration" in given and "frames" in given:
-        raise table.error("has both duration and frames: expected one of them", "frames")
-    if not 0.0 < given.get("duration", 1.0) < np.inf:
-        raise table.wrong("duration", "a positive number of seconds")
-    if given.get("frames", 1) < 1:
-        raise table.wrong("frames", "at least 1")
 
 
 def _frame_count(table: TomlTable, fps: float, actors: list[Actor]) -> int:

@@ -34,6 +34,7 @@ from lumisplat.io.scene_toml.actors import Load, read_actors
 from lumisplat.io.scene_toml.lights import move_light, read_environment, read_light
 from lumisplat.io.scene_toml.materials import MaterialTable, entry_material, read_materials
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
+from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable, Values
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
@@ -78,6 +79,7 @@ def read_scene_file(path: PathLike, load: Load) -> Scene:
         document = read_document(path)
         if all(document.values.get(key, []) == [] for key in _SHOWN):
             raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+        read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
         scene = static_scene(document, load)
         shown = [instance for actor in read_actors(document, load) for instance in actor.at(0.0)]
         splats = tuple(instance for instance in shown if isinstance(instance, SplatInstance))

@@ -42,7 +42,7 @@ class FramePlan:
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of a frame of a scene."""
-        is_lit = bool(scene.lights) if config.lighting is None else config.lighting
+        is_lit = scene.is_lit_by_default if config.lighting is None else config.lighting
         rasterises = config.pipeline is not Pipeline.TRACE
         only_rasterises = config.pipeline is Pipeline.RASTER
         casts = any(light.enabled and light.casts_shadow for light in scene.lights)
@@ -68,6 +68,7 @@ class FramePlan:
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """The plan of rays that a caller gives: without a background, and without further images."""
-        plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=()), scene)
+        """The plan of rays that a caller gives: without a camera, its headlight, a background, and further images."""
+        lighting = bool(scene.lights) if config.lighting is None else config.lighting
+        plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=(), lighting=lighting), scene)
         return replace(plan, for_camera=False)

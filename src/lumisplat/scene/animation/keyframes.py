@@ -70,6 +70,11 @@ class Keyframes:
             object.__setattr__(self, name, array)
 
     @property
+    def count(self) -> int:
+        """Number of keyframes, K."""
+        return np.asarray(self.times).size
+
+    @property
     def duration(self) -> float:
         """Time of the last keyframe, seconds."""
         return float(np.asarray(self.times)[-1])

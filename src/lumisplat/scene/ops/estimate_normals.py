@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import NormalEstimate, check_enum
+from lumisplat.config import NormalEstimate, enum_member
 from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN, NORMAL_NEIGHBOURS_PER_CELL
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions
@@ -17,7 +17,7 @@ from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
 _Doubles = npt.NDArray[np.float64]
 
 
-def estimate_normals(gaussians: Gaussians, method: NormalEstimate = NormalEstimate.AUTO) -> FloatArray:
+def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
     """Estimates unit outward normals of a set that is an object seen from outside.
 
     First an axis is found for each Gaussian, then which of its two directions points outside, to the free space that is
@@ -35,10 +35,10 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate = NormalEstima
         Normals in the set's own space, shape (N, 3), read-only.
 
     Raises:
-        ConfigError: ``method`` is not a NormalEstimate.
+        ConfigError: ``method`` is no NormalEstimate, nor the value of one.
         SceneError: The argument is not a set of Gaussians.
     """
-    check_enum("method", method, NormalEstimate)
+    method = enum_member("method", method, NormalEstimate)
     check_argument("estimate_normals", gaussians, Gaussians, "Gaussians")
     if method is NormalEstimate.AUTO and gaussians.normals is not None:
         return gaussians.normals

@@ -1,0 +1,115 @@
+"""Numbers as they are typed: with commas or spaces between, and ranges of frames."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import lumisplat as ls
+
+_BETWEEN = re.compile(r"[,\s]+")
+_INCLUSIVE = re.compile(r"(\d+)(?:-(\d+)(?:x(\d+))?)?")
+"""``5``, ``1-100``, ``1-100x2``."""
+_HALF_OPEN = re.compile(r"(\d*):(\d*)")
+"""``0:48``, ``48:``, ``:10``."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?|nan|inf)"
+_TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
+
+_COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers"}
+
+
+def joined_numbers(args: Sequence[str]) -> list[str]:
+    """Arguments with the numbers after an option in one: ``--at 1 2 3`` and ``--at -1,2,3`` become ``--at=1,2,3``.
+
+    So every option that takes several numbers takes them with commas or spaces, and may begin with a minus.
+    """
+    joined: list[str] = []
+    waiting = list(args)
+    while waiting:
+        arg = waiting.pop(0)
+        joined.append(arg)
+        if not arg.startswith("--") or "=" in arg:
+            continue
+        values: list[str] = []
+        while waiting and _TYPED_NUMBERS.fullmatch(waiting[0]):
+            values.append(waiting.pop(0))
+        if len(values) > 1 or (values and values[0].startswith("-")):
+            joined[-1] = f"{arg}={','.join(value.strip(',') for value in values)}"
+        else:
+            joined += values
+    return joined
+
+
+def numbers(option: str, text: str, count: int, example: str) -> tuple[float, ...]:
+    """Finite numbers with commas or spaces between.
+
+    Args:
+        option: As it is typed, for messages.
+        text: What was given.
+        count: How many numbers there must be.
+        example: A right value, for messages.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    try:
+        values = tuple(float(part) for part in _BETWEEN.split(text.strip().strip(",")))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise ls.ConfigError(
+            f"{option} is '{text}', expected {_COUNTS[count]} with commas or spaces, such as {example}"
+        )
+    if not all(map(math.isfinite, values)):
+        raise ls.ConfigError(f"{option} is '{text}', expected finite numbers")
+    return values
+
+
+def vector(option: str, text: str, example: str = "0,-2.5,1") -> tuple[float, float, float]:
+    """Three finite numbers, ``x,y,z`` or ``x y z``.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    x, y, z = numbers(option, text, 3, example)
+    return x, y, z
+
+
+def frame_numbers(option: str, text: str, count: int) -> list[int]:
+    """The frames of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``, in order, each once; of an empty text all.
+
+    Args:
+        option: As it is typed, for messages.
+        text: What was given; parts have commas or spaces between.
+        count: Number of frames of the animation.
+
+    Raises:
+        ConfigError: A part is none of these, or names a frame that the animation does not have.
+    """
+    if not text.strip():
+        return list(range(count))
+    chosen: set[int] = set()
+    for part in filter(None, _BETWEEN.split(text)):
+        frames = _frames_of(part, count)
+        if frames is None:
+            raise ls.ConfigError(
+                f"{option} is '{text}', expected frames such as 1-100, 1-100x2, 1,5,9, 0:48, 48: or :10"
+            )
+        if not frames or frames[-1] >= count:
+            raise ls.ConfigError(
+                f"{option} is '{text}', of an animation of {count} frames, 0-{count - 1}: '{part}' is not among them"
+            )
+        chosen.update(frames)
+    return sorted(chosen)
+
+
+def _frames_of(part: str, count: int) -> range | None:
+    """The frames of one part; None: it is no range."""
+    if found := _INCLUSIVE.fullmatch(part):
+        first = int(found[1])
+        return range(first, int(found[2] or first) + 1, max(1, int(found[3] or 1)))
+    if found := _HALF_OPEN.fullmatch(part):
+        return range(int(found[1] or 0), int(found[2] or count))
+    return None

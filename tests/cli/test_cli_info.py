@@ -1,0 +1,93 @@
+"""``lumisplat info``: actors, placed bounds and JSON."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.rig_files import TubeRig
+
+SCENE = """
+[[splats]]
+path = "capture.ply"
+position = [10, 0, 0]
+
+[[meshes]]
+path = "mesh.obj"
+scale = 2.0
+
+[[lights]]
+type = "point"
+position = [0, 1, 0]
+
+[[actors]]
+path = "tube.glb"
+name = "walker"
+keyframes = [{ time = 0.0, position = [0, 0, 0] }, { time = 2.0, position = [1, 0, 0] }]
+
+[animation]
+fps = 10.0
+"""
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder with a scene file that has all there is."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    walk = (2, "translation", [0.0, 0.5], [[0, 0, 0], [0, 1, 0]])
+    TubeRig(clips={"walk": [walk]}).write(tmp_path / "tube.glb")
+    place.path("scene.toml").write_text(SCENE)
+    return place
+
+
+def test_scenes_tell_their_actors(work):
+    """Kind, keyframes and length of the animation, and where things stand in the world."""
+    shown = " ".join(work.run("info", "@scene.toml").out.split())
+    assert "animation 20 frames at 10 a second, 2 s" in shown
+    assert "actor 0 walker" in shown and "clip walk 0.5 s" in shown and "keyframes 2, the last at 2 s" in shown
+    assert "bounds (-1, -1, 4) to (1, 1, 4) placed (-2, -2, 8) to (2, 2, 8)" in shown
+
+
+def test_json_has_the_same_facts(work):
+    """For every kind of file, under the documented keys."""
+    outcome = work.run("info", "@scene.toml", "@capture.ply", "@mesh.obj", "@cameras.json", "--json")
+    scene, capture, mesh, cameras = json.loads(outcome.out)
+    assert [part["kind"] for part in (scene, capture, mesh, cameras)] == ["scene", "capture", "mesh", "cameras"]
+    gaussians = work.capture("capture.ply")
+    assert capture["gaussians"] == 60 and capture["bytes"] == work.path("capture.ply").stat().st_size
+    np.testing.assert_allclose(capture["bounds"], gaussians.bounds(), rtol=1e-6)
+    (placed,) = (one for one in scene["captures"] if one["gaussians"] == 60)
+    np.testing.assert_allclose(placed["placed"], np.add(gaussians.bounds(), (10, 0, 0)), rtol=1e-6)
+    assert scene["meshes"][0]["placed"] == [[-2, -2, 8], [2, 2, 8]]
+    assert scene["lights"][0]["kind"] == "point" and scene["lights"][0]["position"] == [0, 1, 0]
+    (actor,) = scene["animation"]["actors"]
+    assert actor["name"] == "walker" and actor["keyframes"] == 2 and actor["keyframes_end"] == 2.0
+    assert actor["clip"] == "walk" and actor["clips"] == ["walk"] and actor["clip_duration"] == 0.5
+    assert (scene["animation"]["fps"], scene["animation"]["frames"], scene["animation"]["duration"]) == (10.0, 20, 2.0)
+    assert mesh["faces"] == 1 and mesh["black_vertices"] == 0.0
+    assert cameras["count"] == 2 and cameras["names"] == ["left", "right"] and cameras["sizes"] == [[64, 48]]
+
+
+def test_black_vertex_colours_are_seen(work):
+    """A mesh whose colours are black is black, whatever lights it: info and render say so."""
+    rig = TubeRig()
+    rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
+    rig.write(work.path("black.glb"))
+    assert "colours black in 100 % of the vertices" in " ".join(work.run("info", "@black.glb").out.split())
+    (facts,) = json.loads(work.run("info", "@black.glb", "--json").out)
+    assert facts["meshes"][0]["black_vertices"] == 1.0
+
+
+@pytest.mark.parametrize("command", ["render", "info"])
+def test_mistakes_in_the_animation_are_found(work, command):
+    """A scene file is checked whole, also by commands that show one moment of it."""
+    work.path("scene.toml").write_text(SCENE + "durations = 3.0\n")
+    outcome = work.run(command, "@scene.toml", *(("-o", "@a.png") if command == "render" else ()))
+    assert outcome.status == 2 and "durations" in outcome.err and outcome.err.count("\n") == 1
+    assert isinstance(ls.load(work.path("mesh.obj")), ls.Mesh)

@@ -1,0 +1,174 @@
+"""Messages in the words of the shell, and numbers as they are typed."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import fields
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.commands.animate import Animate
+from lumisplat.cli.commands.relight import Relight
+from lumisplat.cli.commands.render import Render
+from lumisplat.cli.commands.shadowmap import ShadowMap
+from lumisplat.cli.input.numbers import frame_numbers, joined_numbers, vector
+from lumisplat.cli.options.lighting import LightOptions
+from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.words import OPTION_OF_CHOICE, OPTION_OF_SETTING, shell_words
+from support.files.cli_files import Workplace
+
+SOURCES = Path(ls.__file__).parent
+PYTHON_NAME = re.compile(r"\b(?:[A-Z]\w*Config\.[a-z]\w*|[A-Z]\w+\.[A-Z][A-Z_]+)\b")
+"""A setting or a choice as Python names it."""
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def messages() -> list[str]:
+    """The texts of all errors and log lines of the library that name a setting or a choice."""
+    found: list[str] = []
+    for path in SOURCES.rglob("*.py"):
+        if "cli" in path.relative_to(SOURCES).parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            is_log = isinstance(node, ast.Call) and ast.unparse(node.func).startswith("_log.")
+            if isinstance(node, ast.Raise) or is_log:
+                texts = [one.value for one in ast.walk(node) if isinstance(one, ast.Constant)]
+                found += [text for text in texts if isinstance(text, str) and PYTHON_NAME.search(text)]
+    return found
+
+
+def test_no_message_names_python_in_the_shell() -> None:
+    """Whatever the library says about settings and choices has a translation."""
+    assert len(messages()) >= 3
+    for text in messages():
+        assert not PYTHON_NAME.search(shell_words(text, Render())), text
+
+
+def test_translations_are_options_that_exist() -> None:
+    """Each option is one of a command; each enum is public."""
+    kinds: tuple[Any, ...] = (Render, Animate, Relight, ShadowMap, RayOptions, LightOptions)
+    options = {f"--{field.name.replace('_', '-')}" for kind in kinds for field in fields(kind)}
+    assert {*OPTION_OF_CHOICE.values(), *OPTION_OF_SETTING.values()} <= options
+    assert all(issubclass(getattr(ls, name), Enum) for name in OPTION_OF_CHOICE)
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        ("use Pipeline.TRACE", "use --pipeline trace"),
+        ("Pipeline.HYBRID follows", "--pipeline hybrid follows"),
+        ("where RenderConfig.aovs asks for it", "where --aov asks for it"),
+        ("(RenderConfig.lighting=True)", "(--lighting on)"),
+        ("RenderConfig.shadow_rays.method", "--shadow-method"),
+        ("samples is 0, expected", "--samples is 0, expected"),
+        ("offset is -1, expected", "--shadow-offset is -1, expected"),
+        ("seed is 0, which was not given", "seed is 0, which was not given"),
+        ("garden.ply: samples is 3", "garden.ply: samples is 3"),
+    ],
+)
+def test_words(message: str, expected: str) -> None:
+    """Names become options; the name of a setting that was not given as an option stays."""
+    command = Render(rays=RayOptions(samples=0), light=LightOptions(shadow_offset=-1.0))
+    assert shell_words(message, command) == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (("--samples", "0"), "--samples is 0, expected a whole number from 1"),
+        (("--shadow-offset", "-2"), "--shadow-offset is -2.0, expected 0.0 to 100.0"),
+        (("--depth-iso", "2"), "--depth-iso is 2.0, expected 0.0 to 1.0"),
+        (("--acceptance-scale", "0"), "--acceptance-scale is 0.0, expected 0.001 to 1.0"),
+        (("--background", "1", "2", "3"), "--background is '1,2,3', expected three numbers in 0..1"),
+        (("--aov", "albedo", "--lighting", "off"), "only lit frames have it (--lighting on)"),
+    ],
+)
+def test_errors_name_the_option(work, options, error):
+    """What was typed is what the message is about."""
+    outcome = work.run("render", "@mesh.obj", *options, "--width", "16", "-o", "@a.png", "--device", "cpu")
+    assert outcome.status == 2 and error in outcome.err and outcome.err.count("\n") == 1
+
+
+def test_settings_of_rays_reach_the_frame(work):
+    """Acceptance, clamping and the depth's threshold, from options to the stored settings."""
+    options = ("--acceptance-scale", "0.5", "--no-adaptive-clamping", "--depth-iso", "0.4")
+    config = Render(rays=RayOptions(acceptance_scale=0.5, no_adaptive_clamping=True), depth_iso=0.4)
+    changed = config.frame_config(ls.RenderConfig(), config._changes())
+    assert changed.trace.acceptance_scale == 0.5 and not changed.response.adaptive_clamping
+    assert changed.trace.depth_iso_transmittance == changed.raster.depth_iso_transmittance == 0.4
+    args = ("render", "@mesh.obj", "--pipeline", "trace", "--width", "16", "-o", "@a.png", "--device", "cpu")
+    assert work.run(*args, *options).status == 0
+
+
+@pytest.mark.parametrize(
+    ("typed", "joined"),
+    [
+        (["--at", "1", "-2", "3.5"], ["--at=1,-2,3.5"]),
+        (["--at", "-1,2,3"], ["--at=-1,2,3"]),
+        (["--at", "1,2,3"], ["--at", "1,2,3"]),
+        (["--at", "1,", "2,", "3"], ["--at=1,2,3"]),
+        (["--frames", "1", "5", "9", "-o", "x"], ["--frames=1,5,9", "-o", "x"]),
+        (["--width", "640", "garden.ply"], ["--width", "640", "garden.ply"]),
+        (["--exposure", "-1"], ["--exposure=-1"]),
+        (["--json", "a.ply"], ["--json", "a.ply"]),
+    ],
+)
+def test_numbers_may_have_spaces(typed: list[str], joined: list[str]) -> None:
+    """Numbers after an option become one argument; everything else stays."""
+    assert joined_numbers(typed) == joined
+
+
+def test_vectors() -> None:
+    """Commas, spaces or both."""
+    for text in ("1,-2,3", "1 -2 3", " 1, -2,  3 "):
+        assert vector("--eye", text) == (1.0, -2.0, 3.0)
+    for text in ("", "1,2", "1,2,x", "1,2,3,4"):
+        with pytest.raises(ls.ConfigError, match=r"--eye is '.*', expected three numbers with commas or spaces"):
+            vector("--eye", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("", [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]),
+        ("1-3", [1, 2, 3]),
+        ("1-8x3", [1, 4, 7]),
+        ("1,5,9", [1, 5, 9]),
+        ("7 0-1 1", [0, 1, 7]),
+        ("2:4", [2, 3]),
+        ("8:", [8, 9]),
+        (":2", [0, 1]),
+        ("9", [9]),
+    ],
+)
+def test_ranges_of_frames(text: str, frames: list[int]) -> None:
+    """Inclusive ranges with steps, lists, and Python's half-open ranges, in order and each once."""
+    assert frame_numbers("--frames", text, 10) == frames
+
+
+@pytest.mark.parametrize("text", ["10", "3-12", "5-3", "4:4", "2:11"])
+def test_frames_that_are_not_there(text: str) -> None:
+    """The message says which part, and which frames there are."""
+    with pytest.raises(ls.ConfigError, match=r"of an animation of 10 frames, 0-9: '.*' is not among them"):
+        frame_numbers("--frames", text, 10)
+
+
+def test_folders_of_captures_are_named(work):
+    """A folder of several SOG captures, such as the levels of a streamed one, names them."""
+    for name in ("1_0", "0_0"):
+        (work.path("streamed") / name).mkdir(parents=True)
+        (work.path("streamed") / name / "meta.json").write_text("{}")
+    outcome = work.run("info", "@streamed")
+    assert outcome.status == 2 and "give one of the captures in it, 0_0, 1_0" in outcome.err

@@ -1,0 +1,90 @@
+"""What notebooks, NumPy and metrics take a frame for: a picture in 0..1."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from support.scenes import raster_scenes as scenes
+
+
+def shown(color: tuple[float, float, float] = (0.8, 0.4, 0.2), size: int = 32, **settings: Any) -> ls.Frame:
+    """One nearly opaque Gaussian that fills most of a small image."""
+    scene = ls.Scene([scenes.one_gaussian(opacity=1.0, scale=2.0, color=color)])
+    return ls.render(scene, scenes.front_camera(size, size), ls.RenderConfig(**settings), device="cpu")
+
+
+def pixels_of(data: str) -> Image.Image:
+    """The picture of a bundle."""
+    return Image.open(io.BytesIO(base64.b64decode(data)))
+
+
+@pytest.mark.parametrize("background", ["black", None])
+def test_pictures_of_bright_captures_are_within_0_and_1(background: str | None) -> None:
+    """Spherical harmonics reach beyond white: pictures clip them, as documented, and metrics take them."""
+    frame = shown((1.3, 0.5, 0.1), background=background)
+    assert frame.color.max() > 1.05
+    pixels = frame.pixels_srgb()
+    assert pixels.min() >= 0.0 and pixels.max() == 1.0
+    np.testing.assert_array_equal(pixels[..., 1], np.clip(pixels[..., 1], 0.0, 1.0))
+    assert ls.psnr(pixels[..., :3], pixels[..., :3]) == float("inf")
+
+
+def test_a_frame_is_an_array() -> None:
+    """NumPy's protocol: a new array of what a PNG shows, in the dtype that is asked for."""
+    frame = shown()
+    np.testing.assert_array_equal(np.asarray(frame), frame.pixels_srgb())
+    assert np.asarray(frame).dtype == np.float32
+    assert np.asarray(frame, np.float64).dtype == np.float64
+    np.testing.assert_array_equal(np.asarray(frame, np.uint8), (frame.pixels_srgb() * 255.0 + 0.5).astype(np.uint8))
+    assert np.array(frame, copy=True).shape == (32, 32, 3)
+    with pytest.raises(ValueError, match="without a copy"):
+        np.array(frame, copy=cast(Any, False))
+    assert ls.psnr(cast(Any, frame), cast(Any, frame)) == float("inf")
+
+
+def test_a_notebook_shows_the_picture() -> None:
+    """A PNG of the pixels with its size, and the text of repr."""
+    frame = shown()
+    data, about = frame._repr_mimebundle_()
+    assert set(data) == {"image/png", "text/plain"} and data["text/plain"] == repr(frame)
+    assert about == {"image/png": {"width": 32, "height": 32}}
+    np.testing.assert_array_equal(np.asarray(pixels_of(data["image/png"])), np.asarray(frame, np.uint8))
+    alone = frame._repr_png_()
+    assert alone is not None and alone == base64.b64decode(data["image/png"])
+
+
+def test_a_notebook_gets_what_it_asks_for() -> None:
+    """Types that are not included, or are excluded, are left out."""
+    frame = shown()
+    assert set(frame._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
+    assert set(frame._repr_mimebundle_(exclude={"text/plain"})[0]) == {"image/png"}
+    assert frame._repr_mimebundle_(include={"image/png"}, exclude={"image/png"}) == ({}, {})
+
+
+def test_large_frames_are_jpegs_unless_transparent() -> None:
+    """Above a megapixel; a transparent one stays PNG, as JPEG has no alpha."""
+    large = shown(size=1040)
+    data, about = large._repr_mimebundle_()
+    assert set(data) == {"image/jpeg", "text/plain"} and about == {"image/jpeg": {"width": 1040, "height": 1040}}
+    assert large._repr_png_() is None
+    difference = np.asarray(pixels_of(data["image/jpeg"]), np.float64) - np.asarray(large, np.uint8)
+    assert np.sqrt((difference**2).mean()) < 2.0
+    clear = shown(size=1040, background="transparent")
+    data, _ = clear._repr_mimebundle_()
+    assert pixels_of(data["image/png"]).mode == "RGBA"
+
+
+def test_a_frame_that_cannot_be_shown_is_text() -> None:
+    """A notebook never gets an exception."""
+    broken = replace(shown(), color=cast(Any, None))
+    data, about = broken._repr_mimebundle_()
+    assert set(data) == {"text/plain"} and "no picture" in data["text/plain"] and about == {}
+    assert broken._repr_png_() is None

@@ -1,0 +1,50 @@
+"""Which scenes are lit when nobody says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian
+
+LAMP = ls.LightPoint((0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
+    """Their faces differ in brightness, as with lighting=True; without light they would be one flat colour."""
+    scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
+    frame, asked, flat = (
+        ls.render(scene, front_camera(40, 30), ls.RenderConfig(pipeline=pipeline, lighting=lighting), device="cpu")
+        for lighting in (None, True, False)
+    )
+    np.testing.assert_array_equal(frame.pixels_srgb(), asked.pixels_srgb())
+    inside = frame.alpha == 1.0
+    assert np.ptp(frame.pixels_srgb()[inside], axis=0).max() > 0.05
+    assert np.ptp(flat.pixels_srgb()[inside], axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("scene", "is_lit"),
+    [
+        (ls.Scene(), False),
+        (ls.Scene([one_gaussian()]), False),
+        (ls.Scene([one_gaussian()], [octahedron((0.0, 0.0, 4.0), 0.5)]), False),
+        (ls.Scene([], [octahedron((0.0, 0.0, 4.0), 0.5)]), True),
+        (ls.Scene([one_gaussian()], lights=[LAMP]), True),
+    ],
+)
+def test_captures_are_shown_as_trained(scene: ls.Scene, is_lit: bool) -> None:
+    """Unless there are lights: a capture brings its own, also to meshes that stand in it."""
+    assert scene.is_lit_by_default is is_lit
+    assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
+
+
+def test_rays_without_a_camera_have_no_headlight() -> None:
+    """There is no place where it could be."""
+    scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
+    unlit = ls.RenderConfig(lighting=False)
+    rays = ((0.0, 0.0, 0.0), [(0.0, 0.1, 1.0), (0.1, 0.0, 1.0)])
+    found, expected = (ls.trace_rays(scene, *rays, config, device="cpu") for config in (None, unlit))
+    np.testing.assert_array_equal(found.radiance, expected.radiance)
