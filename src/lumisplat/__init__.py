@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
+    from lumisplat.scene.ops.framing import frame_camera
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -147,6 +148,7 @@ _MODULE_OF = {
     "estimate_lights": "relighting.light_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
+    "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "load": "io",
     "load_animation": "io",
@@ -242,6 +244,7 @@ __all__ = [
     "estimate_lights",
     "estimate_normals",
     "flip",
+    "frame_camera",
     "gaussians_from_mesh",
     "load",
     "load_animation",

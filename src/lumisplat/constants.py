@@ -488,6 +488,21 @@ DECODED_BYTES_FREE = 256 * 2**20
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
 
+# --- Cameras of scenes without any ---
+
+FRAMING_FOV_Y = 0.8
+"""Vertical field of view, radians: a normal lens."""
+
+FRAMING_ELEVATION = 0.2
+"""How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
+
+FRAMING_MARGIN = 1.05
+"""Room around the scene's box, as a factor of the distance."""
+
+BULK_TAIL = 0.02
+"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
+an object above the ground."""
+
 # --- Rigs ---
 
 RIG_BLACK_COLOR = 0.5 / 255.0

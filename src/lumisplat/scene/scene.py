@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
+from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import matrix_4x4
+from lumisplat.math.arrays import FloatArray, matrix_4x4
+from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
@@ -100,13 +102,19 @@ class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 
     Raises:
-        SceneError: An entry of a list has the wrong type, or two environments are enabled.
+        SceneError: An entry of a list has the wrong type, two environments are enabled, or ``up`` is no direction.
     """
+
+    UP_NAMES: ClassVar[tuple[str, ...]] = tuple(UP_AXES)
+    """Names that ``up`` may have."""
 
     splats: tuple[SplatInstance, ...] = field(default=())
     meshes: tuple[MeshInstance, ...] = field(default=())
     lights: tuple[Light, ...] = field(default=())
     """At most one enabled light is a `LightEnvironment`."""
+    up: Vector | None = field(default=None, kw_only=True)
+    """Unit vector that points up; None: the files do not say it, see `up_direction`. The name of an axis
+    (``"y-down"``, ``"z-up"``) or a direction of any length is accepted."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
@@ -115,9 +123,13 @@ class Scene:
             splats: Iterable[SplatInstance | Gaussians] = (),
             meshes: Iterable[MeshInstance | Mesh] = (),
             lights: Iterable[Light] = (),
+            *,
+            up: str | npt.ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        if self.up is not None:
+            object.__setattr__(self, "up", up_vector(self.up))
         object.__setattr__(self, "lights", checked_lights(self.lights))
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
@@ -132,6 +144,21 @@ class Scene:
         """Number of triangles over all instances."""
         return sum(instance.mesh.face_count for instance in self.meshes)
 
+    @property
+    def up_direction(self) -> Vector:
+        """Unit vector that points up: ``up``, else y down for a scene with a capture, y up for one of meshes alone."""
+        return up_vector("y-down" if self.splats else "y-up") if self.up is None else self.up
+
+    @property
+    def upright_wxyz(self) -> tuple[float, float, float, float]:
+        """Rotation, a quaternion, scalar first, that stands upright in the scene what is made with y up and seen along
+        -z: glTF models, environments.
+        """
+        up = np.array(self.up_direction)
+        front = front_vector(up)
+        w, x, y, z = quaternions_from_matrices(np.stack([np.cross(up, front), up, front], axis=1)[None])[0]
+        return float(w), float(x), float(y), float(z)
+
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
@@ -144,6 +171,37 @@ class Scene:
             raise SceneError("an empty scene has no bounds")
         worlds = [transform_points(matrix, points) for points, matrix in clouds]
         return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+
+    def bulk_bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Corners (min, max) of a world-space box around all meshes and the bulk of each capture, shape (3,) each.
+
+        Stray Gaussians do not count: 2 % of a capture's opacity are left out at each end of each axis.
+
+        Raises:
+            SceneError: The scene is empty.
+        """
+        boxes = [_bulk(instance) for instance in self.splats]
+        worlds = [transform_points(i.transform, i.mesh.positions) for i in self.meshes]
+        boxes += [(world.min(axis=0), world.max(axis=0)) for world in worlds]
+        if not boxes:
+            raise SceneError("the scene is empty: there is nothing to look at")
+        lows, highs = zip(*boxes, strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _bulk(instance: SplatInstance) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Corners of the box of a capture's means that leaves out `BULK_TAIL` of its opacity at each end of each axis."""
+    ends = [bulk_extent(axis, instance.gaussians.opacities) for axis in instance.world_means.T]
+    low, high = np.array(ends).T
+    return low, high
+
+
+def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray) -> tuple[float, float]:
+    """The heights between which all but `BULK_TAIL` of the weight at each end lies, from two arrays of shape (N,)."""
+    order = np.argsort(heights)
+    share = np.cumsum(weights[order], dtype=np.float64)
+    first, last = np.searchsorted(share, (BULK_TAIL * share[-1], (1.0 - BULK_TAIL) * share[-1]))
+    return float(heights[order[first]]), float(heights[order[last]])
 
 
 def check_similarity(linear: npt.NDArray[np.float64]) -> None:

@@ -15,7 +15,6 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.up_axis import resolved_up
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
@@ -123,7 +122,7 @@ class Animate(FrameCommand):
             changes["direct"] = self.direct
         if self.gamma is not None:
             changes["transfer"] = replace(animation.lighting.transfer, gamma=self.gamma)
-        lit = self.light.lit_scene(animation.scene, environment, resolved_up(animation.scene, self.up))
+        lit = self.light.lit_scene(self.viewpoint.upright(animation.scene), environment)
         animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
         report(f"loading {self.scene.name}", 1.0)
         return animation if self.fps is None else _at_rate(animation, self.fps)
@@ -143,7 +142,7 @@ class Animate(FrameCommand):
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
         if not cameras:
-            cameras = [self.front_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
+            cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
@@ -154,7 +153,7 @@ class Animate(FrameCommand):
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
-        chosen = ("width", "height", "camera", "up", "drop_invalid")
+        chosen = ("width", "height", "camera", "drop_invalid")
         return {
             "lumisplat": ls.__version__,
             "device": device,
@@ -162,6 +161,7 @@ class Animate(FrameCommand):
             **{name: f"{getattr(self, name)}" for name in chosen},
             "exposure": f"{self.light.exposure}",
             "environment_rotation": f"{self.light.environment_rotation}",
+            **dict(_flat("viewpoint.", self.viewpoint)),
             **dict(_flat("", config)),
             **dict(_flat("actors.", animation.lighting)),
             **file_marks(files, self.output),

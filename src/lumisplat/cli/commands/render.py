@@ -11,7 +11,6 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.input.up_axis import resolved_up
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.options.unused import unused_options
@@ -69,11 +68,11 @@ class Render(FrameCommand):
         environment = self.light.environment_light()
         with progress_bars() as report:
             renderer = self.start_renderer(report, config, profile=self.stats)
-            scene = self.load_scene(self.scene, report)
-            scene = self.light.lit_scene(scene, environment, resolved_up(scene, self.up))
+            scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+            scene = self.light.lit_scene(scene, environment)
             for line in unused_options(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
-            shots = shots or self._shots([self.front_camera(scene)])
+            shots = shots or self._shots([self.own_camera(scene)])
             self._render(shots, renderer, scene, writer, report)
         print(_summary(shots))
         if writer.legend:

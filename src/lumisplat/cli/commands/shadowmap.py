@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,7 +10,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
-from lumisplat.cli.options.settings import setting, without_none
+from lumisplat.cli.options.settings import parse_vector, setting, without_none
 from lumisplat.cli.output.console import byte_size, light_positions, progress_bars
 
 if TYPE_CHECKING:
@@ -114,20 +113,5 @@ class ShadowMap(LoadingCommand, DeviceCommand):
         if self.sun is not None and self.light:
             raise ls.ConfigError("--sun and --light are both given: choose one")
         if self.sun is not None:
-            return (ls.LightDirectional(_vector("--sun", self.sun)),)
-        return tuple(ls.LightPoint(_vector("--light", text)) for text in self.light)
-
-
-def _vector(option: str, text: str) -> tuple[float, float, float]:
-    """Reads ``x,y,z``.
-
-    Raises:
-        ConfigError: It is something else.
-    """
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ls.ConfigError(f"{option} is '{text}', expected three numbers with commas, such as 0,-2.5,1") from None
-    if not all(map(math.isfinite, (x, y, z))):
-        raise ls.ConfigError(f"{option} is '{text}', expected finite numbers")
-    return x, y, z
+            return (ls.LightDirectional(parse_vector("--sun", self.sun)),)
+        return tuple(ls.LightPoint(parse_vector("--light", text)) for text in self.light)

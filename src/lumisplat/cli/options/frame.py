@@ -9,11 +9,11 @@ from typing import Annotated
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.input.up_axis import UpOption
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, parse_background, setting
+from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,6 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
     scene.toml that is rendered, else one that shows all of the scene from the front."""
-    up: UpOption = "auto"
-    """Which way is up without cameras, and for --environment; auto: y-down with a capture, y-up for meshes alone."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
     and rays from there on for mirrors, glass and shadows."""
@@ -36,6 +34,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     """black, white, transparent, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
+    viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
+    """A camera of your own, in place of those of files: lumisplat render garden.ply --azimuth 30 --elevation 20"""
     rays: RayGroup = field(default_factory=RayOptions)
     """Of --pipeline trace and hybrid; --samples and --seed also of lit frames. With mirrors and glass, smooth edges and
     little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
@@ -61,25 +61,21 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
 
     def load_cameras(self, scene_file: Path | None) -> list[ls.Camera]:
-        """The cameras of --cameras, else of a scene file; none if neither has any.
+        """The cameras of --cameras, else of a scene file; none if neither has any, or a viewpoint is given.
 
         Raises:
+            ConfigError: The options of the viewpoint contradict themselves.
             FormatError: The file cannot be read, or --cameras has none.
         """
         path = self.cameras or scene_file
-        if path is None:
+        self.viewpoint.check(self.cameras)
+        if path is None or self.viewpoint.is_given:
             return []
         cameras = ls.load_cameras(path, width=self.width, height=self.height)
         if not cameras and self.cameras is not None:
             raise ls.FormatError(path, "has no cameras")
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in cameras]
 
-    def front_camera(self, scene: ls.Scene) -> ls.Camera:
-        """A camera that shows all of a scene from the front."""
-        from lumisplat.cli.input.framing import framing_camera
-
-        if self.width is not None and self.height is not None:
-            camera = framing_camera(scene, self.up, self.width, self.height)
-        else:
-            camera = framing_camera(scene, self.up).scaled(self.width, self.height)
-        return self.light.exposed(camera)
+    def own_camera(self, scene: ls.Scene) -> ls.Camera:
+        """The camera of the viewpoint; without its options, one that shows all of the scene from the front."""
+        return self.light.exposed(self.viewpoint.camera(scene, self.width, self.height))

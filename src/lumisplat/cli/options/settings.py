@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,23 @@ def given_options(options: DataclassInstance, names: Sequence[str] | None = None
         for field in fields(options)
         if getattr(options, field.name) != field.default and (names is None or field.name in names)
     ]
+
+
+def parse_vector(
+    option: str, text: str, expected: str = "three numbers such as 0,-2.5,1"
+) -> tuple[float, float, float]:
+    """Reads ``x,y,z``, with commas or spaces between.
+
+    Raises:
+        ConfigError: It is something else, or a number is not finite.
+    """
+    try:
+        x, y, z = (float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise ls.ConfigError(f"{option} is '{text}', expected {expected}") from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ls.ConfigError(f"{option} is '{text}', expected finite numbers")
+    return x, y, z
 
 
 def parse_background(text: str) -> tuple[float, float, float] | None:

@@ -24,14 +24,16 @@ from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
 from lumisplat.io.scene_toml.toml_table import NUMBER, TEXT, VECTOR, WHOLE, TomlTable
+from lumisplat.io.scene_toml.up import DIRECTION, direction, scene_up
 from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.up import Vector
 
 _SIZE = {"width": WHOLE, "height": WHOLE}
 _FILE_KEYS = {"path": TEXT, **PLACEMENT, **_SIZE, "exposure": NUMBER}
 _VIEW_KEYS = {
     "eye": VECTOR,
     "target": VECTOR,
-    "up": VECTOR,
+    "up": DIRECTION,
     "fov_y_degrees": NUMBER,
     **_SIZE,
     "name": TEXT,
@@ -66,13 +68,14 @@ def read_scene_cameras(
         FormatError: A key is unknown, a value is invalid, or a camera file cannot be read.
     """
     cameras: list[Camera] = []
+    up = scene_up(document)
     for table in document.tables("cameras"):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values out of range are refused by name
                 if "path" in table.values:
                     cameras += _cameras_of_file(table, load, width, height)
                 else:
-                    cameras.append(_view(table))
+                    cameras.append(_view(table, up))
         except FormatError:
             raise
         except SceneError as error:
@@ -92,11 +95,13 @@ def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, hei
     return [replace(camera.scaled(own_width, own_height), **exposure) for camera in loaded]
 
 
-def _view(table: TomlTable) -> Camera:
+def _view(table: TomlTable, up: Vector) -> Camera:
+    """The camera of an entry; without its own ``up``, that of the scene is up in the image."""
     given = table.take(_VIEW_KEYS, required=("eye", "target"))
     models = {model.value: model for model in CameraModel}
     if given.get("model", "pinhole") not in models:
         raise table.wrong("model", " or ".join(models))
+    given["up"] = direction(table, "up") if "up" in given else up
     given["model"] = models[given.get("model", "pinhole")]
     exposure = given.pop("exposure", 0.0)
     widest, fov_y = 360.0 if given["model"] is CameraModel.FISHEYE else 180.0, given.get("fov_y_degrees", 45.0)

@@ -1,5 +1,7 @@
 """Scene files, ``scene.toml``: files placed in one scene, with lights, cameras, materials and settings.
 
+up = "y-down"                           # of all that follows; this is what captures have
+
 [[splats]]
 path = "garden.ply"                     # relative to the scene file
 kernel_degree = 4                       # if it was not trained with degree 2 and the file does not say so
@@ -35,6 +37,7 @@ from lumisplat.io.scene_toml.lights import move_light, read_environment, read_li
 from lumisplat.io.scene_toml.materials import MaterialTable, entry_material, read_materials
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
 from lumisplat.io.scene_toml.toml_table import FLAG, TEXT, TEXT_OR_TABLE, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.up import scene_up
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light
 from lumisplat.scene.mesh import Mesh
@@ -45,7 +48,7 @@ _KEYS = {
     "splats": {**_ENTRY, "kernel_degree": WHOLE, "sh_degree": WHOLE, "shadow_only": FLAG},
     "meshes": {**_ENTRY, "lights": FLAG},
 }
-_TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render")
+_TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
 _SHOWN = ("splats", "meshes", "actors", "lights", "environment")
 """Headings that put something into the scene."""
 
@@ -100,6 +103,7 @@ def static_scene(document: TomlTable, load: Load) -> Scene:
         splats=tuple(splats),
         meshes=tuple(mesh for scene in placed for mesh in scene.meshes),
         lights=(*lights, *(light for scene in placed for light in scene.lights), *environment),
+        up=scene_up(document),
     )
 
 
