@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
+    from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
@@ -159,6 +160,7 @@ _MODULE_OF = {
     "load_rig": "io",
     "load_sequence": "io",
     "ncm_ab": "metrics.lighting",
+    "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
     "psnr": "metrics.images",
     "relight": "relighting.probe_transfer",
@@ -255,6 +257,7 @@ __all__ = [
     "load_rig",
     "load_sequence",
     "ncm_ab",
+    "orbit_cameras",
     "paa_y",
     "psnr",
     "relight",

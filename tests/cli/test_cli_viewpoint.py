@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def expected(work: Workplace, camera: ls.Camera) -> np.ndarray:
     return (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-SIZE = {"width": 48, "height": 32}
+SIZE: Any = {"width": 48, "height": 32}
 
 
 def test_sides_are_those_of_frame_camera(work) -> None:

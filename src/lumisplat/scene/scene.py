@@ -151,8 +151,9 @@ class Scene:
 
     @property
     def upright_wxyz(self) -> tuple[float, float, float, float]:
-        """Rotation, a quaternion, scalar first, that stands upright in the scene what is made with y up and seen along
-        -z: glTF models, environments.
+        """Rotation, a quaternion, scalar first, that stands upright in the scene what was made with y up.
+
+        The side of it that is seen along -z, as glTF has it, becomes the front.
         """
         up = np.array(self.up_direction)
         front = front_vector(up)

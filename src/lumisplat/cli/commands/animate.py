@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from enum import Enum
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -23,12 +21,9 @@ from lumisplat.cli.options.settings import Changes, setting
 from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.frame_folder import FrameFolder
+from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.video import check_video, write_video
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +129,7 @@ class Animate(FrameCommand):
             ConfigError: No camera is named --camera, or there are neither one nor as many cameras as frames.
         """
         count, source = animation.frame_count, self.cameras or self.scene
-        cameras = self.load_cameras(self.scene)
+        cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
             named = [camera for camera in cameras if camera.name == self.camera]
             if not named:
@@ -161,9 +156,9 @@ class Animate(FrameCommand):
             **{name: f"{getattr(self, name)}" for name in chosen},
             "exposure": f"{self.light.exposure}",
             "environment_rotation": f"{self.light.environment_rotation}",
-            **dict(_flat("viewpoint.", self.viewpoint)),
-            **dict(_flat("", config)),
-            **dict(_flat("actors.", animation.lighting)),
+            **dict(flat_settings("viewpoint.", self.viewpoint)),
+            **dict(flat_settings("", config)),
+            **dict(flat_settings("actors.", animation.lighting)),
             **file_marks(files, self.output),
         }
 
@@ -197,13 +192,3 @@ def _frame_range(text: str, count: int) -> range:
     if not first < end <= count:
         raise ls.ConfigError(f"--frames is '{text}', of an animation of {count} frames, 0:{count}")
     return range(first, end)
-
-
-def _flat(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
-    """Names and values of settings, groups included."""
-    for entry in fields(settings):
-        value = getattr(settings, entry.name)
-        if is_dataclass(value) and not isinstance(value, type):
-            yield from _flat(f"{prefix}{entry.name}.", value)
-        else:
-            yield f"{prefix}{entry.name}", value.value if isinstance(value, Enum) else repr(value)

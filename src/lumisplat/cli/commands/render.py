@@ -33,6 +33,9 @@ class Render(FrameCommand):
     lights, cameras and settings, too. Several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
+    scene.toml that is rendered, else one that shows all of the scene from the front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
     format: Literal["auto", "png", "exr", "npz"] = "auto"
@@ -62,7 +65,7 @@ class Render(FrameCommand):
         base = scene_settings(file)
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)}, self._changes())
         # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
-        cameras = self.load_cameras(file)
+        cameras = self.load_cameras(self.cameras, file)
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
         environment = self.light.environment_light()

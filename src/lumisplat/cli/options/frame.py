@@ -20,9 +20,6 @@ from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 class FrameCommand(LoadingCommand, DeviceCommand):
     """Options of the commands that render frames."""
 
-    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
-    scene.toml that is rendered, else one that shows all of the scene from the front."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
     and rays from there on for mirrors, glass and shadows."""
@@ -60,22 +57,31 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             own["background"] = parse_background(self.background)
         return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
 
-    def load_cameras(self, scene_file: Path | None) -> list[ls.Camera]:
+    def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
         """The cameras of --cameras, else of a scene file; none if neither has any, or a viewpoint is given.
+
+        Args:
+            cameras: The camera file that was given.
+            scene_file: The scene.toml that is rendered.
 
         Raises:
             ConfigError: The options of the viewpoint contradict themselves.
             FormatError: The file cannot be read, or --cameras has none.
         """
-        path = self.cameras or scene_file
-        self.viewpoint.check(self.cameras)
+        path = cameras or scene_file
+        self.viewpoint.check(cameras)
         if path is None or self.viewpoint.is_given:
             return []
-        cameras = ls.load_cameras(path, width=self.width, height=self.height)
-        if not cameras and self.cameras is not None:
+        loaded = ls.load_cameras(path, width=self.width, height=self.height)
+        if not loaded and cameras is not None:
             raise ls.FormatError(path, "has no cameras")
-        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in cameras]
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
 
-    def own_camera(self, scene: ls.Scene) -> ls.Camera:
-        """The camera of the viewpoint; without its options, one that shows all of the scene from the front."""
-        return self.light.exposed(self.viewpoint.camera(scene, self.width, self.height))
+    def own_camera(self, scene: ls.Scene, *, all_around: bool = False) -> ls.Camera:
+        """The camera of the viewpoint; without its options, one that shows all of the scene from the front.
+
+        Args:
+            scene: What it looks at.
+            all_around: As of `lumisplat.frame_camera`.
+        """
+        return self.light.exposed(self.viewpoint.camera(scene, self.width, self.height, all_around=all_around))

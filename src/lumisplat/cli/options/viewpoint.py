@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import OmitArgPrefixes, arg
 
@@ -76,14 +76,14 @@ class ViewpointOptions:
         """The scene, with up as --up says."""
         return upright(scene, self.up)
 
-    def camera(self, scene: ls.Scene, width: int | None, height: int | None, turn: float = 0.0) -> ls.Camera:
+    def camera(self, scene: ls.Scene, width: int | None, height: int | None, *, all_around: bool = False) -> ls.Camera:
         """The camera; without options, one that shows all of the scene from the front.
 
         Args:
             scene: What it looks at, upright.
             width: Image width, pixels; None: that of 1280 x 720, or of its aspect ratio.
             height: Image height, pixels.
-            turn: Degrees that are added to the azimuth.
+            all_around: As of `lumisplat.frame_camera`.
 
         Raises:
             ConfigError: --eye is at --target.
@@ -91,20 +91,20 @@ class ViewpointOptions:
         """
         given = (width, height) if width is not None and height is not None else None
         size = given or (_WIDTH, _HEIGHT)
-        camera = self._looking(scene, size) if self.eye is not None else self._framing(scene, size, turn)
+        camera = self._looking(scene, size) if self.eye is not None else self._framing(scene, size, all_around)
         return camera if given else camera.scaled(width, height)
 
     def _given(self) -> list[str]:
         return [option for option in given_options(self) if option != "--up"]
 
-    def _lens(self) -> dict[str, float]:
+    def _lens(self) -> dict[str, Any]:
         return {} if self.fov is None else {"fov_y": math.radians(self.fov)}
 
     def _looking(self, scene: ls.Scene, size: tuple[int, int]) -> ls.Camera:
         """The camera at --eye."""
         assert self.eye is not None
         eye = parse_vector("--eye", self.eye)
-        target = self._target(scene)
+        target = self.target_point(scene)
         distance = math.dist(eye, target)
         if distance == 0.0:
             raise ls.ConfigError(f"--eye is {self.eye}, which is the target: they must be apart")
@@ -116,9 +116,9 @@ class ViewpointOptions:
         camera = ls.Camera.look_at(eye, target, up, width=size[0], height=size[1], name="view", **self._lens())
         return replace(camera, near=min(camera.near, 1e-3 * distance))
 
-    def _framing(self, scene: ls.Scene, size: tuple[int, int], turn: float) -> ls.Camera:
+    def _framing(self, scene: ls.Scene, size: tuple[int, int], all_around: bool) -> ls.Camera:
         """The camera at --azimuth, --elevation and --distance."""
-        angles: dict[str, float] = {"azimuth": math.radians(math.remainder((self.azimuth or 0.0) + turn, 360.0))}
+        angles: dict[str, Any] = {"azimuth": math.radians(self.azimuth or 0.0)}
         if self.elevation is not None:
             angles["elevation"] = math.radians(self.elevation)
         return ls.frame_camera(
@@ -127,12 +127,13 @@ class ViewpointOptions:
             target=None if self.target is None else parse_vector("--target", self.target),
             width=size[0],
             height=size[1],
+            all_around=all_around,
             **angles,
             **self._lens(),
         )
 
-    def _target(self, scene: ls.Scene) -> tuple[float, float, float]:
-        """The point that --eye looks at."""
+    def target_point(self, scene: ls.Scene) -> tuple[float, float, float]:
+        """The point in the middle of the image: --target, else the middle of the bulk of the scene."""
         if self.target is not None:
             return parse_vector("--target", self.target)
         low, high = scene.bulk_bounds()

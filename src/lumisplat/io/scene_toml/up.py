@@ -8,9 +8,12 @@ from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import Kind, TomlTable, is_list
 from lumisplat.scene.up import Vector, up_vector
 
-DIRECTION = Kind(
-    "the name of an axis, such as y-down, or three numbers", lambda value: is_list(value) or isinstance(value, str)
-)
+
+def _may_be_direction(value: object) -> bool:
+    return is_list(value) or isinstance(value, str)
+
+
+DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
 """An axis by its name, or a direction."""
 
 _CAPTURES = (".ply", ".spz", ".sog", "")

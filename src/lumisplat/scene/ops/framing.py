@@ -30,13 +30,14 @@ def frame_camera(
     width: int = 1280,
     height: int = 720,
     name: str = "front",
+    all_around: bool = False,
 ) -> Camera:
     """A camera that looks at a scene from any side; without further arguments all of it, from the front.
 
     Args:
         scene: The scene to look at. Its `Scene.up_direction` is up in the image.
-        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0 is the front, pi / 2 the
-            right-hand side as seen from the front.
+        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0 is the front, pi / 2
+            the right-hand side as seen from the front.
         elevation: Radians above the horizon, -pi / 2 to pi / 2; pi / 2 looks straight down.
         distance: From the eye to ``target``, scene units; None: so far that the bulk of the scene fills the image.
         target: World position in the middle of the image, shape (3,); None: the middle of the bulk of the scene.
@@ -44,6 +45,7 @@ def frame_camera(
         width: Image width, pixels.
         height: Image height, pixels.
         name: Name of the camera.
+        all_around: Without ``distance``: so far that the bulk of the scene fits from all sides, for an orbit.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
@@ -51,15 +53,12 @@ def frame_camera(
     check_argument("frame_camera", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
     _check_angle("azimuth", azimuth, 2.0 * math.pi)
     _check_angle("elevation", elevation, 0.5 * math.pi)
-    upward = np.array(scene.up_direction)
-    front = front_vector(upward)
-    level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
-    backward = math.cos(elevation) * level + math.sin(elevation) * upward
-    # At the poles the vertical is along the view: there, up is what is up a moment before them.
-    up = upward if math.cos(elevation) > 1e-3 else math.cos(elevation) * upward - math.sin(elevation) * level
+    backward, up = _side(scene, azimuth, elevation)
     center = _target(scene, target)
     if distance is None:
-        distance = _fitting_distance(scene, center, backward, up, (fov_y, width / height))
+        others = np.arange(1, 16) * math.pi / 8.0 if all_around else ()
+        sides = [(backward, up), *(_side(scene, azimuth + turn, elevation) for turn in others)]
+        distance = _fitting_distance(scene, center, sides, (fov_y, width / height))
     check_positive("distance", distance)
     return Camera.look_at(
         center + distance * backward,
@@ -73,6 +72,17 @@ def frame_camera(
     )
 
 
+def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[_Points, _Points]:
+    """The direction from the target to an eye, and up in its image."""
+    upward = np.array(scene.up_direction)
+    front = front_vector(upward)
+    level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
+    backward = math.cos(elevation) * level + math.sin(elevation) * upward
+    # At the poles the vertical is along the view: there, up is what is up a moment before them.
+    up = upward if math.cos(elevation) > 1e-3 else math.cos(elevation) * upward - math.sin(elevation) * level
+    return backward, up
+
+
 def _target(scene: Scene, target: npt.ArrayLike | None) -> _Points:
     if target is None:
         low, high = scene.bulk_bounds()
@@ -84,21 +94,31 @@ def _target(scene: Scene, target: npt.ArrayLike | None) -> _Points:
 
 
 def _fitting_distance(
-    scene: Scene, center: _Points, backward: _Points, up: _Points, lens: tuple[float, float]
+    scene: Scene, center: _Points, sides: list[tuple[_Points, _Points]], lens: tuple[float, float]
 ) -> float:
-    """Distance from ``center`` at which the bulk of the scene fits; the lens is its fov_y and its width to height."""
-    low, high = scene.bulk_bounds()
-    size = max(float(np.linalg.norm(high - low)), 1e-6)
-    # Any distance gives the orientation; the corners seen in it then give the distance at which all of them fit.
-    rotation = Camera.look_at(center + size * backward, center, up).camera_from_world[:3, :3]
-    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center
-    x, y, z = rotation @ corners.T
+    """Distance from ``center`` at which the bulk of the scene fits from all sides.
+
+    Args:
+        scene: The scene.
+        center: World position in the middle of the image.
+        sides: As from `_side`.
+        lens: Vertical field of view, and width to height of the image.
+    """
     fov_y, aspect = lens
     if not is_number(fov_y) or not 0.0 < fov_y < math.pi:
         raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
     tan_y = math.tan(0.5 * fov_y)
     tan_x = tan_y * aspect
-    return FRAMING_MARGIN * float(max((np.abs(x) / tan_x - z).max(), (np.abs(y) / tan_y - z).max(), 0.5 * size))
+    low, high = scene.bulk_bounds()
+    size = max(float(np.linalg.norm(high - low)), 1e-6)
+    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center
+    needed = 0.5 * size
+    for backward, up in sides:
+        # Any distance gives the orientation; the corners seen in it then give the distance at which all of them fit.
+        rotation = Camera.look_at(center + size * backward, center, up).camera_from_world[:3, :3]
+        x, y, z = rotation @ corners.T
+        needed = max(needed, (np.abs(x) / tan_x - z).max(), (np.abs(y) / tan_y - z).max())
+    return FRAMING_MARGIN * float(needed)
 
 
 def _check_angle(name: str, angle: object, largest: float) -> None:
