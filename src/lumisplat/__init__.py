@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from lumisplat.io import (
         load,
         load_animation,
+        load_camera_path,
         load_cameras,
         load_config,
         load_image,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
     from lumisplat.scene.animation.actors import Actor, Animation
+    from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.keyframes import Keyframes
     from lumisplat.scene.animation.rig import Rig
     from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
@@ -91,6 +93,7 @@ _MODULE_OF = {
     "AvatarLightingConfig": "config",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
+    "CameraPath": "scene.animation.camera_path",
     "ConfigError": "errors",
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
@@ -153,6 +156,7 @@ _MODULE_OF = {
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "load": "io",
     "load_animation": "io",
+    "load_camera_path": "io",
     "load_cameras": "io",
     "load_config": "io",
     "load_image": "io",
@@ -188,6 +192,7 @@ __all__ = [
     "AvatarLightingConfig",
     "Camera",
     "CameraModel",
+    "CameraPath",
     "ConfigError",
     "DeepShadowConfig",
     "DeepShadowMap",
@@ -250,6 +255,7 @@ __all__ = [
     "gaussians_from_mesh",
     "load",
     "load_animation",
+    "load_camera_path",
     "load_cameras",
     "load_config",
     "load_image",

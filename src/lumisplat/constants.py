@@ -488,6 +488,24 @@ DECODED_BYTES_FREE = 256 * 2**20
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
 
+# --- Lens distortion ---
+
+DISTORTION_STEPS = 12
+"""Newton steps of its inverse: quadratic, so that 5 suffice for lenses; more help near the fold of the polynomial."""
+
+DISTORTION_RESIDUAL = 1e-9
+"""Largest error of the inverse in float64, in tangents or radians; above it, a pixel shows nothing."""
+
+DISTORTION_RESIDUAL_FLOAT = 2e-6
+"""The same in float32, relative to one plus the radius: 16 roundings, a hundredth of a pixel of the largest images."""
+
+UNDISTORTED_AREA_MAX = 8.0
+"""Pixels of the pinhole image from which a distorted one is resampled, relative to those of the latter. Above it most
+of the work is thrown away, and rays are faster."""
+
+UNDISTORTED_SCALE_MAX = 2.0
+"""Largest factor of the focal length of that pinhole image, where a lens magnifies its edges."""
+
 # --- Cameras of scenes without any ---
 
 FRAMING_FOV_Y = 0.8

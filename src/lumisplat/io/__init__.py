@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lumisplat.io.splats.columns import SplatColumns
     from lumisplat.math.arrays import FloatArray
     from lumisplat.scene.animation.actors import Animation
+    from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.rig import Rig
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "load",
     "load_animation",
+    "load_camera_path",
     "load_cameras",
     "load_config",
     "load_image",
@@ -186,8 +188,9 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
             ``camera_angle_x``; image sizes are read from the images if the file has none; pinhole, equidistant fisheye
-            and orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
-            ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect ratio: without
+            and orthophoto, with lens distortion), INRIA's ``cameras.json`` (OpenCV; the principal point is the
+            centre), nerfstudio's ``camera_path.json``, or a sparse model of COLMAP: its folder, or one of its
+            ``cameras`` and ``images``, .bin or .txt. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect ratio: without
             ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
         width: Image width, pixels, of frames for which neither the file nor an image gives a size; only together with
             ``height``, except for glTF.
@@ -200,19 +203,27 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
         FormatError: The file is not a camera file, has no frames, or has a frame whose pose or intrinsics are invalid;
             names the frame.
     """
-    if Path(path).suffix.lower() in (".glb", ".gltf"):
-        from lumisplat.io.cameras.names import unique_names
-        from lumisplat.io.gltf.cameras import read_gltf_cameras
+    from lumisplat.io.camera_files import read_cameras
 
-        return unique_names(read_gltf_cameras(path, width, height))
-    if Path(path).suffix.lower() == ".toml":
-        from lumisplat.io.scene_toml.cameras import read_scene_cameras
-        from lumisplat.io.scene_toml.scene_file import read_document
+    return read_cameras(path, width, height)
 
-        return read_scene_cameras(read_document(path), load_cameras, width, height)
-    from lumisplat.io.cameras.camera_json import read_camera_json
 
-    return read_camera_json(path, width, height)
+def load_camera_path(path: PathLike, *, width: int | None = None, height: int | None = None) -> CameraPath:
+    """Loads cameras as the way of a camera that moves through them.
+
+    Args:
+        path: nerfstudio's ``camera_path.json``, whose frames are at its own rate; a ``scene.toml``, of which the first
+            camera with keyframes moves as they say; or any other file that `load_cameras` reads, with a second from
+            each of its cameras to the next.
+        width: As of `load_cameras`.
+        height: As of `load_cameras`.
+
+    Raises:
+        FormatError: The file cannot be read, has no cameras, or has cameras of different sizes or models.
+    """
+    from lumisplat.io.camera_files import read_camera_way
+
+    return read_camera_way(path, width, height)
 
 
 def load_config(path: PathLike) -> RenderConfig:

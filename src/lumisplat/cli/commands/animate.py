@@ -34,7 +34,8 @@ class Animate(FrameCommand):
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE.toml")]]
-    """A scene file with [[actors]], and an [animation] that says how many frames there are."""
+    """A scene file with [[actors]] or a camera with keyframes, and an [animation] that says how many frames there
+    are."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("frames")
     """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -136,6 +137,11 @@ class Animate(FrameCommand):
                 listed = ", ".join(camera.name for camera in cameras[:5]) or "none"
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
+        if self.path is not None:
+            return self.cameras_along(self.path, animation.times)
+        if animation.camera_path is not None and self.camera is None and not (self.cameras or self.viewpoint.is_given):
+            along = (animation.camera_path.at(float(time)) for time in animation.times)
+            return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
         if not cameras:
             cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
         if len(cameras) not in (1, count):
@@ -147,7 +153,7 @@ class Animate(FrameCommand):
 
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
-        files = [self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
+        files = [self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
         chosen = ("width", "height", "camera", "drop_invalid")
         return {
             "lumisplat": ls.__version__,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
@@ -27,7 +28,7 @@ _log = logging.getLogger("lumisplat")
 
 @dataclass(frozen=True, kw_only=True)
 class Orbit(FrameCommand):
-    """Go once round a scene, frame by frame, and make a video of it.
+    """Go once round a scene, or along a --path, frame by frame, and make a video of it.
 
     After an interruption, the same command goes on: frames that are there stay.
     First try: lumisplat orbit garden.ply --video orbit.mp4
@@ -52,6 +53,7 @@ class Orbit(FrameCommand):
         """Renders the frames that are missing, then the video."""
         count = self._frame_count()
         self.viewpoint.check(None)
+        along = self.cameras_along(self.path, np.arange(count) / self.fps) if self.path is not None else []
         file = scene_file(self.scene)
         config = self.frame_config(scene_settings(file))
         check_writable(self.output)
@@ -62,13 +64,7 @@ class Orbit(FrameCommand):
             renderer = self.start_renderer(report, config, profile=self.stats)
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
             scene = self.light.lit_scene(scene, environment)
-            cameras = ls.orbit_cameras(
-                scene,
-                count,
-                self.own_camera(scene, all_around=True),
-                turns=self.turns,
-                target=self.viewpoint.target_point(scene),
-            )
+            cameras = along or self._round(scene, count)
             folder = FrameFolder(self.output, "png", "orbit.json")
             folder.prepare(self._origin(config, renderer.device), self.overwrite)
             missing = [index for index in range(count) if not folder.is_finished(index)]
@@ -96,6 +92,11 @@ class Orbit(FrameCommand):
         if self.video is not None:
             print(f"{self.video} ({self.fps:g} frames a second, {count / self.fps:.2f} s)")
 
+    def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
+        """The cameras round the scene."""
+        start, target = self.own_camera(scene, all_around=True), self.viewpoint.target_point(scene)
+        return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
+
     def _frame_count(self) -> int:
         """Number of frames.
 
@@ -113,7 +114,7 @@ class Orbit(FrameCommand):
 
     def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
-        files = [*self.scene, *(path for path in (self.light.environment,) if path is not None)]
+        files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
         chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid")
         return {
             "lumisplat": ls.__version__,

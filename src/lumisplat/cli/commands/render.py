@@ -38,6 +38,8 @@ class Render(FrameCommand):
     scene.toml that is rendered, else one that shows all of the scene from the front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
+    fps: Annotated[float, arg(metavar="FPS")] = 24.0
+    """Frames a second along --path."""
     format: Literal["auto", "png", "exr", "npz"] = "auto"
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
@@ -65,7 +67,7 @@ class Render(FrameCommand):
         base = scene_settings(file)
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)}, self._changes())
         # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
-        cameras = self.load_cameras(self.cameras, file)
+        cameras = self._cameras(file)
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
         environment = self.light.environment_light()
@@ -102,6 +104,13 @@ class Render(FrameCommand):
             "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),
         }
         return {"raster": without_none(raster) | shared, "trace": shared, "shadow_rays": end}
+
+    def _cameras(self, file: Path | None) -> list[ls.Camera]:
+        """The cameras that are given, those of the frames along --path among them; none: one has to be made."""
+        if self.path is None:
+            return self.load_cameras(self.cameras, file)
+        along = self.camera_path(self.path, self.cameras).frames(self.fps)
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
         """The pictures of cameras.

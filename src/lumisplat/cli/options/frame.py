@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 from tyro.conf import arg
 
 import lumisplat as ls
@@ -20,6 +22,9 @@ from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 class FrameCommand(LoadingCommand, DeviceCommand):
     """Options of the commands that render frames."""
 
+    path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Move the camera smoothly through the cameras of this file: nerfstudio's camera_path.json, a scene.toml with
+    camera keyframes, or any other camera file, one second from each camera to the next."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
     and rays from there on for mirrors, glass and shadows."""
@@ -76,6 +81,30 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         if not loaded and cameras is not None:
             raise ls.FormatError(path, "has no cameras")
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
+
+    def camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
+        """The way of --path.
+
+        Args:
+            path: The file of --path.
+            cameras: The file of --cameras.
+
+        Raises:
+            ConfigError: There are other cameras, too.
+            FormatError: The file cannot be read.
+        """
+        self.viewpoint.check(cameras)
+        if cameras is not None or self.viewpoint.is_given:
+            other = "--cameras" if cameras is not None else "a viewpoint of your own"
+            raise ls.ConfigError(f"--path and {other} are both given: choose one")
+        return ls.load_camera_path(path, width=self.width, height=self.height)
+
+    def cameras_along(self, path: Path, times: npt.NDArray[np.float64]) -> list[ls.Camera]:
+        """The cameras of --path at the times of frames, over which all of the path is spread."""
+        way = self.camera_path(path)
+        stretched = way.stretched(float(times[-1])) if times[-1] > 0.0 else way
+        along = (stretched.at(float(time)) for time in times)
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def own_camera(self, scene: ls.Scene, *, all_around: bool = False) -> ls.Camera:
         """The camera of the viewpoint; without its options, one that shows all of the scene from the front.

@@ -16,11 +16,12 @@ from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.scene_toml.actors import Load, read_actors
-from lumisplat.io.scene_toml.cameras import LoadCameras, read_scene_cameras
+from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
 from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.scene_file import read_document, static_scene
 from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.animation.camera_path import CameraPath
 
 ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
 
@@ -35,8 +36,9 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
-        if not document.tables("actors"):
-            raise document.error("lists no [[actors]]: there is nothing to animate")
+        path = read_camera_path(document)
+        if not document.tables("actors") and path is None:
+            raise document.error("lists no [[actors]], and no [[cameras]] with keyframes: there is nothing to animate")
         table = document.table("animation")
         given = table.take(ANIMATION_KEYS)
         lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
@@ -45,9 +47,9 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
             raise table.wrong("fps", "a positive number of frames a second")
         _check_length(table)
         actors = read_actors(document, load)
-        count = _frame_count(table, fps, actors)
+        count = _frame_count(table, fps, actors, path)
         cameras = read_scene_cameras(document, load_cameras)
-        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
+        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting, path)
 
 
 def _check_length(table: TomlTable) -> None:
@@ -61,13 +63,14 @@ def _check_length(table: TomlTable) -> None:
         raise table.wrong("frames", "at least 1")
 
 
-def _frame_count(table: TomlTable, fps: float, actors: list[Actor]) -> int:
-    """Number of frames, from ``frames``, from ``duration``, or from the longest actor."""
+def _frame_count(table: TomlTable, fps: float, actors: list[Actor], path: CameraPath | None) -> int:
+    """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
     given = table.values
     if "frames" in given:
         count = given["frames"]
     else:
-        count = given.get("duration", max(map(_own_duration, actors))) * fps
+        longest = max((*map(_own_duration, actors), path.duration if path is not None else 0.0))
+        count = given.get("duration", longest) * fps
     if count > ANIMATION_FRAMES_MAX:
         raise table.error(
             f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "
