@@ -15,6 +15,7 @@ BARREL = (-0.28, 0.09, -0.012, 0.0, 0.0006, -0.0011)
 """An action camera."""
 CUSHION = (0.21, 0.03, 0.01, 0.002, 0.004, -0.003)
 FISHEYE = (-0.013, 0.0021, -0.0009, 0.0001, 0.0, 0.0)
+NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 LENSES = {"fox": FOX, "barrel": BARREL, "cushion": CUSHION, "fisheye": FISHEYE}
 
 
@@ -91,9 +92,9 @@ def test_no_ray_beyond_the_fold():
 
 def test_lenses_without_distortion_keep_their_bits():
     """Zeros change nothing."""
-    np.testing.assert_array_equal(camera_of((0.0,) * 6).ray_directions(), camera_of([0] * 6).ray_directions())
-    assert not camera_of((0.0,) * 6).is_distorted
-    assert distortion_reach((0.0,) * 6) == np.inf
+    np.testing.assert_array_equal(camera_of(NONE).ray_directions(), camera_of([0] * 6).ray_directions())
+    assert not camera_of(NONE).is_distorted
+    assert distortion_reach(NONE) == np.inf
 
 
 @pytest.mark.parametrize(

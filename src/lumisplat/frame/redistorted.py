@@ -97,7 +97,8 @@ def _magnifications(camera: Camera) -> _Doubles:
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
     seen = undistort(shown, camera.distortion)
-    return np.linalg.svd(distortion_jacobian(seen[~np.isnan(seen[:, 0])], camera.distortion), compute_uv=False)
+    jacobian = distortion_jacobian(seen[~np.isnan(seen[:, 0])], camera.distortion)
+    return np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=np.float64)
 
 
 def _corners(camera: Camera) -> _Doubles:
@@ -109,7 +110,7 @@ def _corners(camera: Camera) -> _Doubles:
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> _Doubles:
     """Where the pinhole sees what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
     x, y = np.meshgrid(np.arange(camera.width) + right, np.arange(camera.height) + down)
-    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
+    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
     seen = undistort(shown, camera.distortion)
     return seen * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)
 
@@ -130,8 +131,8 @@ def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
         seen = ~np.isnan(point[..., 0])
         corner = np.where(seen[..., None], point - 0.5, 0.0)
         first = np.floor(corner).astype(np.int64)
-        weights = _cubic(corner - first)
-        value = np.zeros_like(total)
+        weights = _cubic(np.asarray(corner - first, dtype=np.float64))
+        value: _Doubles = np.zeros_like(total)
         low, high = np.full_like(total, np.inf), np.full_like(total, -np.inf)
         for j, i in np.ndindex(4, 4):
             x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)

@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from lumisplat.errors import SceneError
-from lumisplat.io.cameras.json_values import Entry, inverse_rigid, number, number_array, quote, rigid_pose
+from lumisplat.io.cameras.json_values import Entry, inverse_rigid, is_list, number, number_array, quote, rigid_pose
 from lumisplat.io.cameras.transforms_json import OPENGL_FROM_OPENCV
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -32,7 +32,7 @@ def path_camera(shared: Entry, frame: Entry) -> Camera:
     if kind not in _MODELS:
         raise SceneError(f"has camera_type {quote(kind)}, expected {' or '.join(_MODELS)}")
     values = frame["camera_to_world"]
-    shape = (16,) if isinstance(values, list) and len(values) == 16 else (4, 4)  # pyright: ignore[reportUnknownArgumentType]
+    shape = (16,) if is_list(values) and len(values) == 16 else (4, 4)
     pose = number_array(values, shape, "camera_to_world").reshape(4, 4)
     fov = number(frame, "fov")
     if not 0.0 < fov < 180.0:

@@ -36,8 +36,8 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
-        path = read_camera_path(document)
-        if not document.tables("actors") and path is None:
+        moving = read_camera_path(document)
+        if not document.tables("actors") and moving is None:
             raise document.error("lists no [[actors]], and no [[cameras]] with keyframes: there is nothing to animate")
         table = document.table("animation")
         given = table.take(ANIMATION_KEYS)
@@ -47,9 +47,9 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
             raise table.wrong("fps", "a positive number of frames a second")
         _check_length(table)
         actors = read_actors(document, load)
-        count = _frame_count(table, fps, actors, path)
+        count = _frame_count(table, fps, actors, moving)
         cameras = read_scene_cameras(document, load_cameras)
-        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting, path)
+        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting, moving)
 
 
 def _check_length(table: TomlTable) -> None:
@@ -63,13 +63,13 @@ def _check_length(table: TomlTable) -> None:
         raise table.wrong("frames", "at least 1")
 
 
-def _frame_count(table: TomlTable, fps: float, actors: list[Actor], path: CameraPath | None) -> int:
+def _frame_count(table: TomlTable, fps: float, actors: list[Actor], moving: CameraPath | None) -> int:
     """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
     given = table.values
     if "frames" in given:
         count = given["frames"]
     else:
-        longest = max((*map(_own_duration, actors), path.duration if path is not None else 0.0))
+        longest = max((*map(_own_duration, actors), moving.duration if moving is not None else 0.0))
         count = given.get("duration", longest) * fps
     if count > ANIMATION_FRAMES_MAX:
         raise table.error(
