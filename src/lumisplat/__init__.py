@@ -74,8 +74,11 @@ if TYPE_CHECKING:
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
+    from lumisplat.scene.ops.ground import stand_on_ground
     from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
+    from lumisplat.scene.ops.smooth_normals import smooth_normals
+    from lumisplat.scene.primitives import box, plane, sphere
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
@@ -145,6 +148,7 @@ _MODULE_OF = {
     "apf_y": "metrics.lighting",
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
+    "box": "scene.primitives",
     "create_renderer": "renderer.renderer",
     "demo_cameras": "demo.scene",
     "demo_scene": "demo.scene",
@@ -166,6 +170,7 @@ _MODULE_OF = {
     "ncm_ab": "metrics.lighting",
     "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
+    "plane": "scene.primitives",
     "psnr": "metrics.images",
     "relight": "relighting.probe_transfer",
     "render": "renderer.one_shot",
@@ -177,7 +182,10 @@ _MODULE_OF = {
     "scale_light": "scene.ops.recolor",
     "shadowed": "relighting.captured_shadow",
     "sm_iou": "metrics.shadows",
+    "smooth_normals": "scene.ops.smooth_normals",
+    "sphere": "scene.primitives",
     "ssim": "metrics.images",
+    "stand_on_ground": "scene.ops.ground",
     "trace_rays": "renderer.one_shot",
     "transmittance": "renderer.one_shot",
 }
@@ -244,6 +252,7 @@ __all__ = [
     "apf_y",
     "bind_gaussians",
     "boundary_f",
+    "box",
     "create_renderer",
     "demo_cameras",
     "demo_scene",
@@ -265,6 +274,7 @@ __all__ = [
     "ncm_ab",
     "orbit_cameras",
     "paa_y",
+    "plane",
     "psnr",
     "relight",
     "render",
@@ -276,7 +286,10 @@ __all__ = [
     "scale_light",
     "shadowed",
     "sm_iou",
+    "smooth_normals",
+    "sphere",
     "ssim",
+    "stand_on_ground",
     "trace_rays",
     "transmittance",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, matrix_4x4
+from lumisplat.math.arrays import FloatArray
 from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
@@ -19,6 +19,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.placing import Placing, placed
 from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
@@ -45,14 +46,32 @@ class SplatInstance:
     """Whether it shows its captured colours and only receives shadows: lights do not brighten it, its own Gaussians do
     not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
     the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
+    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: uniform scale factor."""
+    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
+    up, such as glTF, then stands upright."""
+    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(
+        self,
+        position: npt.ArrayLike | None,
+        rotation_degrees: npt.ArrayLike | None,
+        scale_by: float | None,
+        up: str | npt.ArrayLike | None,
+        look_at: npt.ArrayLike | None,
+    ) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_flag("shadow_only", self.shadow_only)
-        matrix = matrix_4x4("world_from_object", self.world_from_object)
+        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
         check_similarity(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
@@ -78,17 +97,37 @@ class MeshInstance:
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
-        SceneError: ``mesh`` is something else, or ``world_from_object`` is not an invertible affine transform.
+        SceneError: ``mesh`` is something else, ``world_from_object`` is not an invertible affine transform, or both it
+            and a position or the like are given.
     """
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: the identity."""
     name: str = field(default="", kw_only=True)
+    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: uniform scale factor."""
+    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
+    up, such as glTF, then stands upright."""
+    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(
+        self,
+        position: npt.ArrayLike | None,
+        rotation_degrees: npt.ArrayLike | None,
+        scale_by: float | None,
+        up: str | npt.ArrayLike | None,
+        look_at: npt.ArrayLike | None,
+    ) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
-        object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
+        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
+        object.__setattr__(self, "world_from_object", matrix)
 
     @property
     def transform(self) -> npt.NDArray[np.float64]:
