@@ -491,8 +491,8 @@ EXPANSION_MAX = 200
 # --- Meshes without normals ---
 
 CREASE_ANGLE = 0.9
-"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees). The coarsest
-curves of spot, the bunny and the teapot bend less than 45 degrees from face to face, hard edges 60 to 90."""
+"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
+edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
 
 # --- Lens distortion ---
 

@@ -67,7 +67,13 @@ READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .o
 WRITABLE = ".ply, .compressed.ply, .spz"
 
 
-def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | None = None) -> Gaussians | Mesh | Scene:
+def load(
+    path: PathLike,
+    *,
+    drop_invalid: bool = False,
+    crease_angle: float | None = None,
+    progress: Progress | None = None,
+) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
 
     Args:
@@ -75,6 +81,8 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
             STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
             number, instead of refusing the file.
+        crease_angle: Of an OBJ without normals: faces that meet at less are shaded smoothly, radians, 0 to pi, see
+            `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -89,7 +97,7 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
     try:
-        loaded = _read(Path(path), drop_invalid, progress)
+        loaded = _read(Path(path), drop_invalid, crease_angle, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except OSError as error:
@@ -101,7 +109,9 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
     return loaded
 
 
-def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatColumns | Mesh | Scene:
+def _read(
+    path: Path, drop_invalid: bool, crease_angle: float | None, progress: Progress | None
+) -> SplatColumns | Mesh | Scene:
     extension = _extension(path)
     if extension == ".ply":
         return _read_ply(path, progress)
@@ -111,8 +121,8 @@ def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatCol
         return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
-    read: Callable[[Path], SplatColumns | Mesh | Scene] = _import(_READERS[extension])
-    return read(path)
+    read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
+    return read(path) if crease_angle is None or extension != ".obj" else read(path, crease_angle)
 
 
 def _import(function: str) -> Any:
