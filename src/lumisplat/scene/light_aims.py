@@ -43,11 +43,11 @@ def direction_of(name: str, values: npt.ArrayLike) -> Vector:
     Raises:
         SceneError: The values have no length, or are not three finite numbers.
     """
-    vector = np.array(vector(name, values))
-    length = np.linalg.norm(vector)
+    given = np.array(vector(name, values))
+    length = np.linalg.norm(given)
     if length == 0.0:
         raise SceneError(f"{name} has no length")
-    x, y, z = (float(v) for v in vector / length)
+    x, y, z = (float(v) for v in given / length)
     return x, y, z
 
 
