@@ -494,6 +494,10 @@ CREASE_ANGLE = 0.9
 """Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
 edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
 
+WELD_SHARE = 1e-6
+"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
+to six digits."""
+
 # --- Lens distortion ---
 
 DISTORTION_STEPS = 12

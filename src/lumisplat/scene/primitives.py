@@ -81,8 +81,9 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
     check_whole("rows", rows, 2, 1024)
     columns = 2 * rows
     v, u = np.mgrid[: rows + 1, : columns + 1] / np.array([rows, columns])[:, None, None]
-    polar, around = np.pi * v.ravel(), 2.0 * np.pi * u.ravel()
-    normals = np.stack([np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)], axis=1)
+    polar, around = np.pi * v.ravel(), 2.0 * np.pi * (u.ravel() % 1.0)  # the seam closes to the bit, and the poles do
+    radii = np.where((v.ravel() == 0.0) | (v.ravel() == 1.0), 0.0, np.sin(polar))
+    normals = np.stack([radii * np.sin(around), np.cos(polar), radii * np.cos(around)], axis=1)
     first = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
     below = first + columns + 1
     upper, lower = np.stack([first, below + 1, first + 1], axis=1), np.stack([first, below, below + 1], axis=1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from lumisplat.config.checks import is_number
-from lumisplat.constants import CREASE_ANGLE
+from lumisplat.constants import CREASE_ANGLE, WELD_SHARE
 from lumisplat.errors import SceneError
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.mesh import Mesh
@@ -19,7 +19,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
     """The mesh with new normals: at a corner, the mean of the faces around that meet its own at less than an angle.
 
     Faces count by their angle at the corner (Thuermer and Wuethrich 1998), so that how they are cut into triangles does
-    not matter; corners at equal positions are one, whatever their uvs. Where corners of a vertex get different normals,
+    not matter; corners at the same place are one, whatever their uvs. Where corners of a vertex get different normals,
     it is split.
 
     Args:
@@ -36,7 +36,10 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
         return replace(mesh, normals=None)
     areas = area_vectors(mesh.positions, mesh.indices)
     faces = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
-    _, point = np.unique(mesh.positions, axis=0, return_inverse=True)
+    low, high = mesh.bounds()
+    cell = WELD_SHARE * float(np.linalg.norm(high.astype(np.float64) - low))
+    welded = np.round(mesh.positions.astype(np.float64) / cell)
+    _, point = np.unique(welded, axis=0, return_inverse=True)
     point_of_corner = point.reshape(-1)[mesh.indices].ravel()
     face_of_corner = np.repeat(np.arange(len(faces)), 3)
     angle_of_corner = _corner_angles(mesh).ravel()
