@@ -38,7 +38,7 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
         document = read_document(path)
         moving = read_camera_path(document)
         if not document.tables("actors") and moving is None:
-            raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera that moves by keyframes")
+            raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
         table = document.table("animation")
         given = table.take(ANIMATION_KEYS)
         lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
