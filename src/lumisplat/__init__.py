@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from lumisplat.io import (
         load,
         load_animation,
+        load_camera_path,
         load_cameras,
         load_config,
         load_image,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
     from lumisplat.scene.animation.actors import Actor, Animation
+    from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.keyframes import Keyframes
     from lumisplat.scene.animation.rig import Rig
     from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians, bind_gaussians
@@ -79,7 +81,12 @@ if TYPE_CHECKING:
     from lumisplat.scene.materials import MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
+    from lumisplat.scene.ops.framing import frame_camera
+    from lumisplat.scene.ops.ground import stand_on_ground
+    from lumisplat.scene.ops.orbit import orbit_cameras
     from lumisplat.scene.ops.recolor import scale_light
+    from lumisplat.scene.ops.smooth_normals import smooth_normals
+    from lumisplat.scene.primitives import box, plane, sphere
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
@@ -97,6 +104,7 @@ _MODULE_OF = {
     "AvatarLightingConfig": "config",
     "Camera": "scene.camera",
     "CameraModel": "scene.camera",
+    "CameraPath": "scene.animation.camera_path",
     "ConfigError": "errors",
     "DeepShadowConfig": "config",
     "DeepShadowMap": "shadow_maps.deep_shadow_map",
@@ -148,6 +156,7 @@ _MODULE_OF = {
     "apf_y": "metrics.lighting",
     "bind_gaussians": "scene.animation.rigged_gaussians",
     "boundary_f": "metrics.shadows",
+    "box": "scene.primitives",
     "create_renderer": "renderer.renderer",
     "crop": "scene.editing.crop",
     "decimate": "scene.editing.decimate",
@@ -157,10 +166,12 @@ _MODULE_OF = {
     "estimate_lights": "relighting.light_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
+    "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "limit_sh_degree": "scene.editing.sh_degree",
     "load": "io",
     "load_animation": "io",
+    "load_camera_path": "io",
     "load_cameras": "io",
     "load_config": "io",
     "load_image": "io",
@@ -169,7 +180,9 @@ _MODULE_OF = {
     "load_sequence": "io",
     "merge": "scene.editing.merge",
     "ncm_ab": "metrics.lighting",
+    "orbit_cameras": "scene.ops.orbit",
     "paa_y": "metrics.lighting",
+    "plane": "scene.primitives",
     "psnr": "metrics.images",
     "relight": "relighting.probe_transfer",
     "remove_floaters": "scene.editing.floaters",
@@ -183,8 +196,11 @@ _MODULE_OF = {
     "select": "scene.editing.select",
     "shadowed": "relighting.captured_shadow",
     "sm_iou": "metrics.shadows",
+    "smooth_normals": "scene.ops.smooth_normals",
+    "sphere": "scene.primitives",
     "sort_morton": "scene.editing.morton",
     "ssim": "metrics.images",
+    "stand_on_ground": "scene.ops.ground",
     "trace_rays": "renderer.one_shot",
     "transform": "scene.editing.transform",
     "transmittance": "renderer.one_shot",
@@ -200,6 +216,7 @@ __all__ = [
     "AvatarLightingConfig",
     "Camera",
     "CameraModel",
+    "CameraPath",
     "ConfigError",
     "DeepShadowConfig",
     "DeepShadowMap",
@@ -251,6 +268,7 @@ __all__ = [
     "apf_y",
     "bind_gaussians",
     "boundary_f",
+    "box",
     "create_renderer",
     "crop",
     "decimate",
@@ -260,10 +278,12 @@ __all__ = [
     "estimate_lights",
     "estimate_normals",
     "flip",
+    "frame_camera",
     "gaussians_from_mesh",
     "limit_sh_degree",
     "load",
     "load_animation",
+    "load_camera_path",
     "load_cameras",
     "load_config",
     "load_image",
@@ -272,7 +292,9 @@ __all__ = [
     "load_sequence",
     "merge",
     "ncm_ab",
+    "orbit_cameras",
     "paa_y",
+    "plane",
     "psnr",
     "relight",
     "remove_floaters",
@@ -286,8 +308,11 @@ __all__ = [
     "select",
     "shadowed",
     "sm_iou",
+    "smooth_normals",
+    "sphere",
     "sort_morton",
     "ssim",
+    "stand_on_ground",
     "trace_rays",
     "transform",
     "transmittance",

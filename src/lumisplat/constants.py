@@ -527,6 +527,49 @@ DECODED_BYTES_FREE = 256 * 2**20
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
 
+# --- Meshes without normals ---
+
+CREASE_ANGLE = 0.9
+"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
+edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
+
+WELD_SHARE = 1e-6
+"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
+to six digits."""
+
+# --- Lens distortion ---
+
+DISTORTION_STEPS = 12
+"""Newton steps of its inverse: quadratic, so that 5 suffice for lenses; more help near the fold of the polynomial."""
+
+DISTORTION_RESIDUAL = 1e-9
+"""Largest error of the inverse in float64, in tangents or radians; above it, a pixel shows nothing."""
+
+DISTORTION_RESIDUAL_FLOAT = 2e-6
+"""The same in float32, relative to one plus the radius: 16 roundings, a hundredth of a pixel of the largest images."""
+
+UNDISTORTED_AREA_MAX = 8.0
+"""Pixels of the pinhole image from which a distorted one is resampled, relative to those of the latter. Above it most
+of the work is thrown away, and rays are faster."""
+
+UNDISTORTED_SCALE_MAX = 2.0
+"""Largest factor of the focal length of that pinhole image, where a lens magnifies its edges."""
+
+# --- Cameras of scenes without any ---
+
+FRAMING_FOV_Y = 0.8
+"""Vertical field of view, radians: a normal lens."""
+
+FRAMING_ELEVATION = 0.2
+"""How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
+
+FRAMING_MARGIN = 1.05
+"""Room around the scene's box, as a factor of the distance."""
+
+BULK_TAIL = 0.02
+"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
+an object above the ground."""
+
 # --- Rigs ---
 
 RIG_BLACK_COLOR = 0.5 / 255.0

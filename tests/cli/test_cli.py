@@ -16,7 +16,6 @@ from rich.progress import Progress
 
 import lumisplat as ls
 from lumisplat.cli import main
-from lumisplat.cli.input.framing import framing_camera
 from lumisplat.cli.output.console import progress_bars
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
@@ -161,7 +160,7 @@ def test_render_without_cameras_shows_the_scene(work):
     picture = read_image(work.path("first.png"))["srgb"]
     assert picture.shape == (64, 64, 3)
     scene = ls.Scene([work.capture("capture.ply")])
-    framed = ls.render(scene, framing_camera(scene, width=64, height=64), device="cpu")
+    framed = ls.render(scene, ls.frame_camera(scene, width=64, height=64), device="cpu")
     np.testing.assert_array_equal(picture, (np.clip(framed.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     assert (picture > 0).any(axis=2).mean() > 0.2
 

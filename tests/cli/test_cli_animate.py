@@ -15,9 +15,10 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.output.frame_folder import STAMP
 from lumisplat.renderer.renderer import Renderer
 from support.files.cli_files import Workplace
+
+STAMP = "animate.json"
 
 SCENE = """
 [[splats]]

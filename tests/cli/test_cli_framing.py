@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.input.framing import bulk_bounds, framing_camera
 from lumisplat.cli.output.pictures import file_stems, plan_shots
 from lumisplat.frame.views import layer_pictures
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
@@ -24,10 +24,10 @@ def pixels(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("size", [(1280, 720), (100, 400)])
 def test_whole_box_is_in_the_picture(up, size):
     """All corners of the box are seen, and the box fills the picture in one direction."""
-    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),))
-    low, high = bulk_bounds(scene)
+    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3, center=(5.0, -2.0, 9.0))),), up=up)
+    low, high = scene.bulk_bounds()
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
-    seen = pixels(framing_camera(scene, up, *size), corners)
+    seen = pixels(ls.frame_camera(scene, width=size[0], height=size[1]), corners)
     assert (seen[:, 2] > 0.0).all()
     assert (seen[:, :2] >= 0.0).all() and (seen[:, :2] <= size).all()
     assert (np.ptp(seen[:, :2], axis=0) / size).max() > 0.75
@@ -36,9 +36,9 @@ def test_whole_box_is_in_the_picture(up, size):
 @pytest.mark.parametrize(("up", "above"), [("y-down", (0, -1, 0)), ("y-up", (0, 1, 0)), ("z-up", (0, 0, 1))])
 def test_up_is_up(up, above):
     """What is above the centre appears above it, and the eye looks down a little."""
-    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3)),))
-    camera = framing_camera(scene, up)
-    center = 0.5 * np.add(*bulk_bounds(scene))
+    scene = ls.Scene(splats=(ls.SplatInstance(random_gaussians(3)),), up=up)
+    camera = ls.frame_camera(scene)
+    center = 0.5 * np.add(*scene.bulk_bounds())
     middle, higher = pixels(camera, np.stack([center, center + 0.1 * np.array(above)]))
     assert higher[1] < middle[1]
     assert higher[0] == pytest.approx(middle[0])
@@ -49,23 +49,23 @@ def test_up_follows_what_the_scene_holds() -> None:
     """Without a word about it, captures are y down, also with a mesh beside them, and meshes alone y up."""
     capture, mesh = random_gaussians(3), quad(1.0)
     for scene in (ls.Scene([capture]), ls.Scene([capture], [mesh])):
-        np.testing.assert_array_equal(framing_camera(scene).eye, framing_camera(scene, "y-down").eye)
+        np.testing.assert_array_equal(ls.frame_camera(scene).eye, ls.frame_camera(replace(scene, up="y-down")).eye)
     alone = ls.Scene([], [mesh])
-    np.testing.assert_array_equal(framing_camera(alone).eye, framing_camera(alone, "y-up").eye)
+    np.testing.assert_array_equal(ls.frame_camera(alone).eye, ls.frame_camera(replace(alone, up="y-up")).eye)
 
 
 def test_strays_do_not_set_the_frame():
     """A faint Gaussian far away leaves the framing as it was."""
     bulk = random_gaussians(3, count=500)
     stray = joined(bulk, one_gaussian(mean=(1e4, 0.0, 0.0), opacity=0.1))
-    near, far = (framing_camera(ls.Scene(splats=(ls.SplatInstance(g),))) for g in (bulk, stray))
+    near, far = (ls.frame_camera(ls.Scene(splats=(ls.SplatInstance(g),))) for g in (bulk, stray))
     assert np.allclose(near.eye, far.eye, atol=0.1)
 
 
 def test_empty_scene_has_no_view():
     """An empty scene is refused."""
     with pytest.raises(ls.SceneError, match="empty"):
-        framing_camera(ls.Scene())
+        ls.frame_camera(ls.Scene())
 
 
 def test_file_stems_are_safe_and_unique():

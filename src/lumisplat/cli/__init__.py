@@ -1,4 +1,4 @@
-"""The command line: ``lumisplat render | animate | info | convert | demo | bench | metrics | relight | shadowmap``.
+"""The command line: ``lumisplat render | orbit | animate | info | convert | demo | bench | metrics`` and more.
 
 It uses public names of the package only. A user's mistake ends as one line on standard error and exit status 2.
 """
@@ -21,6 +21,7 @@ from lumisplat.cli.commands.convert import Convert
 from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
+from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.relight import Relight
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
@@ -34,6 +35,8 @@ _DESCRIPTION = """Renders 3D Gaussian captures and meshes, on the CPU or a CUDA 
 A scene to look at, nothing to download: lumisplat demo -o out
 
 A first look at a capture: lumisplat render garden.ply -o garden.png
+
+Once round it, as a video: lumisplat orbit garden.ply --video orbit.mp4
 
 A picture for each camera: lumisplat render garden.ply --cameras transforms.json -o out
 
@@ -49,6 +52,7 @@ A capture cut, cleaned and thinned: lumisplat convert garden.ply --sphere 0 0 3 
 
 _Command = (
     Annotated[Render, subcommand("render")]
+    | Annotated[Orbit, subcommand("orbit")]
     | Annotated[Animate, subcommand("animate")]
     | Annotated[Info, subcommand("info")]
     | Annotated[Convert, subcommand("convert")]

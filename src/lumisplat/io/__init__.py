@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lumisplat.io.splats.columns import SplatColumns
     from lumisplat.math.arrays import FloatArray
     from lumisplat.scene.animation.actors import Animation
+    from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.rig import Rig
     from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "load",
     "load_animation",
+    "load_camera_path",
     "load_cameras",
     "load_config",
     "load_image",
@@ -68,7 +70,13 @@ READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .o
 WRITABLE = ".ply, .compressed.ply, .spz"
 
 
-def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | None = None) -> Gaussians | Mesh | Scene:
+def load(
+    path: PathLike,
+    *,
+    drop_invalid: bool = False,
+    crease_angle: float | None = None,
+    progress: Progress | None = None,
+) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
 
     Args:
@@ -76,6 +84,8 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
             STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
             number, instead of refusing the file.
+        crease_angle: Of an OBJ without normals: faces that meet at less are shaded smoothly, radians, 0 to pi, see
+            `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -90,7 +100,7 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
     try:
-        loaded = _read(Path(path), drop_invalid, progress)
+        loaded = _read(Path(path), drop_invalid, crease_angle, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except OSError as error:
@@ -102,7 +112,9 @@ def load(path: PathLike, *, drop_invalid: bool = False, progress: Progress | Non
     return loaded
 
 
-def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatColumns | Mesh | Scene:
+def _read(
+    path: Path, drop_invalid: bool, crease_angle: float | None, progress: Progress | None
+) -> SplatColumns | Mesh | Scene:
     extension = _extension(path)
     if extension == ".ply":
         return _read_ply(path, progress)
@@ -112,8 +124,8 @@ def _read(path: Path, drop_invalid: bool, progress: Progress | None) -> SplatCol
         return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
-    read: Callable[[Path], SplatColumns | Mesh | Scene] = _import(_READERS[extension])
-    return read(path)
+    read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
+    return read(path) if crease_angle is None or extension != ".obj" else read(path, crease_angle)
 
 
 def _import(function: str) -> Any:
@@ -198,9 +210,10 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
     Args:
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
             ``camera_angle_x``; image sizes are read from the images if the file has none; pinhole, equidistant fisheye
-            and orthophoto) or INRIA's ``cameras.json`` (OpenCV; the principal point is the centre). Lens distortion is
-            ignored with a log line. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect ratio: without
-            ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
+            and orthophoto, with lens distortion), INRIA's ``cameras.json`` (OpenCV; the principal point is the
+            centre), nerfstudio's ``camera_path.json``, or a sparse model of COLMAP: its folder, or one of its
+            ``cameras`` and ``images``, .bin or .txt. Or a glTF scene (.glb, .gltf), whose cameras only have an aspect
+            ratio: without ``width`` and ``height`` they get the largest size within 1280 x 720. Or a ``scene.toml``.
         width: Image width, pixels, of frames for which neither the file nor an image gives a size; only together with
             ``height``, except for glTF.
         height: Image height, pixels, of such frames.
@@ -212,19 +225,27 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
         FormatError: The file is not a camera file, has no frames, or has a frame whose pose or intrinsics are invalid;
             names the frame.
     """
-    if Path(path).suffix.lower() in (".glb", ".gltf"):
-        from lumisplat.io.cameras.names import unique_names
-        from lumisplat.io.gltf.cameras import read_gltf_cameras
+    from lumisplat.io.camera_files import read_cameras
 
-        return unique_names(read_gltf_cameras(path, width, height))
-    if Path(path).suffix.lower() == ".toml":
-        from lumisplat.io.scene_toml.cameras import read_scene_cameras
-        from lumisplat.io.scene_toml.scene_file import read_document
+    return read_cameras(path, width, height)
 
-        return read_scene_cameras(read_document(path), load_cameras, width, height)
-    from lumisplat.io.cameras.camera_json import read_camera_json
 
-    return read_camera_json(path, width, height)
+def load_camera_path(path: PathLike, *, width: int | None = None, height: int | None = None) -> CameraPath:
+    """Loads cameras as the way of a camera that moves through them.
+
+    Args:
+        path: nerfstudio's ``camera_path.json``, whose frames are at its own rate; a ``scene.toml``, of which the first
+            camera with keyframes moves as they say; or any other file that `load_cameras` reads, with a second from
+            each of its cameras to the next.
+        width: As of `load_cameras`.
+        height: As of `load_cameras`.
+
+    Raises:
+        FormatError: The file cannot be read, has no cameras, or has cameras of different sizes or models.
+    """
+    from lumisplat.io.camera_files import read_camera_way
+
+    return read_camera_way(path, width, height)
 
 
 def load_config(path: PathLike) -> RenderConfig:

@@ -95,3 +95,9 @@ def slerp(first: _Floats, second: _Floats, share: float) -> _Doubles:
     else:
         blend = (np.sin((1.0 - share) * angle) * first + np.sin(share * angle) * target) / np.sin(angle)
     return blend / np.linalg.norm(blend)
+
+
+def axis_rotation(axis: npt.ArrayLike, angle: float) -> _Doubles:
+    """The rotation about a unit axis, shape (3,), by an angle in radians, counter-clockwise seen against it, (3, 3)."""
+    x, y, z = np.sin(0.5 * angle) * np.asarray(axis, dtype=np.float64)
+    return rotation_matrix((np.cos(0.5 * angle), x, y, z))

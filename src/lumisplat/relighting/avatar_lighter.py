@@ -169,7 +169,7 @@ class AvatarLighter:
         else:
             # An environment is seen behind everything; other lights have nothing to light.
             lights = tuple(light for light in self.scene.lights if isinstance(light, LightEnvironment))
-        return Scene(splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
+        return replace(self.scene, splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
     def _keeps_lights(self, actors: list[PlacedActor]) -> bool:
         """Whether the scene's lights stay in the frame: they light something in it, or an actor that reflects."""

@@ -12,6 +12,7 @@ from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
+from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
 from lumisplat.renderer.film.film import Film, images_of_pixels
@@ -87,11 +88,16 @@ class Renderer:
                 many samples.
             DeviceError: The device is out of memory.
             SceneError: The scene or the camera is none, it or the image is larger than 32-bit indices reach, or the
-                rasteriser is to draw a camera that is not a pinhole.
+                rasteriser is to draw a camera that is not a pinhole, or whose lens distorts too much.
         """
         check_scene(scene)
         check_camera(camera)
         plan = FramePlan.of(self.config, scene)
+        if plan.rasterises and camera.is_distorted:
+            refuse_lens(camera)
+            if resume is not None:
+                raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
+            return redistorted(self.render(scene, undistorted_camera(camera), progress=progress), camera)
         self._check(plan, scene, camera, resume)
         self._load(frame_modules(plan, self._launcher, self.config), progress)
         self._launcher.stage_ms = {}

@@ -13,6 +13,7 @@ from lumisplat.config.checks import enum_member, is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import finite_numbers, matrix_4x4
+from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import check_positive
 
 _Doubles = npt.NDArray[np.float64]
@@ -70,6 +71,10 @@ class Camera:
     """Rolling shutter: the pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction
     (y + 0.5) / height of the motion; the eye moves on a straight line, the rotation is slerped. None: all rows are
     exposed at once."""
+    distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Lens distortion k1, k2, k3, k4, p1, p2 of OpenCV's pinhole (k1, k2, k3, p1, p2) and fisheye models (k1 to k4).
+    With (u, v) as without a lens and s = u^2 + v^2, a point appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4)
+    plus (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
     exposure: float = 0.0
     """Exposure of lit frames, stops, -100 to 100: pictures show linear light times 2 to this power."""
 
@@ -90,6 +95,7 @@ class Camera:
         if self.aperture < 0.0:
             raise SceneError(f"camera aperture is {self.aperture}, expected the radius of a lens, or 0 for none")
         object.__setattr__(self, "model", _model_of(self.model))
+        object.__setattr__(self, "distortion", _coefficients(self.distortion, self.model))
         object.__setattr__(self, "camera_from_world", _rigid("camera_from_world", self.camera_from_world))
         if self.camera_from_world_end is not None:
             end = _rigid("camera_from_world_end", self.camera_from_world_end)
@@ -176,6 +182,11 @@ class Camera:
         return 2.0 * math.atan(0.5 * self.height / self.fy) if self.model is CameraModel.PINHOLE else 0.0
 
     @property
+    def is_distorted(self) -> bool:
+        """Whether the lens distorts."""
+        return any(self.distortion)
+
+    @property
     def shutter_motion(self) -> _Doubles:
         """Motion of the eye from the start of the first row to the end of the last, world space, shape (3,)."""
         return self._world_from_camera_end[:3, 3] - self.eye
@@ -190,11 +201,14 @@ class Camera:
     def ray_directions(self) -> _Doubles:
         """Unit directions through the pixel centres, camera space, shape (H, W, 3).
 
-        Pixels of a fisheye that have no ray have direction 0. Orthographic rays start on the plane through the eye, all
-        others at the eye.
+        Pixels of a fisheye or of a distorting lens that have no ray have direction 0. Orthographic rays start on the
+        plane through the eye, all others at the eye.
         """
         u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         v = (np.arange(self.height)[:, None] + 0.5 - self.cy) / self.fy
+        if self.is_distorted:
+            shown = np.stack(np.broadcast_arrays(u, v), axis=-1)
+            u, v = np.moveaxis(undistort(shown, self.distortion), -1, 0)
         rays = np.zeros((self.height, self.width, 3))
         if self.model is CameraModel.ORTHOGRAPHIC:
             rays[..., 2] = 1.0
@@ -202,10 +216,11 @@ class Camera:
             theta = np.hypot(u, v)
             shrink = np.sinc(theta / np.pi)  # sin(theta) / theta
             rays[..., 0], rays[..., 1], rays[..., 2] = shrink * u, shrink * v, np.cos(theta)
-            rays[theta > np.pi] = 0.0
+            rays[~(theta <= np.pi)] = 0.0
         else:
             rays[..., 0], rays[..., 1], rays[..., 2] = u, v, 1.0
             rays /= np.sqrt(u * u + v * v + 1.0)[..., None]
+            rays[np.isnan(rays[..., 0])] = 0.0
         return rays
 
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
@@ -257,6 +272,16 @@ def _model_of(model: object) -> CameraModel:
         return enum_member("camera model", model, CameraModel)
     except ConfigError as error:
         raise SceneError(str(error)) from None
+
+
+def _coefficients(values: object, model: CameraModel) -> Coefficients:
+    numbers = finite_numbers(values, (6,))
+    if numbers is None:
+        raise SceneError(f"camera distortion is {values}, expected six finite numbers, k1 k2 k3 k4 p1 p2")
+    if model is CameraModel.ORTHOGRAPHIC and numbers.any():
+        raise SceneError("camera distortion is of pinhole and fisheye cameras, this one is orthographic")
+    k1, k2, k3, k4, p1, p2 = (float(number) for number in numbers)
+    return k1, k2, k3, k4, p1, p2
 
 
 def _pixel_count(name: str, value: object) -> int:

@@ -7,7 +7,7 @@ All lights have a ``color`` (linear Rec.709, at least 0, multiplied with the int
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +17,7 @@ from lumisplat.config.checks import is_number
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FLOAT32_MAX, FloatArray, float_array
 from lumisplat.scene.checks import check_flag
-
-Vector = tuple[float, float, float]
+from lumisplat.scene.light_aims import Vector, facing_edges, towards, vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +60,7 @@ class LightPoint:
 
     def __post_init__(self) -> None:
         _check_shared(self)
-        object.__setattr__(self, "position", _vector("position", self.position))
+        object.__setattr__(self, "position", vector("position", self.position))
         _check_number("range", self.range, 0.0, above=True, finite=False)
         _check_number("radius", self.radius, 0.0)
 
@@ -76,8 +75,8 @@ class LightSpot:
     """
 
     position: Vector
-    direction: Vector
-    """Direction in which it shines, of any length; normalised."""
+    direction: Vector = (0.0, 0.0, 0.0)
+    """Direction in which it shines, of any length; normalised. Needed unless there is a ``target``."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
     """Candela along the axis."""
@@ -92,13 +91,15 @@ class LightSpot:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+    target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``direction``: world position at which it shines, shape (3,)."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
         def __init__(  # noqa: PLR0917
             self,
             position: npt.ArrayLike,
-            direction: npt.ArrayLike,
+            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
             color: npt.ArrayLike = (1.0, 1.0, 1.0),
             intensity: float = 1.0,
             range: float = math.inf,
@@ -109,12 +110,13 @@ class LightSpot:
             enabled: bool = True,
             casts_shadow: bool = True,
             name: str = "",
+            target: npt.ArrayLike | None = None,
         ) -> None: ...
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, target: npt.ArrayLike | None) -> None:
         _check_shared(self)
-        object.__setattr__(self, "position", _vector("position", self.position))
-        object.__setattr__(self, "direction", _direction("direction", self.direction))
+        object.__setattr__(self, "position", vector("position", self.position))
+        object.__setattr__(self, "direction", towards("a spot", self.direction, self.position, target))
         _check_number("range", self.range, 0.0, above=True, finite=False)
         _check_number("radius", self.radius, 0.0)
         for name in ("inner_angle", "outer_angle"):
@@ -135,8 +137,8 @@ class LightDirectional:
             above pi / 2.
     """
 
-    direction: Vector
-    """Direction in which the light travels, of any length; normalised."""
+    direction: Vector = (0.0, 0.0, 0.0)
+    """Direction in which the light travels, of any length; normalised. Needed unless there is a ``position``."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
     """Lux: irradiance of a surface that faces the light."""
@@ -145,12 +147,16 @@ class LightDirectional:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``direction``: world position from which the light comes towards ``target``, however far away."""
+    target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """World position towards which the light travels from ``position``; None: the origin."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
         def __init__(
             self,
-            direction: npt.ArrayLike,
+            direction: npt.ArrayLike = (0.0, 0.0, 0.0),
             color: npt.ArrayLike = (1.0, 1.0, 1.0),
             intensity: float = 1.0,
             angle: float = 0.0,
@@ -158,11 +164,17 @@ class LightDirectional:
             enabled: bool = True,
             casts_shadow: bool = True,
             name: str = "",
+            position: npt.ArrayLike | None = None,
+            target: npt.ArrayLike | None = None,
         ) -> None: ...
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, position: npt.ArrayLike | None, target: npt.ArrayLike | None) -> None:
         _check_shared(self)
-        object.__setattr__(self, "direction", _direction("direction", self.direction))
+        if target is not None and position is None:
+            raise SceneError("target of a directional light is given without a position, from which the light comes")
+        start = (0.0, 0.0, 0.0) if position is None else vector("position", position)
+        end = (0.0, 0.0, 0.0) if target is None and position is not None else target
+        object.__setattr__(self, "direction", towards("a directional light", self.direction, start, end))
         _check_number("angle", self.angle, 0.0)
         if self.angle > math.pi / 2.0:
             raise SceneError(f"angle is {self.angle:g}, expected at most pi / 2 (radians)")
@@ -204,7 +216,7 @@ class LightSphere:
 
     def __post_init__(self) -> None:
         _check_shared(self)
-        object.__setattr__(self, "position", _vector("position", self.position))
+        object.__setattr__(self, "position", vector("position", self.position))
         _check_number("radius", self.radius, 0.0, above=True)
 
 
@@ -218,9 +230,9 @@ class LightRect:
 
     position: Vector
     """Centre of the rectangle."""
-    edge_u: Vector
-    """One edge, scene units."""
-    edge_v: Vector
+    edge_u: Vector = (0.0, 0.0, 0.0)
+    """One edge, scene units. Both edges are needed unless there is a ``target``."""
+    edge_v: Vector = (0.0, 0.0, 0.0)
     """The other edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
     color: Vector = (1.0, 1.0, 1.0)
     intensity: float = 1.0
@@ -228,26 +240,36 @@ class LightRect:
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
+    target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of the edges: world position towards which it faces."""
+    size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """With ``target``: width, which is level with y along the vertical, and height, scene units, shape (2,)."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
         def __init__(
             self,
             position: npt.ArrayLike,
-            edge_u: npt.ArrayLike,
-            edge_v: npt.ArrayLike,
+            edge_u: npt.ArrayLike = (0.0, 0.0, 0.0),
+            edge_v: npt.ArrayLike = (0.0, 0.0, 0.0),
             color: npt.ArrayLike = (1.0, 1.0, 1.0),
             intensity: float = 1.0,
             *,
             enabled: bool = True,
             casts_shadow: bool = True,
             name: str = "",
+            target: npt.ArrayLike | None = None,
+            size: npt.ArrayLike | None = None,
         ) -> None: ...
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, target: npt.ArrayLike | None, size: npt.ArrayLike | None) -> None:
         _check_shared(self)
+        if target is not None or size is not None:
+            edges = facing_edges(self, target, size)
+            object.__setattr__(self, "edge_u", edges[0])
+            object.__setattr__(self, "edge_v", edges[1])
         for name in ("position", "edge_u", "edge_v"):
-            object.__setattr__(self, name, _vector(name, getattr(self, name)))
+            object.__setattr__(self, name, vector(name, getattr(self, name)))
         area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
         if not area > 1e-9 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
             raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
@@ -319,30 +341,13 @@ Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | Li
 
 def _check_shared(light: Light) -> None:
     """Checks the fields that all lights have, and stores the colour as a tuple."""
-    color = _vector("color", light.color)
+    color = vector("color", light.color)
     if min(color) < 0.0:
         raise SceneError(f"color is {color}, expected no negative number")
     object.__setattr__(light, "color", color)
     _check_number("intensity", light.intensity, 0.0)
     for name in ("enabled", "casts_shadow"):
         check_flag(name, getattr(light, name))
-
-
-def _vector(name: str, values: npt.ArrayLike) -> Vector:
-    array = float_array(name, values)
-    if array.shape != (3,):
-        raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
-    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64))
-    return x, y, z
-
-
-def _direction(name: str, values: npt.ArrayLike) -> Vector:
-    vector = np.array(_vector(name, values))
-    length = np.linalg.norm(vector)
-    if length == 0.0:
-        raise SceneError(f"{name} has no length")
-    x, y, z = (float(v) for v in vector / length)
-    return x, y, z
 
 
 def _check_number(name: str, value: object, low: float, *, above: bool = False, finite: bool = True) -> None:

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from dataclasses import InitVar, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SH_DEGREE_MAX, SIMILARITY_TOLERANCE
+from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import box_text, matrix_4x4
+from lumisplat.math.arrays import FloatArray, box_text, matrix_4x4
+from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.placing import Placing, placed
+from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
@@ -46,14 +49,32 @@ class SplatInstance:
     """Whether it shows its captured colours and only receives shadows: lights do not brighten it, its own Gaussians do
     not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
     the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
+    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: uniform scale factor."""
+    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
+    up, such as glTF, then stands upright."""
+    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(
+        self,
+        position: npt.ArrayLike | None,
+        rotation_degrees: npt.ArrayLike | None,
+        scale_by: float | None,
+        up: str | npt.ArrayLike | None,
+        look_at: npt.ArrayLike | None,
+    ) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_flag("shadow_only", self.shadow_only)
-        matrix = matrix_4x4("world_from_object", self.world_from_object)
+        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
         check_similarity(matrix[:3, :3])
         object.__setattr__(self, "world_from_object", matrix)
 
@@ -89,17 +110,37 @@ class MeshInstance:
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
-        SceneError: ``mesh`` is something else, or ``world_from_object`` is not an invertible affine transform.
+        SceneError: ``mesh`` is something else, ``world_from_object`` is not an invertible affine transform, or both it
+            and a position or the like are given.
     """
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: the identity."""
     name: str = field(default="", kw_only=True)
+    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: uniform scale factor."""
+    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
+    up, such as glTF, then stands upright."""
+    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
+    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(
+        self,
+        position: npt.ArrayLike | None,
+        rotation_degrees: npt.ArrayLike | None,
+        scale_by: float | None,
+        up: str | npt.ArrayLike | None,
+        look_at: npt.ArrayLike | None,
+    ) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
-        object.__setattr__(self, "world_from_object", matrix_4x4("world_from_object", self.world_from_object))
+        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
+        object.__setattr__(self, "world_from_object", matrix)
 
     def __repr__(self) -> str:
         return f"MeshInstance({self.mesh!r}, {_placement(self.transform, self.name)})"
@@ -121,13 +162,19 @@ class Scene:
     """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
 
     Raises:
-        SceneError: An entry of a list has the wrong type, or two environments are enabled.
+        SceneError: An entry of a list has the wrong type, two environments are enabled, or ``up`` is no direction.
     """
+
+    UP_NAMES: ClassVar[tuple[str, ...]] = tuple(UP_AXES)
+    """Names that ``up`` may have."""
 
     splats: tuple[SplatInstance, ...] = field(default=())
     meshes: tuple[MeshInstance, ...] = field(default=())
     lights: tuple[Light, ...] = field(default=())
     """At most one enabled light is a `LightEnvironment`."""
+    up: Vector | None = field(default=None, kw_only=True)
+    """Unit vector that points up; None: the files do not say it, see `up_direction`. The name of an axis
+    (``"y-down"``, ``"z-up"``) or a direction of any length is accepted."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
@@ -136,9 +183,13 @@ class Scene:
             splats: Iterable[SplatInstance | Gaussians] = (),
             meshes: Iterable[MeshInstance | Mesh] = (),
             lights: Iterable[Light] = (),
+            *,
+            up: str | npt.ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
+        if self.up is not None:
+            object.__setattr__(self, "up", up_vector(self.up))
         object.__setattr__(self, "lights", checked_lights(self.lights))
         object.__setattr__(self, "splats", _instances("splats", self.splats, Gaussians, SplatInstance))
         object.__setattr__(self, "meshes", _instances("meshes", self.meshes, Mesh, MeshInstance))
@@ -169,6 +220,22 @@ class Scene:
         """Number of triangles over all instances."""
         return sum(instance.mesh.face_count for instance in self.meshes)
 
+    @property
+    def up_direction(self) -> Vector:
+        """Unit vector that points up: ``up``, else y down for a scene with a capture, y up for one of meshes alone."""
+        return up_vector("y-down" if self.splats else "y-up") if self.up is None else self.up
+
+    @property
+    def upright_wxyz(self) -> tuple[float, float, float, float]:
+        """Rotation, a quaternion, scalar first, that stands upright in the scene what was made with y up.
+
+        The side of it that is seen along -z, as glTF has it, becomes the front.
+        """
+        up = np.array(self.up_direction)
+        front = front_vector(up)
+        w, x, y, z = quaternions_from_matrices(np.stack([np.cross(up, front), up, front], axis=1)[None])[0]
+        return float(w), float(x), float(y), float(z)
+
     def bounds(self) -> Bounds:
         """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
@@ -180,6 +247,37 @@ class Scene:
             raise SceneError("an empty scene has no bounds")
         lows, highs = zip(*boxes, strict=True)
         return np.min(lows, axis=0), np.max(highs, axis=0)
+
+    def bulk_bounds(self) -> Bounds:
+        """Corners (min, max) of a world-space box around all meshes and the bulk of each capture, shape (3,) each.
+
+        Stray Gaussians do not count: 2 % of a capture's opacity are left out at each end of each axis.
+
+        Raises:
+            SceneError: The scene is empty.
+        """
+        boxes = [_bulk(instance) for instance in self.splats]
+        worlds = [transform_points(i.transform, i.mesh.positions) for i in self.meshes]
+        boxes += [(world.min(axis=0), world.max(axis=0)) for world in worlds]
+        if not boxes:
+            raise SceneError("the scene is empty: there is nothing to look at")
+        lows, highs = zip(*boxes, strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _bulk(instance: SplatInstance) -> Bounds:
+    """Corners of the box of a capture's means that leaves out `BULK_TAIL` of its opacity at each end of each axis."""
+    ends = [bulk_extent(axis, instance.gaussians.opacities) for axis in instance.world_means.T]
+    low, high = np.array(ends).T
+    return low, high
+
+
+def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray) -> tuple[float, float]:
+    """The heights between which all but `BULK_TAIL` of the weight at each end lies, from two arrays of shape (N,)."""
+    order = np.argsort(heights)
+    share = np.cumsum(weights[order], dtype=np.float64)
+    first, last = np.searchsorted(share, (BULK_TAIL * share[-1], (1.0 - BULK_TAIL) * share[-1]))
+    return float(heights[order[first]]), float(heights[order[last]])
 
 
 def _placement(matrix: npt.NDArray[np.float64], name: str) -> str:

@@ -177,11 +177,16 @@ def test_saving_nothing_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_distortion_is_said_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Lens distortion that is not zero gives one log line, however many frames there are."""
-    with caplog.at_level(logging.WARNING, "lumisplat"):
-        load(tmp_path, {**FILE, "k1": 0.1, "k2": 0.0, "frames": [FRAME, FRAME]})
-    assert [record.message.rpartition("lens ")[2] for record in caplog.records] == ["distortion (k1) is ignored"]
+def test_distortion_is_that_of_the_lens(tmp_path: Path) -> None:
+    """Of the file or of a frame, and it is written again."""
+    first, second = load(tmp_path, {**FILE, "k1": 0.1, "p2": -0.02, "frames": [FRAME, {**FRAME, "k1": 0.3, "k4": 0.5}]})
+    assert first.distortion == (0.1, 0.0, 0.0, 0.0, 0.0, -0.02)
+    assert second.distortion == (0.3, 0.0, 0.0, 0.5, 0.0, -0.02)
+    save_cameras(tmp_path / "again.json", [first, second])
+    assert [camera.distortion for camera in load_cameras(tmp_path / "again.json")] == [
+        first.distortion,
+        second.distortion,
+    ]
 
 
 def pose(*diagonal: float) -> dict:

@@ -11,7 +11,7 @@ import pytest
 import lumisplat as ls
 from support.files.mesh_files import Gltf
 from support.files.scene_files import refuses, write_scene
-from support.scenes.raster_scenes import front_camera
+from support.scenes.raster_scenes import front_camera, one_gaussian
 
 
 def load(folder: Path, text: str, **size: int) -> list[ls.Camera]:
@@ -157,3 +157,41 @@ def test_wrong_cameras_are_refused(tmp_path: Path, text: str, problem: str) -> N
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text)
     refuses(caught, tmp_path, problem)
+
+
+VIEW_WITHOUT_UP = "[[cameras]]\neye = [0, 0, -4]\ntarget = [0, 0, 0]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "up"),
+    [
+        ('[[splats]]\npath = "a.ply"\n', (0, -1, 0)),
+        ('[[actors]]\npath = "a.ply"\n', (0, -1, 0)),
+        ('[[meshes]]\npath = "a.obj"\n', (0, 1, 0)),
+        ('up = "y-up"\n[[splats]]\npath = "a.ply"\n', (0, 1, 0)),
+        ('up = "x-down"\n[[meshes]]\npath = "a.obj"\n', (-1, 0, 0)),
+        ('up = [0, 3, 0]\n[[splats]]\npath = "a.ply"\n', (0, 1, 0)),
+    ],
+)
+def test_a_view_stands_as_its_scene_does(tmp_path: Path, text: str, up: tuple[float, float, float]) -> None:
+    """A view that does not say what is up has the scene's up: a capture, which has y down, is not upside down."""
+    (camera,) = load(tmp_path, text + VIEW_WITHOUT_UP)
+    expected = ls.Camera.look_at((0, 0, -4), (0, 0, 0), up)
+    np.testing.assert_array_equal(camera.camera_from_world, expected.camera_from_world)
+    (own,) = load(tmp_path, text + VIEW_WITHOUT_UP + 'up = "y-up"\n')
+    np.testing.assert_array_equal(own.camera_from_world, ls.Camera.look_at((0, 0, -4), (0, 0, 0)).camera_from_world)
+
+
+@pytest.mark.parametrize("text", ['up = "sideways"\n', "up = [0, 0, 0]\n", "up = 3\n", 'up = "y-up"\nup = "y-down"\n'])
+def test_up_that_is_no_direction_is_refused(tmp_path: Path, text: str) -> None:
+    """At its line."""
+    with pytest.raises(ls.FormatError) as caught:
+        load(tmp_path, text + VIEW_WITHOUT_UP)
+    refuses(caught, tmp_path, "up" if text.count("up =") == 1 else "TOML")
+
+
+def test_up_of_a_scene_file_is_that_of_its_scene(tmp_path: Path) -> None:
+    """What is framed without cameras, and what stands upright, follow it too."""
+    ls.save(tmp_path / "a.ply", one_gaussian())
+    scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))
+    assert isinstance(scene, ls.Scene) and scene.up_direction == (0.0, 0.0, 1.0)

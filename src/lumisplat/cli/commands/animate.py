@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from enum import Enum
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.input.up_axis import resolved_up
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
@@ -24,12 +22,9 @@ from lumisplat.cli.options.settings import Changes, setting
 from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.frame_folder import FrameFolder
+from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.video import check_video, write_video
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +35,8 @@ class Animate(FrameCommand):
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE.toml")]]
-    """A scene file with [[actors]], and an [animation] that says how many frames there are."""
+    """A scene file with [[actors]] or a camera with keyframes, and an [animation] that says how many frames there
+    are."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("frames")
     """Where frames go, as frame_0000.png and so on, with animate.json, which says what they were made of."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
@@ -124,7 +120,7 @@ class Animate(FrameCommand):
             changes["direct"] = self.direct
         if self.gamma is not None:
             changes["transfer"] = replace(animation.lighting.transfer, gamma=self.gamma)
-        lit = self.light.lit_scene(animation.scene, environment, resolved_up(animation.scene, self.up))
+        lit = self.light.lit_scene(self.viewpoint.upright(animation.scene), environment)
         animation = replace(animation, scene=lit, lighting=replace(animation.lighting, **changes))
         report(f"loading {self.scene.name}", 1.0)
         return animation if self.fps is None else _at_rate(animation, self.fps)
@@ -136,15 +132,20 @@ class Animate(FrameCommand):
             ConfigError: No camera is named --camera, or there are neither one nor as many cameras as frames.
         """
         count, source = animation.frame_count, self.cameras or self.scene
-        cameras = self.load_cameras(self.scene)
+        cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
             named = [camera for camera in cameras if camera.name == self.camera]
             if not named:
                 listed = ", ".join(camera.name for camera in cameras[:5]) or "none"
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
+        if self.path is not None:
+            return self.cameras_along(self.path, animation.times)
+        if animation.camera_path is not None and self.camera is None and not (self.cameras or self.viewpoint.is_given):
+            along = (animation.camera_path.at(float(time)) for time in animation.times)
+            return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
         if not cameras:
-            cameras = [self.front_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
+            cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
@@ -154,8 +155,8 @@ class Animate(FrameCommand):
 
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
-        files = [self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
-        chosen = ("width", "height", "camera", "up", "drop_invalid")
+        files = [self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
+        chosen = ("width", "height", "camera", "drop_invalid")
         return {
             "lumisplat": ls.__version__,
             "device": device,
@@ -163,8 +164,9 @@ class Animate(FrameCommand):
             **{name: f"{getattr(self, name)}" for name in chosen},
             "exposure": f"{self.light.exposure}",
             "environment_rotation": f"{self.light.environment_rotation}",
-            **dict(_flat("", config)),
-            **dict(_flat("actors.", animation.lighting)),
+            **dict(flat_settings("viewpoint.", self.viewpoint)),
+            **dict(flat_settings("", config)),
+            **dict(flat_settings("actors.", animation.lighting)),
             **file_marks(files, self.output),
         }
 
@@ -183,11 +185,3 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
     return replace(animation, fps=fps, frame_count=max(1, round(length)))
 
 
-def _flat(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
-    """Names and values of settings, groups included."""
-    for entry in fields(settings):
-        value = getattr(settings, entry.name)
-        if is_dataclass(value) and not isinstance(value, type):
-            yield from _flat(f"{prefix}{entry.name}.", value)
-        else:
-            yield f"{prefix}{entry.name}", value.value if isinstance(value, Enum) else repr(value)

@@ -6,7 +6,7 @@ import logging
 import re
 import statistics
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +17,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.rays import PipelineName, StrategyName
 from lumisplat.cli.options.settings import changed_config, setting, without_none
+from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
 from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
 
@@ -56,11 +57,14 @@ class Bench(LoadingCommand, DeviceCommand):
     """As for render, with --pipeline trace and hybrid."""
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Steady frames to time."""
+    viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
+    """As for render."""
 
     def run(self) -> None:
         """Measures and prints a table."""
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
+        self.viewpoint.check(self.cameras)
         file = scene_file(self.scene)
         config = self._config(scene_settings(file))
         cameras_of = self.cameras or file
@@ -70,6 +74,7 @@ class Bench(LoadingCommand, DeviceCommand):
             renderer = self.start_renderer(report, config)
             ready = time.perf_counter()
             scene = self.load_scene(self.scene, report) if self.scene else ls.demo_scene(report)
+            scene = self.viewpoint.upright(scene)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
             renderer.render(scene, camera)
@@ -114,11 +119,9 @@ class Bench(LoadingCommand, DeviceCommand):
         return config
 
     def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:
-        from lumisplat.cli.input.framing import framing_camera
-
-        if not cameras:
-            cameras = [framing_camera(scene)] if self.scene else ls.demo_cameras()
-        return cameras[0].scaled(self.width)
+        if self.viewpoint.is_given or not (cameras or not self.scene):
+            return self.viewpoint.camera(scene, self.width, None)
+        return (cameras or ls.demo_cameras())[0].scaled(self.width)
 
 
 def _peak_bytes() -> int | None:

@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.input.up_axis import WORLD_FROM_ENVIRONMENT, UpOption, resolved_up
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import changed_config, setting
+from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
@@ -59,7 +59,8 @@ class Relight(LoadingCommand, DeviceCommand):
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Also write the light that was found as a latitude-longitude image, .exr: --environment of render takes it."""
     up: UpOption = "auto"
-    """Which way is up in the image of --probe; auto: y-down with a capture, y-up for meshes alone."""
+    """Which way is up in the image of --probe; auto: as the scene.toml says, else y down with a capture, y up for
+    meshes alone."""
 
     def run(self) -> None:
         """Loads, gathers the light, relights, writes."""
@@ -77,7 +78,7 @@ class Relight(LoadingCommand, DeviceCommand):
         with progress_bars() as report:
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
-            scene = self.load_scene(self.scene, report)
+            scene = upright(self.load_scene(self.scene, report), self.up)
             place = at or _middle(avatar)
             report("gathering light", 0.0)
             probe = ls.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
@@ -86,7 +87,7 @@ class Relight(LoadingCommand, DeviceCommand):
             report("writing", 0.0)
             ls.save(self.output, relit)
             if self.probe is not None:
-                probe.save(self.probe, rotation_wxyz=WORLD_FROM_ENVIRONMENT[resolved_up(scene, self.up)])
+                probe.save(self.probe, rotation_wxyz=scene.upright_wxyz)
         self._print_summary(relit, probe, place)
 
     def _check_outputs(self) -> None:
@@ -128,8 +129,6 @@ class Relight(LoadingCommand, DeviceCommand):
 
 def _middle(avatar: ls.SplatInstance) -> tuple[float, float, float]:
     """The middle of the bulk of an avatar."""
-    from lumisplat.cli.input.framing import bulk_bounds
-
-    low, high = bulk_bounds(ls.Scene(splats=(avatar,)))
+    low, high = ls.Scene(splats=(avatar,)).bulk_bounds()
     x, y, z = (float(value) for value in 0.5 * (low + high))
     return x, y, z

@@ -11,7 +11,6 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.input.up_axis import resolved_up
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.options.unused import unused_options
@@ -34,8 +33,13 @@ class Render(FrameCommand):
     lights, cameras and settings, too. Several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """A folder, or for one frame a file: .png, .exr or .npz."""
+    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
+    scene.toml that is rendered, else one that shows all of the scene from the front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
+    fps: Annotated[float, arg(metavar="FPS")] = 24.0
+    """Frames a second along --path."""
     format: Literal["auto", "png", "exr", "npz"] = "auto"
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
@@ -68,17 +72,17 @@ class Render(FrameCommand):
         base = scene_settings(file)
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)}, self._changes())
         # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
-        cameras = self.load_cameras(file)
+        cameras = self._cameras(file)
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
         environment = self.light.environment_light()
         with progress_bars() as report:
             renderer = self.start_renderer(report, config, profile=self.stats)
-            scene = self.load_scene(self.scene, report)
-            scene = self.light.lit_scene(scene, environment, resolved_up(scene, self.up))
+            scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+            scene = self.light.lit_scene(scene, environment)
             for line in unused_options(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
-            shots = shots or self._shots([self.front_camera(scene)])
+            shots = shots or self._shots([self.own_camera(scene)])
             self._render(shots, renderer, scene, writer, report)
         print(_summary(shots))
         if writer.legend:
@@ -105,6 +109,13 @@ class Render(FrameCommand):
             "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),
         }
         return {"raster": without_none(raster) | shared, "trace": shared, "shadow_rays": end}
+
+    def _cameras(self, file: Path | None) -> list[ls.Camera]:
+        """The cameras that are given, those of the frames along --path among them; none: one has to be made."""
+        if self.path is None:
+            return self.load_cameras(self.cameras, file)
+        along = self.camera_path(self.path, self.cameras).frames(self.fps)
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
         """The pictures of cameras.

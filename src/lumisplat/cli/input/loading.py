@@ -30,6 +30,7 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> 
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     scenes = [as_scene(load_asset(path, drop_invalid=drop_invalid, report=report)) for path in paths]
     return ls.Scene(
+        up=next((scene.up for scene in scenes if scene.up is not None), None),
         splats=tuple(splat for scene in scenes for splat in scene.splats),
         meshes=tuple(mesh for scene in scenes for mesh in scene.meshes),
         lights=tuple(light for scene in scenes for light in scene.lights),

@@ -6,25 +6,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.input.up_axis import UpOption
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting
+from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameCommand(LoadingCommand, DeviceCommand):
     """Options of the commands that render frames."""
 
-    cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
-    scene.toml that is rendered, else one that shows all of the scene from the front."""
-    up: UpOption = "auto"
-    """Which way is up without cameras, and for --environment; auto: y-down with a capture, y-up for meshes alone."""
+    path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Move the camera smoothly through the cameras of this file: nerfstudio's camera_path.json, a scene.toml with
+    camera keyframes, or any other camera file, one second from each camera to the next."""
     pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
     and rays from there on for mirrors, glass and shadows."""
@@ -36,6 +36,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     """transparent, a name such as white, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
+    viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
+    """A camera of your own, in place of those of files: lumisplat render garden.ply --azimuth 30 --elevation 20"""
     rays: RayGroup = field(default_factory=RayOptions)
     """Of --pipeline trace and hybrid; --samples and --seed also of lit frames. With mirrors and glass, smooth edges and
     little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
@@ -60,26 +62,55 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             own["background"] = self.background
         return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
 
-    def load_cameras(self, scene_file: Path | None) -> list[ls.Camera]:
-        """The cameras of --cameras, else of a scene file; none if neither has any.
+    def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
+        """The cameras of --cameras, else of a scene file; none if neither has any, or a viewpoint is given.
+
+        Args:
+            cameras: The camera file that was given.
+            scene_file: The scene.toml that is rendered.
 
         Raises:
+            ConfigError: The options of the viewpoint contradict themselves.
             FormatError: The file cannot be read, or --cameras has none.
         """
-        path = self.cameras or scene_file
-        if path is None:
+        path = cameras or scene_file
+        self.viewpoint.check(cameras)
+        if path is None or self.viewpoint.is_given:
             return []
-        cameras = ls.load_cameras(path, width=self.width, height=self.height)
-        if not cameras and self.cameras is not None:
+        loaded = ls.load_cameras(path, width=self.width, height=self.height)
+        if not loaded and cameras is not None:
             raise ls.FormatError(path, "has no cameras")
-        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in cameras]
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in loaded]
 
-    def front_camera(self, scene: ls.Scene) -> ls.Camera:
-        """A camera that shows all of a scene from the front."""
-        from lumisplat.cli.input.framing import framing_camera
+    def camera_path(self, path: Path, cameras: Path | None = None) -> ls.CameraPath:
+        """The way of --path.
 
-        if self.width is not None and self.height is not None:
-            camera = framing_camera(scene, self.up, self.width, self.height)
-        else:
-            camera = framing_camera(scene, self.up).scaled(self.width, self.height)
-        return self.light.exposed(camera)
+        Args:
+            path: The file of --path.
+            cameras: The file of --cameras.
+
+        Raises:
+            ConfigError: There are other cameras, too.
+            FormatError: The file cannot be read.
+        """
+        self.viewpoint.check(cameras)
+        if cameras is not None or self.viewpoint.is_given:
+            other = "--cameras" if cameras is not None else "a viewpoint of your own"
+            raise ls.ConfigError(f"--path and {other} are both given: choose one")
+        return ls.load_camera_path(path, width=self.width, height=self.height)
+
+    def cameras_along(self, path: Path, times: npt.NDArray[np.float64]) -> list[ls.Camera]:
+        """The cameras of --path at the times of frames, over which all of the path is spread."""
+        way = self.camera_path(path)
+        stretched = way.stretched(float(times[-1])) if times[-1] > 0.0 else way
+        along = (stretched.at(float(time)) for time in times)
+        return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
+
+    def own_camera(self, scene: ls.Scene, *, all_around: bool = False) -> ls.Camera:
+        """The camera of the viewpoint; without its options, one that shows all of the scene from the front.
+
+        Args:
+            scene: What it looks at.
+            all_around: As of `lumisplat.frame_camera`.
+        """
+        return self.light.exposed(self.viewpoint.camera(scene, self.width, self.height, all_around=all_around))

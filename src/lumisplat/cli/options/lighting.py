@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.up_axis import WORLD_FROM_ENVIRONMENT, UpAxis
 from lumisplat.cli.options.settings import Changes, setting, without_none
 
 _LIGHTING = {"auto": None, "on": True, "off": False}
@@ -93,20 +92,20 @@ class LightOptions:
             raise ls.ConfigError(f"--environment-rotation is {self.environment_rotation}, expected degrees")
         return ls.LightEnvironment(image=ls.load_radiance(self.environment), name=self.environment.stem)
 
-    def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None, up: UpAxis) -> ls.Scene:
+    def lit_scene(self, scene: ls.Scene, environment: ls.LightEnvironment | None) -> ls.Scene:
         """The scene with the given environment in place of its own.
 
         Args:
-            scene: What was loaded.
+            scene: What was loaded. The environment stands upright in it.
             environment: From `environment_light`; None: the scene stays as it is.
-            up: The scene's vertical, ``y-down``, ``y-up`` or ``z-up``.
         """
         if environment is None:
             return scene
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
-        w, x, _, _ = WORLD_FROM_ENVIRONMENT[up]
+        w, x, y, z = scene.upright_wxyz
         c, s = math.cos(half), math.sin(half)
-        turned = replace(environment, rotation_wxyz=(w * c, x * c, w * s, x * s))
+        # First about the image's vertical, +y, then upright: Hamilton's product with (c, 0, s, 0).
+        turned = replace(environment, rotation_wxyz=(w * c - y * s, x * c - z * s, w * s + y * c, x * s + z * c))
         others = (light for light in scene.lights if not isinstance(light, ls.LightEnvironment))
         return replace(scene, lights=(*others, turned))
 

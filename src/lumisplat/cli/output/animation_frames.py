@@ -48,7 +48,7 @@ class AnimationFrames:
         if not indices:
             return
         report("frames", 0.0)
-        if self._animation.scene.splats:
+        if self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
             if indices[0] != 0:
                 # Lights are estimated around the actors of frame 0, whichever frame is rendered first.

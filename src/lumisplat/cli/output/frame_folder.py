@@ -1,7 +1,7 @@
 """The folder of an animation's frames: which are there, and of which scene and settings they were made.
 
 Frames appear whole or not at all, so that those that are there need not be rendered again. ``animate.json`` beside them
-says what they were made of; an animation made of anything else is refused instead of continued.
+(``orbit.json`` of an orbit) says what they were made of; frames of anything else are refused instead of continued.
 """
 
 from __future__ import annotations
@@ -9,16 +9,19 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import lumisplat as ls
 from lumisplat.cli.output.pictures import make_folder
 
-STAMP = "animate.json"
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _FRAME = re.compile(r"frame_\d{4,}\.(png|exr|npz)")
 
 
@@ -28,6 +31,8 @@ class FrameFolder:
 
     folder: Path
     extension: str
+    stamp: str = "animate.json"
+    """The file that says what the frames were made of."""
 
     def path(self, index: int) -> Path:
         """The file of a frame."""
@@ -48,7 +53,7 @@ class FrameFolder:
             ConfigError: There are frames of another origin; the message names what differs.
             FormatError: The folder cannot be written to.
         """
-        stamp = self.folder / STAMP
+        stamp = self.folder / self.stamp
         frames = self._frames()
         if overwrite:
             for frame in frames:
@@ -56,7 +61,7 @@ class FrameFolder:
         elif frames:
             self._check(stamp, origin)
         make_folder(self.folder)
-        temporary = stamp.with_name(f".{STAMP}.{os.getpid()}")
+        temporary = stamp.with_name(f".{self.stamp}.{os.getpid()}")
         try:
             temporary.write_text(json.dumps(dict(origin), indent=1) + "\n")
             os.replace(temporary, stamp)
@@ -79,9 +84,21 @@ class FrameFolder:
         except (OSError, ValueError):
             before = None
         if not isinstance(before, dict):
-            raise ls.ConfigError(f"{self.folder} holds frames, but no {STAMP} that says what they are of: {advice}")
+            raise ls.ConfigError(
+                f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
+            )
         stored = cast(dict[str, object], before)
         changed = sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
         if changed:
             named = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
             raise ls.ConfigError(f"{self.folder} holds frames from before a change of {named}: {advice}")
+
+
+def flat_settings(prefix: str, settings: DataclassInstance) -> Iterator[tuple[str, str]]:
+    """Names and values of settings, groups included."""
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        if is_dataclass(value) and not isinstance(value, type):
+            yield from flat_settings(f"{prefix}{entry.name}.", value)
+        else:
+            yield f"{prefix}{entry.name}", value.value if isinstance(value, Enum) else repr(value)

@@ -7,6 +7,7 @@ import math
 
 import warp as wp
 
+from lumisplat.device.camera.distortion import undistorted
 from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
@@ -37,7 +38,7 @@ def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 @wp.func
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
-    """The ray of a sample through a pixel; its direction is zero where a fisheye sees nothing.
+    """The ray of a sample through a pixel; its direction is zero where a fisheye or a distorting lens sees nothing.
 
     With an aperture it starts on the lens and crosses the ray through the lens's centre where that is in focus: on a
     plane perpendicular to the axis; for a fisheye, which may see behind itself, on a sphere, with the lens
@@ -46,6 +47,13 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     ray = Ray()
     u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]
     v = (float(y) + camera.offset[1] - camera.center[1]) / camera.focal[1]
+
+    if camera.distorted != 0:
+        point = undistorted(camera, wp.vec2(u, v))
+        u = point[0]
+        v = point[1]
+        if wp.isnan(u):
+            return ray
 
     start = wp.vec3(0.0, 0.0, 0.0)
     direction = wp.vec3(0.0, 0.0, 1.0)

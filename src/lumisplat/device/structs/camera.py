@@ -35,6 +35,14 @@ class CameraData:
     aperture: float
     """Radius of the lens, scene units; 0: a pinhole."""
     focus_distance: float
+    distorted: int
+    """1: the lens distorts, by the next three."""
+    radial: wp.vec4
+    """Coefficients k1 to k4."""
+    tangential: wp.vec2
+    """Coefficients p1 and p2."""
+    distortion_reach: float
+    """Radius up to which the distortion is one to one, before it is applied."""
     shutter: int
     """1: a rolling shutter, the pose changes from row to row by the next three."""
     turn_axis: wp.vec3

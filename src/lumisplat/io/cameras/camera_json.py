@@ -1,4 +1,4 @@
-"""JSON camera files: nerfstudio's `transforms.json` or INRIA's `cameras.json`, recognised by their content."""
+"""JSON camera files, recognised by their content: nerfstudio's `transforms.json` and `camera_path.json`, INRIA's."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.camera_path_json import path_camera, path_rate
 from lumisplat.io.cameras.inria_json import inria_camera
 from lumisplat.io.cameras.json_values import Entry, is_list, is_object, quote
 from lumisplat.io.cameras.names import unique_names
-from lumisplat.io.cameras.transforms_json import transforms_camera, warn_distortion
+from lumisplat.io.cameras.transforms_json import transforms_camera
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
 from lumisplat.scene.camera import Camera
 
@@ -24,15 +25,33 @@ def read_camera_json(path: PathLike, width: int | None = None, height: int | Non
     with parsing(path, "a camera file (transforms.json or cameras.json)"):
         content = _parse(path)
         if is_object(content) and is_list(entries := content.get("frames")):
-            warn_distortion(path, content, entries)
             decode = partial(transforms_camera, path, content, fallback)
+        elif is_object(content) and is_list(entries := content.get("camera_path")):
+            decode = partial(path_camera, content)
         elif is_list(content) and _is_inria(content):
             entries, decode = content, inria_camera
         else:
-            raise FormatError(path, "not a camera file: expected 'frames' (transforms.json) or a list (cameras.json)")
+            raise FormatError(
+                path,
+                "not a camera file: expected 'frames' (transforms.json), 'camera_path' (camera_path.json) "
+                "or a list (cameras.json)",
+            )
         if not entries:
             raise FormatError(path, "has no frames")
         return unique_names([_decode_frame(path, k, entry, decode) for k, entry in enumerate(entries)])
+
+
+def read_path_rate(path: PathLike) -> float | None:
+    """Frames a second of a `camera_path.json`; None: it is another camera file."""
+    path = Path(path)
+    with parsing(path, "a camera file"):
+        content = _parse(path)
+        if is_object(content) and "camera_path" in content and "frames" not in content:
+            try:
+                return path_rate(content)
+            except SceneError as error:
+                raise FormatError(path, str(error)) from None
+    return None
 
 
 def _is_inria(entries: list[Any]) -> bool:

@@ -16,7 +16,6 @@ from lumisplat.io.cameras.json_values import (
     Entry,
     inverse_rigid,
     is_list,
-    is_object,
     number,
     number_array,
     quote,
@@ -29,7 +28,7 @@ from lumisplat.scene.camera import Camera, CameraModel
 
 _log = logging.getLogger("lumisplat")
 
-_OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
+OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
 """OpenGL cameras have -z forward and y up. This matrix is its own inverse."""
 
 _IMAGE_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
@@ -46,7 +45,8 @@ _MODELS = {
 }
 """Models by nerfstudio's names. Files are written with the first name of a model."""
 
-_DISTORTIONS = ("k1", "k2", "k3", "k4", "p1", "p2")
+_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+"""Keys of the lens distortion, in the order of `Camera.distortion`."""
 
 
 def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | None, frame: Entry) -> Camera:
@@ -67,7 +67,7 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
     rows = values["transform_matrix"]
     row_count = 3 if is_list(rows) and len(rows) == 3 else 4
     pose = number_array(rows, (row_count, 4), "transform_matrix")
-    world_from_camera = rigid_pose(pose) @ _OPENGL_FROM_OPENCV
+    world_from_camera = rigid_pose(pose) @ OPENGL_FROM_OPENCV
     width, height = _image_size(path, values, fallback)
     model = _model(values)
     angles = values if model is CameraModel.PINHOLE else {}  # other models have no agreed meaning for them
@@ -83,15 +83,8 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
         camera_from_world=inverse_rigid(world_from_camera),
         name=name_from_image(values.get("file_path", "")),
         model=model,
+        distortion=tuple(number(values, key) if key in values else 0.0 for key in _DISTORTION),  # pyright: ignore[reportArgumentType]
     )
-
-
-def warn_distortion(path: Path, shared: Entry, frames: Sequence[object]) -> None:
-    """Logs one line that lists the lens distortions of a file, which are ignored."""
-    entries = [shared, *filter(is_object, frames)]
-    distorted = [name for name in _DISTORTIONS if any(values.get(name) for values in entries)]
-    if distorted:
-        _log.warning("%s: lens distortion (%s) is ignored", path, ", ".join(distorted))
 
 
 def write_transforms(path: PathLike, cameras: Sequence[Camera]) -> None:
@@ -109,7 +102,8 @@ def write_transforms(path: PathLike, cameras: Sequence[Camera]) -> None:
             "fl_y": camera.fy,
             "cx": camera.cx,
             "cy": camera.cy,
-            "transform_matrix": (inverse_rigid(camera.camera_from_world) @ _OPENGL_FROM_OPENCV).tolist(),
+            **{key: value for key, value in zip(_DISTORTION, camera.distortion, strict=True) if value},
+            "transform_matrix": (inverse_rigid(camera.camera_from_world) @ OPENGL_FROM_OPENCV).tolist(),
         }
         for k, camera in enumerate(cameras)
     ]

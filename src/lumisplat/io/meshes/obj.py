@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lumisplat.constants import CREASE_ANGLE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import parsing, read_bytes
 from lumisplat.io.images.texture import read_texture
@@ -16,6 +17,7 @@ from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_texture
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.ops.smooth_normals import smooth_normals
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _log = logging.getLogger("lumisplat")
@@ -53,9 +55,10 @@ class _ObjFile:
     """Number of triangles left out because they name a vertex that does not exist."""
 
 
-def read_obj(path: Path) -> Mesh | Scene:
+def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
     """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
 
+    Meshes without normals get smooth ones, broken at edges sharper than ``crease_angle``, radians; 0: they stay flat.
     `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender; `Pr` and `Pm` are roughness and metallic, `Ni`
     is the index of refraction. Transparency is not read. If a material library is missing, the default material is
     used and a line is logged.
@@ -67,7 +70,7 @@ def read_obj(path: Path) -> Mesh | Scene:
         FormatError: Something in the file, or in a file that it names, is missing or malformed; names the line.
     """
     with parsing(path, "an OBJ file"):
-        meshes = _read(path)
+        meshes = [mesh if mesh.normals is not None else smooth_normals(mesh, crease_angle) for mesh in _read(path)]
         return meshes[0] if len(meshes) == 1 else Scene(meshes=tuple(MeshInstance(m, name=m.name) for m in meshes))
 
 

@@ -26,8 +26,9 @@ import numpy as np
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.rigs import is_rigged, read_rig
-from lumisplat.io.scene_toml.placement import PLACEMENT, placement
+from lumisplat.io.scene_toml.placement import PLACEMENT, STANDING, placement
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.up import scene_up
 from lumisplat.io.splats.sequence import read_sequence
 from lumisplat.scene.animation.actors import Actor, Subject
 from lumisplat.scene.animation.keyframes import Keyframes
@@ -36,10 +37,12 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.multi_mesh_sampling import gaussians_from_instances
 from lumisplat.scene.scene import MeshInstance, Scene
+from lumisplat.scene.up import Vector
 
 ACTOR_KEYS = {
     "path": TEXT,
     **PLACEMENT,
+    **STANDING,
     "name": TEXT,
     "form": TEXT,
     "count": WHOLE,
@@ -75,13 +78,13 @@ def read_actors(document: TomlTable, load: Load) -> list[Actor]:
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
     """
-    subjects = _Subjects(load)
-    return [_actor(table, subjects) for table in document.tables("actors")]
+    subjects, up = _Subjects(load), scene_up(document)
+    return [_actor(table, subjects, up) for table in document.tables("actors")]
 
 
-def _actor(table: TomlTable, subjects: _Subjects) -> Actor:
+def _actor(table: TomlTable, subjects: _Subjects, up: Vector) -> Actor:
     given = table.take(ACTOR_KEYS, required=("path",))
-    world_from_file = placement(table)
+    world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}

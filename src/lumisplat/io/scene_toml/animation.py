@@ -13,11 +13,12 @@ from __future__ import annotations
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.scene_toml.actors import Load, read_actors
-from lumisplat.io.scene_toml.cameras import LoadCameras, read_scene_cameras
+from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
 from lumisplat.io.scene_toml.scene_file import read_document, static_scene
 from lumisplat.io.scene_toml.timing import read_timing
 from lumisplat.io.scene_toml.toml_table import TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
+from lumisplat.scene.animation.camera_path import CameraPath
 
 
 def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
@@ -30,22 +31,24 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     """
     with parsing(path, "a scene file"):
         document = read_document(path)
-        if not document.tables("actors"):
-            raise document.error("lists no [[actors]]: there is nothing to animate")
+        moving = read_camera_path(document)
+        if not document.tables("actors") and moving is None:
+            raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
         fps, lighting = read_timing(document)
         actors = read_actors(document, load)
-        count = _frame_count(document.table("animation"), fps, actors)
+        count = _frame_count(document.table("animation"), fps, actors, moving)
         cameras = read_scene_cameras(document, load_cameras)
-        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting)
+        return Animation(static_scene(document, load), tuple(actors), tuple(cameras), fps, count, lighting, moving)
 
 
-def _frame_count(table: TomlTable, fps: float, actors: list[Actor]) -> int:
-    """Number of frames, from ``frames``, from ``duration``, or from the longest actor."""
+def _frame_count(table: TomlTable, fps: float, actors: list[Actor], moving: CameraPath | None) -> int:
+    """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
     given = table.values
     if "frames" in given:
         count = given["frames"]
     else:
-        count = given.get("duration", max(map(_own_duration, actors))) * fps
+        longest = max((*map(_own_duration, actors), moving.duration if moving is not None else 0.0))
+        count = given.get("duration", longest) * fps
     if count > ANIMATION_FRAMES_MAX:
         raise table.error(
             f"has {count:,.8g} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}: "

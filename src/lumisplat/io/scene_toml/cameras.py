@@ -8,6 +8,18 @@ name = "front"
 eye = [0.0, 1.0, 4.0]
 target = [0.0, 0.5, 0.0]
 fov_y_degrees = 45.0
+
+[[cameras]]                         # one that moves
+name = "flight"
+target = [0.0, 0.5, 0.0]
+
+[[cameras.keyframes]]
+time = 0.0
+eye = [0.0, 1.0, 4.0]
+
+[[cameras.keyframes]]
+time = 2.0
+eye = [3.0, 1.0, 3.0]               # what a keyframe leaves out stays as it was
 """
 
 from __future__ import annotations
@@ -23,15 +35,18 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
-from lumisplat.io.scene_toml.toml_table import NUMBER, TEXT, VECTOR, WHOLE, TomlTable
+from lumisplat.io.scene_toml.toml_table import NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.up import DIRECTION, scene_up
+from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
+from lumisplat.scene.up import Vector, up_vector
 
 _SIZE = {"width": WHOLE, "height": WHOLE}
 _FILE_KEYS = {"path": TEXT, **PLACEMENT, **_SIZE, "exposure": NUMBER}
 _VIEW_KEYS = {
     "eye": VECTOR,
     "target": VECTOR,
-    "up": VECTOR,
+    "up": DIRECTION,
     "fov_y_degrees": NUMBER,
     **_SIZE,
     "name": TEXT,
@@ -40,6 +55,14 @@ _VIEW_KEYS = {
     "exposure": NUMBER,
     "aperture": NUMBER,
     "focus_distance": NUMBER,
+    "keyframes": TABLES,
+}
+CAMERA_KEYFRAME_KEYS = {
+    "time": NUMBER,
+    **{
+        key: _VIEW_KEYS[key]
+        for key in ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
+    },
 }
 
 
@@ -66,13 +89,14 @@ def read_scene_cameras(
         FormatError: A key is unknown, a value is invalid, or a camera file cannot be read.
     """
     cameras: list[Camera] = []
+    up = scene_up(document)
     for table in document.tables("cameras"):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values out of range are refused by name
                 if "path" in table.values:
                     cameras += _cameras_of_file(table, load, width, height)
                 else:
-                    cameras.append(_view(table))
+                    cameras.append(_view(table, up))
         except FormatError:
             raise
         except SceneError as error:
@@ -92,18 +116,72 @@ def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, hei
     return [replace(camera.scaled(own_width, own_height), **exposure) for camera in loaded]
 
 
-def _view(table: TomlTable) -> Camera:
-    given = table.take(_VIEW_KEYS, required=("eye", "target"))
+def read_camera_path(document: TomlTable) -> CameraPath | None:
+    """The first camera of a scene file that moves; None: all stand still.
+
+    Raises:
+        FormatError: A key is unknown, or a value is invalid.
+    """
+    for table in document.tables("cameras"):
+        if "keyframes" in table.values:
+            return _moving_view(table, scene_up(document))
+    return None
+
+
+def _view(table: TomlTable, up: Vector) -> Camera:
+    """The camera of an entry, of one that moves at its first keyframe."""
+    if "keyframes" in table.values:
+        return _moving_view(table, up).cameras[0]
+    return _camera(table, table.take(_VIEW_KEYS, required=("eye", "target")), up)
+
+
+def _moving_view(table: TomlTable, up: Vector) -> CameraPath:
+    """The way of an entry through its keyframes; a key that one leaves out keeps the value of the one before."""
+    last = table.take(_VIEW_KEYS)
+    del last["keyframes"]
+    times: list[float] = []
+    cameras: list[Camera] = []
+    targets: list[list[float]] = []
+    for entry in table.tables("keyframes"):
+        given = entry.take(CAMERA_KEYFRAME_KEYS, required=("time",))
+        time = given.pop("time")
+        if not np.isfinite(time) or (times and time <= times[-1]):
+            raise entry.wrong("time", f"seconds after {times[-1]:g}: times must rise" if times else "seconds")
+        last |= given
+        for key in ("eye", "target"):
+            if key not in last:
+                raise entry.error(f"lacks {key}, three numbers, here or in the camera above")
+        times.append(time)
+        cameras.append(_camera(entry, last, up))
+        targets.append(last["target"])
+    if not cameras:
+        raise table.error("keyframes is empty: expected [[cameras.keyframes]]", "keyframes")
+    return CameraPath(cameras, times, targets)
+
+
+def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
+    """A camera of `Camera.look_at`; without ``up`` among the values, that of the scene is up in the image."""
+    values: dict[str, Any] = dict(given)
     models = {model.value: model for model in CameraModel}
-    if given.get("model", "pinhole") not in models:
+    name = values.get("model", "pinhole")
+    if name not in models:
         raise table.wrong("model", " or ".join(models))
-    given["model"] = models[given.get("model", "pinhole")]
-    exposure = given.pop("exposure", 0.0)
-    widest, fov_y = 360.0 if given["model"] is CameraModel.FISHEYE else 180.0, given.get("fov_y_degrees", 45.0)
+    values["model"] = models[name]
+    try:
+        values["up"] = up_vector(values["up"]) if "up" in values else up
+    except SceneError as error:
+        raise table.error(str(error), "up") from None
+    exposure = values.pop("exposure", 0.0)
+    widest, fov_y = 360.0 if values["model"] is CameraModel.FISHEYE else 180.0, values.get("fov_y_degrees", 45.0)
     if not 0.0 < fov_y < widest:
-        raise table.wrong("fov_y_degrees", f"more than 0 and less than {widest:g} degrees")
-    values: dict[str, Any] = with_radians(table, given, widest)
-    return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), exposure=exposure)
+        raise table.error(
+            f"fov_y_degrees is {fov_y}, expected more than 0 and less than {widest:g} degrees", "fov_y_degrees"
+        )
+    values = with_radians(table, values, widest)
+    try:
+        return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), exposure=exposure)
+    except SceneError as error:
+        raise table.failed(error) from None
 
 
 def _move(camera: Camera, world_from_file: npt.NDArray[np.float64]) -> Camera:

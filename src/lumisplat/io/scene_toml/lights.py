@@ -23,7 +23,7 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
-from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, suggestion
+from lumisplat.io.scene_toml.toml_table import PAIR, TEXT, VECTOR, Kind, TomlTable, Values, suggestion
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
@@ -45,6 +45,20 @@ _KINDS: dict[str, type[Light]] = {
 }
 
 
+_WORDS: dict[type[Light], dict[str, Kind]] = {
+    LightSpot: {"target": VECTOR},
+    LightDirectional: {"position": VECTOR, "target": VECTOR},
+    LightRect: {"target": VECTOR, "size": PAIR},
+}
+"""Keys of lights that stand for others."""
+_AIMS: dict[type[Light], tuple[str, ...]] = {
+    LightSpot: ("direction",),
+    LightDirectional: ("direction",),
+    LightRect: ("edge_u", "edge_v"),
+}
+"""The keys that those stand for, which are needed without them."""
+
+
 def read_light(table: TomlTable) -> Light:
     """The light of one entry of ``[[lights]]``.
 
@@ -58,7 +72,7 @@ def read_light(table: TomlTable) -> Light:
     if kind is None:
         meant = suggestion(name, _KINDS) if isinstance(name, str) else f"expected {', '.join(_KINDS)}"
         raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
-    given = table.take({"type": TEXT, **schema(kind)}, required_keys(kind))
+    given = table.take({"type": TEXT, **schema(kind), **_WORDS.get(kind, {})}, _required(kind, table))
     del given["type"]
     values = with_radians(table, given)
     if kind is LightSpot:
@@ -67,6 +81,13 @@ def read_light(table: TomlTable) -> Light:
             key = "inner_angle_degrees" if "inner_angle_degrees" in given else "outer_angle_degrees"
             raise table.error(f"inner_angle_degrees is {inner}, expected less than outer_angle_degrees, {outer}", key)
     return _make(table, kind, values)
+
+
+def _required(kind: type[Light], table: TomlTable) -> list[str]:
+    """The keys that a light needs: those without a default, and something that says where it shines."""
+    aims = _AIMS.get(kind, ())
+    instead = {"target", "position" if kind is LightDirectional else "target"} & set(table.values)
+    return required_keys(kind) + ([] if instead else list(aims))
 
 
 def read_environment(table: TomlTable) -> LightEnvironment:

@@ -8,6 +8,7 @@ from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.errors import SceneError
+from lumisplat.math.distortion import distortion_reach
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -70,6 +71,9 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["tiles_x"], row["tiles_y"] = tile_grid(camera.width, camera.height)
     row["near"] = camera.near
     row["aperture"], row["focus_distance"] = camera.aperture, camera.focus_distance
+    row["distorted"] = camera.is_distorted
+    row["radial"], row["tangential"] = camera.distortion[:4], camera.distortion[4:]
+    row["distortion_reach"] = distortion_reach(camera.distortion)
     row["shutter"] = camera.camera_from_world_end is not None
     row["turn_axis"] = turn / angle if angle > 0.0 else turn
     row["turn_angle"] = angle

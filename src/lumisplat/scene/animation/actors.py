@@ -14,6 +14,7 @@ from lumisplat.config.checks import is_number, is_whole
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
+from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.animation.keyframes import Keyframes, check_time
 from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.animation.rigged_gaussians import RiggedGaussians
@@ -152,6 +153,8 @@ class Animation:
     """Number of frames, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
     """How actors are lit and cast shadows."""
+    camera_path: CameraPath | None = None
+    """A camera that moves, in the animation's time; None: ``cameras`` stand still."""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
 
@@ -163,6 +166,7 @@ class Animation:
             fps: float = 25.0,
             frame_count: int = 1,
             lighting: AvatarLightingConfig = ...,
+            camera_path: CameraPath | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -173,6 +177,8 @@ class Animation:
                 if not isinstance(item, kind):
                     raise SceneError(f"{name} holds a {type(item).__name__}, expected {kind.__name__}")
             object.__setattr__(self, name, items)
+        if self.camera_path is not None:
+            check_kind("camera_path", self.camera_path, CameraPath, "a CameraPath")
         check_kind("lighting", self.lighting, AvatarLightingConfig, "an AvatarLightingConfig")
         check_positive("fps", self.fps)
         count = self.frame_count

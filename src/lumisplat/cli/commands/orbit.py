@@ -1,0 +1,129 @@
+"""``lumisplat orbit``: once round a scene, as frames and a video."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+import lumisplat as ls
+from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.unused import unused_options
+from lumisplat.cli.output.console import counted, progress_bars
+from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
+from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.stats import print_stats
+from lumisplat.cli.output.video import check_video, write_video
+
+_log = logging.getLogger("lumisplat")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orbit(FrameCommand):
+    """Go once round a scene, or along a --path, frame by frame, and make a video of it.
+
+    After an interruption, the same command goes on: frames that are there stay.
+    First try: lumisplat orbit garden.ply --video orbit.mp4
+    """
+
+    scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
+    """Captures, meshes or a scene.toml, as for render."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("orbit")
+    """Where frames go, as frame_0000.png and so on, with orbit.json, which says what they were made of."""
+    video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Also make a video of the frames: .mp4 (H.264; pip install 'lumisplat[video]'), .gif, .webp or .apng."""
+    seconds: Annotated[float, arg(metavar="SECONDS")] = 6.0
+    """How long it takes."""
+    fps: Annotated[float, arg(metavar="FPS")] = 25.0
+    """Frames a second."""
+    turns: Annotated[float, arg(metavar="TURNS")] = 1.0
+    """How many times round, to the right; negative: to the left."""
+    overwrite: Flag = False
+    """Remove the frames that are there first, whatever they were made of."""
+
+    def run(self) -> None:
+        """Renders the frames that are missing, then the video."""
+        count = self._frame_count()
+        self.viewpoint.check(None)
+        along = self.cameras_along(self.path, np.arange(count) / self.fps) if self.path is not None else []
+        file = scene_file(self.scene)
+        config = self.frame_config(scene_settings(file))
+        check_writable(self.output)
+        environment = self.light.environment_light()
+        if self.video is not None:
+            check_video(self.video, self.fps)
+        with progress_bars() as report:
+            renderer = self.start_renderer(report, config, profile=self.stats)
+            scene = self.viewpoint.upright(self.load_scene(self.scene, report))
+            scene = self.light.lit_scene(scene, environment)
+            cameras = along or self._round(scene, count)
+            folder = FrameFolder(self.output, "png", "orbit.json")
+            folder.prepare(self._origin(config, renderer.device), self.overwrite)
+            missing = [index for index in range(count) if not folder.is_finished(index)]
+            for line in unused_options(config, scene, [], self.rays, self.light):
+                _log.warning("%s", line)
+            try:
+                report("frames", 0.0)
+                for done, index in enumerate(missing, start=1):
+                    frame = renderer.render(scene, cameras[index], progress=report)
+                    frame.save(folder.path(index))
+                    report("frames", done / len(missing))
+                    if self.stats and done == len(missing):
+                        print_stats(frame, renderer.config.pipeline)
+                if self.video is not None:
+                    write_video(self.video, [folder.path(index) for index in range(count)], self.fps, report)
+            except KeyboardInterrupt:
+                there = sum(map(folder.is_finished, range(count)))
+                again = "the same command without --overwrite" if self.overwrite else "the same command"
+                raise KeyboardInterrupt(
+                    f"{self.output} holds {there} of {counted(count, 'frame')}; {again} goes on"
+                ) from None
+        there = count - len(missing)
+        were = "was" if there == 1 else "were"
+        print(f"{counted(count, 'frame')} in {self.output}" + f", {there} of them {were} there" * bool(there))
+        if self.video is not None:
+            print(f"{self.video} ({self.fps:g} frames a second, {count / self.fps:.2f} s)")
+
+    def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
+        """The cameras round the scene."""
+        start, target = self.own_camera(scene, all_around=True), self.viewpoint.target_point(scene)
+        return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
+
+    def _frame_count(self) -> int:
+        """Number of frames.
+
+        Raises:
+            ConfigError: The length, the rate or the turns are out of range.
+        """
+        for option, value in (("--seconds", self.seconds), ("--fps", self.fps)):
+            if not 0.0 < value < math.inf:
+                raise ls.ConfigError(f"{option} is {value:g}, expected a positive number")
+        if not math.isfinite(self.turns):
+            raise ls.ConfigError(f"--turns is {self.turns}, expected a number")
+        if self.seconds * self.fps > 1e6:
+            raise ls.ConfigError(f"--seconds {self.seconds:g} at --fps {self.fps:g} are more than a million frames")
+        return max(1, round(self.seconds * self.fps))
+
+    def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
+        """All that a frame follows from, except its number."""
+        files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
+        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid")
+        return {
+            "lumisplat": ls.__version__,
+            "device": device,
+            "scene": " ".join(map(str, self.scene)),
+            **{name: f"{getattr(self, name)}" for name in chosen},
+            "exposure": f"{self.light.exposure}",
+            "environment_rotation": f"{self.light.environment_rotation}",
+            **dict(flat_settings("viewpoint.", self.viewpoint)),
+            **dict(flat_settings("", config)),
+            **file_marks(files, self.output),
+        }

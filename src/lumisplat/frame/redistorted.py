@@ -1,0 +1,162 @@
+"""Frames of distorting lenses from frames of pinholes: for the rasteriser, which draws straight lines as such.
+
+The choice and its alternatives: docs/adr/0028-cameras-and-distortion.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
+from lumisplat.errors import SceneError
+from lumisplat.frame.frame import Frame
+from lumisplat.math.color import decode_srgb
+from lumisplat.math.distortion import distortion_jacobian, undistort
+from lumisplat.scene.camera import Camera
+
+_Doubles = npt.NDArray[np.float64]
+_Image = npt.NDArray[Any]
+
+_NEAREST = ("depth", "normal", "gaussian_index", "instance_index")
+"""Images that cannot be averaged: they belong to one point each."""
+_FILTERED = ("color", "alpha", "captured", "captured_weight", "light", "albedo", "emission", "reflection", "hits")
+_PER_LIGHT = ("light_direct", "light_shadow")
+"""Images with one layer a light."""
+
+
+def undistorted_camera(camera: Camera) -> Camera:
+    """The pinhole camera that sees all that a distorting one sees, as finely as it does where it magnifies most.
+
+    Raises:
+        SceneError: The lens is so wide that most of the pinhole's image would be thrown away.
+    """
+    seen = undistort(_corners(camera), camera.distortion)
+    seen = seen[~np.isnan(seen[:, 0])]
+    name = f" '{camera.name}'" if camera.name else ""
+    advice = "use Pipeline.TRACE, whose rays follow the lens"
+    if not len(seen):
+        raise SceneError(f"camera{name} has a distortion that shows nothing: {advice}")
+    scale = float(np.clip(_magnifications(camera).max(), 1.0, UNDISTORTED_SCALE_MAX))
+    focal = scale * np.array([camera.fx, camera.fy])
+    # Two pixels of room, for the filter.
+    low, high = np.floor(focal * seen.min(axis=0)) - 2.0, np.ceil(focal * seen.max(axis=0)) + 2.0
+    width, height = (high - low).astype(int)
+    if width * height > UNDISTORTED_AREA_MAX * camera.width * camera.height + 4096:
+        raise SceneError(
+            f"camera{name} has a distortion that would need an undistorted image of {width} x {height} pixels: {advice}"
+        )
+    return replace(
+        camera,
+        width=int(width),
+        height=int(height),
+        fx=float(focal[0]),
+        fy=float(focal[1]),
+        cx=float(-low[0]),
+        cy=float(-low[1]),
+        distortion=(0.0,) * 6,
+    )
+
+
+def redistorted(frame: Frame, camera: Camera) -> Frame:
+    """A frame as a distorting lens shows it.
+
+    Colours and other means are filtered (Catmull-Rom, over the area of each pixel); depth, normals and indices are
+    those of the nearest pixel.
+
+    Args:
+        frame: The frame of `undistorted_camera`.
+        camera: The camera with the distorting lens.
+    """
+    # A pixel that the lens has shrunk covers several of the pinhole's: as many points a side as it is wide.
+    magnifications = _magnifications(camera) / frame.camera.fx * camera.fx
+    across = int(np.clip(np.ceil(1.0 / magnifications.min() - 0.1), 1, 4))
+    points = [
+        _points(camera, frame.camera, (i + 0.5) / across, (j + 0.5) / across) for j, i in np.ndindex(across, across)
+    ]
+    middle = _points(camera, frame.camera, 0.5, 0.5)
+    empty = _empty(frame)
+    changes: dict[str, Any] = {"camera": camera}
+    for name in _NEAREST:
+        changes[name] = _nearest(getattr(frame, name), middle, empty[name])
+    for name in (*_FILTERED, *_PER_LIGHT):
+        image = getattr(frame, name)
+        if image is not None:
+            layers = np.moveaxis(image, 0, 2) if name in _PER_LIGHT else image
+            shown = _filtered(layers.reshape(*layers.shape[:2], -1), points, empty[name])
+            shown = shown.reshape(*middle.shape[:2], *layers.shape[2:])
+            changes[name] = np.moveaxis(shown, 2, 0) if name in _PER_LIGHT else shown
+    return replace(frame, **changes)
+
+
+def _magnifications(camera: Camera) -> _Doubles:
+    """By how much the lens magnifies, relative to its middle: singular values all over the image, shape (N, 2)."""
+    x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
+    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
+    seen = undistort(shown, camera.distortion)
+    jacobian = distortion_jacobian(seen[~np.isnan(seen[:, 0])], camera.distortion)
+    return np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=np.float64)
+
+
+def _corners(camera: Camera) -> _Doubles:
+    """The corners of all pixels, without focal length, shape (N, 2)."""
+    x, y = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
+    return (np.stack([x, y], axis=-1).reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+
+
+def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> _Doubles:
+    """Where the pinhole sees what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
+    x, y = np.meshgrid(np.arange(camera.width) + right, np.arange(camera.height) + down)
+    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
+    seen = undistort(shown, camera.distortion)
+    return seen * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)
+
+
+def _nearest(image: _Image, points: _Doubles, empty: float) -> _Image:
+    """The values of the nearest pixels."""
+    seen = ~np.isnan(points[..., 0])
+    x, y = (np.where(seen, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
+    values = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
+    values[~seen] = empty
+    return values
+
+
+def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
+    """The mean over points of an image, (H, W, C), interpolated by Catmull-Rom's cubics without overshoot."""
+    total = np.zeros((*points[0].shape[:2], image.shape[2]))
+    for point in points:
+        seen = ~np.isnan(point[..., 0])
+        corner = np.where(seen[..., None], point - 0.5, 0.0)
+        first = np.floor(corner).astype(np.int64)
+        weights = _cubic(np.asarray(corner - first, dtype=np.float64))
+        value: _Doubles = np.zeros_like(total)
+        low, high = np.full_like(total, np.inf), np.full_like(total, -np.inf)
+        for j, i in np.ndindex(4, 4):
+            x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)
+            y = np.clip(first[..., 1] + j - 1, 0, image.shape[0] - 1)
+            texel = image[y, x]
+            value += (weights[i][..., 0] * weights[j][..., 1])[..., None] * texel
+            if i in (1, 2) and j in (1, 2):
+                low, high = np.minimum(low, texel), np.maximum(high, texel)
+        total += np.where(seen[..., None], np.clip(value, low, high), empty)
+    return (total / len(points)).astype(image.dtype)
+
+
+def _cubic(share: _Doubles) -> list[_Doubles]:
+    """Weights of the four neighbours of a point at a share of the way between the middle two (Catmull-Rom 1974)."""
+    s, r = share, 1.0 - share
+    return [-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s]
+
+
+def _empty(frame: Frame) -> dict[str, Any]:
+    """What images show where the lens shows nothing: the background."""
+    behind = np.array(frame.background or (0.0, 0.0, 0.0))
+    is_lit = frame.captured is not None
+    values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, "normal"), 0.0)
+    values |= {"depth": np.inf, "gaussian_index": -1, "instance_index": -1, "captured": behind}
+    values["color"] = decode_srgb(behind.astype(np.float32)) if is_lit else behind
+    values["captured_weight"] = 0.0 if frame.background is None else 1.0
+    return values

@@ -1,0 +1,176 @@
+"""Cameras of COLMAP's sparse models: ``cameras`` and ``images``, .bin or .txt, with OpenCV's axes.
+
+The layouts are those of COLMAP's documentation, "Output format"; numbers of models are those of its CameraModelId.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from lumisplat.errors import FormatError, SceneError
+from lumisplat.io.cameras.names import name_from_image
+from lumisplat.io.files.source import PathLike, parsing, read_bytes
+from lumisplat.math.rotations import rotation_matrix
+from lumisplat.scene.camera import Camera, CameraModel
+
+FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
+"""Files of a model, any of which stands for it."""
+
+_NAMES = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
+    *("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"),
+    *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
+)
+"""Names of models by their number."""
+
+_PARAMETERS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "SIMPLE_FISHEYE": "f cx cy",
+    "FISHEYE": "fx fy cx cy",
+}
+"""Parameters of the models that a `Camera` can be."""
+
+_IMAGE = struct.Struct("<i7di")
+"""Number, rotation wxyz and translation of camera from world, number of the camera."""
+_CAMERA = struct.Struct("<iiQQ")
+"""Number, number of the model, width, height."""
+_POINT_BYTES = 24
+
+_Lens = tuple[str, int, int, list[float]]
+"""Name of the model, width, height and parameters."""
+
+
+def is_colmap(path: Path) -> bool:
+    """Whether a path is a file of a model, or a folder that holds one."""
+    return path.name in FILES or (path.is_dir() and any((path / name).is_file() for name in FILES))
+
+
+def read_colmap(path: PathLike) -> list[Camera]:
+    """The cameras of a model, in the order of its images; images without a pose are not in it.
+
+    Args:
+        path: The folder of the model, or one of `FILES`.
+
+    Raises:
+        FormatError: A file is missing or damaged, or has a camera of another model.
+    """
+    path = Path(path)
+    folder = path if path.is_dir() else path.parent
+    with parsing(path, "a sparse model of COLMAP"):
+        lenses = dict(_read_cameras(_file(folder, "cameras")))
+        images = _file(folder, "images")
+        cameras = [_camera(images, lenses, entry) for entry in _read_images(images)]
+        if not cameras:
+            raise FormatError(images, "has no images with a pose")
+        return cameras
+
+
+def _file(folder: Path, stem: str) -> Path:
+    """The file of that name, .bin before .txt, as COLMAP reads them."""
+    for suffix in (".bin", ".txt"):
+        if (folder / (stem + suffix)).is_file():
+            return folder / (stem + suffix)
+    raise FormatError(
+        folder, f"has no {stem}.bin or {stem}.txt, expected the folder of a sparse model, such as sparse/0"
+    )
+
+
+def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float], int, str]) -> Camera:
+    """The camera of an image."""
+    number, pose, lens_number, name = entry
+    where = f"image {number} ({name})"
+    if lens_number not in lenses:
+        raise FormatError(path, f"{where} is of camera {lens_number}, which is not in the model")
+    model, width, height, values = lenses[lens_number]
+    if model not in _PARAMETERS:
+        raise FormatError(
+            path,
+            f"camera {lens_number} is a {model}, expected {', '.join(_PARAMETERS)}: undistort the images "
+            "(colmap image_undistorter) and give the model of these",
+        )
+    names = _PARAMETERS[model].split()
+    if len(names) != len(values):
+        raise FormatError(path, f"camera {lens_number} has {len(values)} parameters, expected {' '.join(names)}")
+    given = dict(zip(names, values, strict=True))
+    camera_from_world = np.eye(4)
+    try:
+        camera_from_world[:3, :3] = rotation_matrix(pose[:4])
+        camera_from_world[:3, 3] = pose[4:]
+        k1, k2, k3, k4, p1, p2 = (given.get(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+        return Camera(
+            width=width,
+            height=height,
+            fx=given.get("fx", given.get("f", 0.0)),
+            fy=given.get("fy", given.get("f", 0.0)),
+            cx=given["cx"],
+            cy=given["cy"],
+            camera_from_world=camera_from_world,
+            name=name_from_image(name),
+            model=CameraModel.FISHEYE if model.endswith("FISHEYE") else CameraModel.PINHOLE,
+            distortion=(k1, k2, k3, k4, p1, p2),
+        )
+    except SceneError as error:
+        raise FormatError(path, f"{where}: {error}") from None
+
+
+def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
+    """Number and lens of each camera."""
+    if path.suffix == ".txt":
+        for line in _lines(path):
+            number, model, width, height, *values = line.split()
+            yield int(number), (model, int(width), int(height), [float(value) for value in values])
+        return
+    data = read_bytes(path)
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(count):
+        number, model, width, height = _CAMERA.unpack_from(data, at)
+        at += _CAMERA.size
+        name = _NAMES[model] if 0 <= model < len(_NAMES) else f"model {model}"
+        if name not in _PARAMETERS:
+            raise FormatError(path, f"camera {number} is a {name}, expected {', '.join(_PARAMETERS)}")
+        values = struct.unpack_from(f"<{len(_PARAMETERS[name].split())}d", data, at)
+        at += 8 * len(values)
+        yield number, (name, width, height, list(values))
+
+
+def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
+    """Number, pose, camera's number and name of each image."""
+    if path.suffix == ".txt":
+        lines = _lines(path, blank=True)
+        for line in lines:
+            if not line.strip():
+                continue
+            number, *pose, camera, name = line.split(maxsplit=9)
+            yield int(number), [float(value) for value in pose], int(camera), name.strip()
+            next(lines, None)  # its points, which may be none
+        return
+    data = read_bytes(path)
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(count):
+        number, *pose, camera = _IMAGE.unpack_from(data, at)
+        at += _IMAGE.size
+        end = data.index(b"\0", at)
+        name = data[at:end].decode(errors="surrogateescape")
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + _POINT_BYTES * points
+        if at > len(data):
+            raise FormatError(path, f"image {number} ({name}) is cut off")
+        yield number, pose, camera, name
+
+
+def _lines(path: Path, blank: bool = False) -> Iterator[str]:
+    """The lines of a text file without its comments, and without empty ones unless asked for."""
+    for line in read_bytes(path).decode(errors="surrogateescape").splitlines():
+        if not line.startswith("#") and (blank or line.strip()):
+            yield line

@@ -1,0 +1,88 @@
+"""Lens distortion: radial and tangential polynomials (Brown 1971), with OpenCV's names and signs.
+
+The equations are in docs/method/ray_tracing.md#distortion. Coordinates are those of a camera's model before the focal
+length: tangents for a pinhole, radians for a fisheye.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import DISTORTION_RESIDUAL, DISTORTION_STEPS
+
+_Doubles = npt.NDArray[np.float64]
+
+Coefficients = tuple[float, float, float, float, float, float]
+"""k1, k2, k3, k4, p1, p2."""
+
+
+def distort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+    """Where a lens shows points, shape (..., 2)."""
+    k1, k2, k3, k4, p1, p2 = coefficients
+    u, v = points[..., 0], points[..., 1]
+    s = u * u + v * v
+    radial = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    return np.stack(
+        [
+            u * radial + 2.0 * p1 * u * v + p2 * (s + 2.0 * u * u),
+            v * radial + 2.0 * p2 * u * v + p1 * (s + 2.0 * v * v),
+        ],
+        axis=-1,
+    )
+
+
+def undistort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+    """What a lens shows at points, shape (..., 2), by Newton's method; NaN where it shows nothing.
+
+    Of several solutions, the one inside `distortion_reach` counts: beyond it the polynomial folds back.
+    """
+    if not any(coefficients):
+        return points
+    reach = distortion_reach(coefficients)
+    found = _within(points, reach)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for _ in range(DISTORTION_STEPS):
+            error = distort(found, coefficients) - points
+            if np.abs(error).max(initial=0.0) <= 0.01 * DISTORTION_RESIDUAL:
+                break
+            found = _within(found - _solved(distortion_jacobian(found, coefficients), error), reach)
+        error = np.abs(distort(found, coefficients) - points).max(axis=-1)
+    found[~(error <= DISTORTION_RESIDUAL)] = np.nan
+    return found
+
+
+def distortion_reach(coefficients: Coefficients) -> float:
+    """Radius up to which the radial polynomial rises, before distortion; inf if it always does."""
+    k1, k2, k3, k4, _, _ = coefficients
+    roots = np.roots([9.0 * k4, 7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
+    squares = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    return float(np.sqrt(squares.min())) if squares.size else np.inf
+
+
+def distortion_jacobian(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+    """Derivative of `distort`, shape (..., 2, 2)."""
+    k1, k2, k3, k4, p1, p2 = coefficients
+    u, v = points[..., 0], points[..., 1]
+    s = u * u + v * v
+    radial = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
+    mixed = slope * u * v + 2.0 * (p1 * u + p2 * v)
+    uu = radial + slope * u * u + 2.0 * p1 * v + 6.0 * p2 * u
+    vv = radial + slope * v * v + 2.0 * p2 * u + 6.0 * p1 * v
+    return np.stack([np.stack([uu, mixed], axis=-1), np.stack([mixed, vv], axis=-1)], axis=-2)
+
+
+def _solved(matrices: _Doubles, vectors: _Doubles) -> _Doubles:
+    """The solutions of 2 x 2 systems, by Cramer's rule."""
+    a, b, c, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
+
+
+def _within(points: _Doubles, reach: float) -> _Doubles:
+    """Points, those outside of a circle moved onto it."""
+    if reach == np.inf:
+        return np.array(points)
+    radius = np.linalg.norm(points, axis=-1, keepdims=True)
+    return points * np.minimum(1.0, reach / np.maximum(radius, 1e-300))

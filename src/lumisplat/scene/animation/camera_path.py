@@ -1,0 +1,167 @@
+"""A camera that moves smoothly through cameras at given times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.checks import is_number
+from lumisplat.constants import ANIMATION_FRAMES_MAX
+from lumisplat.errors import SceneError, check_shapes
+from lumisplat.math.arrays import finite_array
+from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
+from lumisplat.scene.animation.keyframes import check_time
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import items_of
+
+_Doubles = npt.NDArray[np.float64]
+
+_SAME = ("width", "height", "model", "distortion")
+"""What all cameras of a path have in common."""
+_BLENDED = ("cx", "cy", "near", "aperture", "focus_distance", "exposure")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPath:
+    """A camera that moves through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
+
+    Before the first time and after the last one it stands still. With ``targets`` it looks at a point that moves
+    likewise, so that what is in the middle of the image stays there between the keys, too.
+
+    Raises:
+        SceneError: There is no camera, they differ in size, model or distortion, one has a rolling shutter, shapes do
+            not fit, or times do not rise.
+    """
+
+    cameras: tuple[Camera, ...]
+    times: npt.ArrayLike | None = None
+    """Seconds, rising, shape (K,); None: 0, 1, 2 and so on."""
+    targets: npt.ArrayLike | None = None
+    """World positions in the middle of the image at these times, shape (K, 3); None: rotations are interpolated."""
+
+    if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
+
+        def __init__(
+            self,
+            cameras: Iterable[Camera],
+            times: npt.ArrayLike | None = None,
+            targets: npt.ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        cameras = tuple(items_of("cameras", self.cameras))
+        for k, camera in enumerate(cameras):
+            if not isinstance(camera, Camera):
+                raise SceneError(f"cameras holds a {type(camera).__name__}, expected Cameras")
+            if camera.camera_from_world_end is not None:
+                raise SceneError(f"camera {k} of the path has a rolling shutter, expected one pose each")
+            for name in _SAME:
+                if getattr(camera, name) != getattr(cameras[0], name):
+                    raise SceneError(
+                        f"the cameras of a path differ in {name} (camera {k}): give all the same, "
+                        "see Camera.scaled for sizes"
+                    )
+        if not cameras:
+            raise SceneError("a path has at least one camera, this one has none")
+        object.__setattr__(self, "cameras", cameras)
+        times = np.arange(float(len(cameras))) if self.times is None else finite_array("times", self.times, np.float64)
+        targets = None if self.targets is None else finite_array("targets", self.targets, np.float64)
+        check_shapes(cameras=(np.empty(len(cameras)), "K"), times=(times, "K"), targets=(targets, "K 3"))
+        if (np.diff(times) <= 0.0).any():
+            raise SceneError("times of a path must rise")
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "targets", targets)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last camera, seconds."""
+        return float(np.asarray(self.times)[-1])
+
+    def at(self, time: float) -> Camera:
+        """The camera at a time, seconds.
+
+        Raises:
+            SceneError: ``time`` is not a finite number, or the eye meets the target on the way.
+        """
+        check_time(time)
+        keys, times = self.cameras, np.asarray(self.times)
+        if len(keys) == 1 or time <= times[0]:
+            return keys[0]
+        if time >= times[-1]:
+            return keys[-1]
+        eyes = np.array([camera.eye for camera in keys])
+        rotations = _aligned(quaternions_from_matrices(np.array([c.world_from_camera[:3, :3] for c in keys])))
+        eye = _cubic(times, eyes, time)
+        rotation = matrices_from_quaternions(_cubic(times, rotations, time)[None])[0]
+        focal = np.exp(_cubic(times, np.log([(camera.fx, camera.fy) for camera in keys]), time))
+        after = int(np.searchsorted(times, time, side="right"))
+        share = float((time - times[after - 1]) / (times[after] - times[after - 1]))
+        before, next_key = keys[after - 1], keys[after]
+        blended = {n: (1.0 - share) * getattr(before, n) + share * getattr(next_key, n) for n in _BLENDED}
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T
+        pose[:3, 3] = -rotation.T @ eye
+        if self.targets is not None:
+            target = _cubic(times, np.asarray(self.targets), time)
+            pose = Camera.look_at(eye, target, -rotation[:, 1]).camera_from_world
+        return replace(before, camera_from_world=pose, fx=float(focal[0]), fy=float(focal[1]), **blended)
+
+    def frames(self, fps: float) -> list[Camera]:
+        """One camera for each frame, from the first time to the last, named ``frame_00000`` and so on.
+
+        Args:
+            fps: Frames a second, above 0.
+
+        Raises:
+            SceneError: The rate is out of range, or gives too many frames.
+        """
+        if not is_number(fps) or not 0.0 < fps < math.inf:
+            raise SceneError(f"fps is {fps}, expected a positive number")
+        first = float(np.asarray(self.times)[0])
+        count = (self.duration - first) * fps
+        if count > ANIMATION_FRAMES_MAX:
+            raise SceneError(f"the path takes {count:,.0f} frames at fps = {fps:g}: at most {ANIMATION_FRAMES_MAX:,}")
+        return [replace(self.at(first + k / fps), name=f"frame_{k:05d}") for k in range(int(count + 1e-6) + 1)]
+
+    def stretched(self, seconds: float) -> CameraPath:
+        """The same path from time 0 to ``seconds``.
+
+        Raises:
+            SceneError: ``seconds`` is not positive.
+        """
+        if not is_number(seconds) or not 0.0 < seconds < math.inf:
+            raise SceneError(f"seconds is {seconds}, expected a positive number")
+        times = np.asarray(self.times) - np.asarray(self.times)[0]
+        return replace(self, times=times * (seconds / times[-1]) if times[-1] > 0.0 else times)
+
+
+def _aligned(quaternions: npt.NDArray[np.floating]) -> _Doubles:
+    """Quaternions of the same rotations, each on the side of the one before."""
+    aligned = np.array(quaternions, dtype=np.float64)
+    for k in range(1, len(aligned)):
+        if aligned[k] @ aligned[k - 1] < 0.0:
+            aligned[k] = -aligned[k]
+    return aligned
+
+
+def _cubic(times: _Doubles, values: _Doubles, time: float) -> _Doubles:
+    """Values, shape (K, N), at a time between the first and the last: Hermite's cubic through two neighbours.
+
+    The slope at a key is that from the key before to the key after it, at the ends to the neighbour.
+    """
+    k = int(np.searchsorted(times, time, side="right")) - 1
+    span = times[k + 1] - times[k]
+    s = (time - times[k]) / span
+    first, last = _slope(times, values, k) * span, _slope(times, values, k + 1) * span
+    step = values[k + 1] - values[k]
+    return values[k] + s * first + s * s * (3.0 * step - 2.0 * first - last) + s * s * s * (first + last - 2.0 * step)
+
+
+def _slope(times: _Doubles, values: _Doubles, k: int) -> _Doubles:
+    before, after = max(k - 1, 0), min(k + 1, len(times) - 1)
+    return (values[after] - values[before]) / (times[after] - times[before])

@@ -1,0 +1,127 @@
+"""A camera for a scene that comes without one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.checks import is_number
+from lumisplat.constants import FRAMING_ELEVATION, FRAMING_FOV_Y, FRAMING_MARGIN
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import finite_numbers
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import check_argument, check_positive
+from lumisplat.scene.scene import Scene
+from lumisplat.scene.up import front_vector
+
+_Points = npt.NDArray[np.float64]
+
+
+def frame_camera(
+    scene: Scene,
+    *,
+    azimuth: float = 0.0,
+    elevation: float = FRAMING_ELEVATION,
+    distance: float | None = None,
+    target: npt.ArrayLike | None = None,
+    fov_y: float = FRAMING_FOV_Y,
+    width: int = 1280,
+    height: int = 720,
+    name: str = "front",
+    all_around: bool = False,
+) -> Camera:
+    """A camera that looks at a scene from any side; without further arguments all of it, from the front.
+
+    Args:
+        scene: The scene to look at. Its `Scene.up_direction` is up in the image.
+        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0 is the front, pi / 2
+            the right-hand side as seen from the front.
+        elevation: Radians above the horizon, -pi / 2 to pi / 2; pi / 2 looks straight down.
+        distance: From the eye to ``target``, scene units; None: so far that the bulk of the scene fills the image.
+        target: World position in the middle of the image, shape (3,); None: the middle of the bulk of the scene.
+        fov_y: Vertical field of view, radians, 0 to pi.
+        width: Image width, pixels.
+        height: Image height, pixels.
+        name: Name of the camera.
+        all_around: Without ``distance``: so far that the bulk of the scene fits from all sides, for an orbit.
+
+    Raises:
+        SceneError: The scene is empty, or an argument is out of its range.
+    """
+    check_argument("frame_camera", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
+    _check_angle("azimuth", azimuth, 2.0 * math.pi)
+    _check_angle("elevation", elevation, 0.5 * math.pi)
+    backward, up = _side(scene, azimuth, elevation)
+    center = _target(scene, target)
+    if distance is None:
+        others = np.arange(1, 16) * math.pi / 8.0 if all_around else ()
+        sides = [(backward, up), *(_side(scene, azimuth + turn, elevation) for turn in others)]
+        distance = _fitting_distance(scene, center, sides, (fov_y, width / height))
+    check_positive("distance", distance)
+    return Camera.look_at(
+        center + distance * backward,
+        center,
+        up,
+        width=width,
+        height=height,
+        fov_y=fov_y,
+        near=1e-3 * distance,
+        name=name,
+    )
+
+
+def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[_Points, _Points]:
+    """The direction from the target to an eye, and up in its image."""
+    upward = np.array(scene.up_direction)
+    front = front_vector(upward)
+    level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
+    backward = math.cos(elevation) * level + math.sin(elevation) * upward
+    # At the poles the vertical is along the view: there, up is what is up a moment before them.
+    up = upward if math.cos(elevation) > 1e-3 else math.cos(elevation) * upward - math.sin(elevation) * level
+    return backward, up
+
+
+def _target(scene: Scene, target: npt.ArrayLike | None) -> _Points:
+    if target is None:
+        low, high = scene.bulk_bounds()
+        return 0.5 * (low + high)
+    point = finite_numbers(target, (3,))
+    if point is None:
+        raise SceneError(f"target is {target}, expected three finite numbers")
+    return point
+
+
+def _fitting_distance(
+    scene: Scene, center: _Points, sides: list[tuple[_Points, _Points]], lens: tuple[float, float]
+) -> float:
+    """Distance from ``center`` at which the bulk of the scene fits from all sides.
+
+    Args:
+        scene: The scene.
+        center: World position in the middle of the image.
+        sides: As from `_side`.
+        lens: Vertical field of view, and width to height of the image.
+    """
+    fov_y, aspect = lens
+    if not is_number(fov_y) or not 0.0 < fov_y < math.pi:
+        raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
+    tan_y = math.tan(0.5 * fov_y)
+    tan_x = tan_y * aspect
+    low, high = scene.bulk_bounds()
+    size = max(float(np.linalg.norm(high - low)), 1e-6)
+    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center
+    needed = 0.5 * size
+    for backward, up in sides:
+        # Any distance gives the orientation; the corners seen in it then give the distance at which all of them fit.
+        rotation = Camera.look_at(center + size * backward, center, up).camera_from_world[:3, :3]
+        x, y, z = rotation @ corners.T
+        needed = max(needed, (np.abs(x) / tan_x - z).max(), (np.abs(y) / tan_y - z).max())
+    return FRAMING_MARGIN * float(needed)
+
+
+def _check_angle(name: str, angle: object, largest: float) -> None:
+    if not is_number(angle) or not -largest <= angle <= largest:
+        degrees = f" (of degrees: math.radians({angle:g}))" if is_number(angle) and abs(angle) < math.inf else ""
+        raise SceneError(f"{name} is {angle}, expected radians from {-largest:.4g} to {largest:.4g}{degrees}")

@@ -1,0 +1,78 @@
+"""Where things stand: transforms from positions and angles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.config.checks import is_number
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import finite_numbers, matrix_4x4
+from lumisplat.math.rotations import axis_rotation
+from lumisplat.scene.up import front_vector, up_vector
+
+_Doubles = npt.NDArray[np.float64]
+
+
+class Placing(NamedTuple):
+    """How an instance is placed, in words instead of by a matrix."""
+
+    position: npt.ArrayLike | None = None
+    """World position of the object's origin, shape (3,); None: the world's origin."""
+    rotation_degrees: npt.ArrayLike | None = None
+    """Turns about the object's x, then y, then z axis, degrees, shape (3,)."""
+    scale: float | None = None
+    """Uniform scale factor, above 0."""
+    up: str | npt.ArrayLike | None = None
+    """Up of the scene: an object that was made with y up stands upright in it; None: as it is."""
+    look_at: npt.ArrayLike | None = None
+    """World position towards which the object's front, +z, is turned; ``up`` stays up."""
+
+
+def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> _Doubles:
+    """``world_from_object``, shape (4, 4): points are scaled, turned, stood upright, then moved.
+
+    Raises:
+        SceneError: Both a matrix and a placing are given, or a value is out of range.
+    """
+    given = [name for name, value in placing._asdict().items() if value is not None]
+    if not given:
+        return matrix_4x4("world_from_object", world_from_object)
+    if world_from_object is not None:
+        raise SceneError(f"world_from_object and {given[0]} are both given: choose the matrix or the words")
+    matrix = np.eye(4)
+    matrix[:3, 3] = _vector("position", placing.position, 0.0)
+    scale = 1.0 if placing.scale is None else placing.scale
+    if not is_number(scale) or not 0.0 < scale < np.inf:
+        raise SceneError(f"scale is {scale}, expected a positive number")
+    x, y, z = np.radians(_vector("rotation_degrees", placing.rotation_degrees, 0.0))
+    turn = axis_rotation((0, 0, 1), z) @ axis_rotation((0, 1, 0), y) @ axis_rotation((1, 0, 0), x)
+    matrix[:3, :3] = scale * (_standing(placing, matrix[:3, 3]) @ turn)
+    return matrix_4x4("world_from_object", matrix)
+
+
+def _standing(placing: Placing, position: _Doubles) -> _Doubles:
+    """The rotation that stands an object with y up and its front at +z upright, and turns it to what it looks at."""
+    up = np.array(up_vector("y-up" if placing.up is None else placing.up))
+    front = front_vector(up)
+    if placing.look_at is not None:
+        front = _vector("look_at", placing.look_at, 0.0) - position
+        distance = np.linalg.norm(front)
+        right = np.cross(up, front)
+        if np.linalg.norm(right) <= 1e-9 * max(float(distance), 1e-300):
+            raise SceneError("look_at is at the position, or straight above or below it: it must be to a side")
+        right /= np.linalg.norm(right)
+        front = front / distance
+        return np.stack([right, np.cross(front, right), front], axis=1)
+    return np.stack([np.cross(up, front), up, front], axis=1)
+
+
+def _vector(name: str, values: npt.ArrayLike | None, rest: float) -> _Doubles:
+    if values is None:
+        return np.full(3, rest)
+    vector = finite_numbers(values, (3,))
+    if vector is None:
+        raise SceneError(f"{name} is {values}, expected three finite numbers")
+    return vector

@@ -1,0 +1,91 @@
+"""``lumisplat orbit``: once round a scene."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Outcome, Workplace
+from support.files.image_files import read_image
+
+SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def orbit(work: Workplace, *options: str) -> Outcome:
+    """Four frames into a folder."""
+    return work.run("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.2", "--fps", "20", *SIZE, *options)
+
+
+def test_frames_are_those_of_orbit_cameras(work) -> None:
+    """A frame for each camera, and a note of what they are made of."""
+    outcome = orbit(work)
+    assert outcome.status == 0 and "4 frames in" in outcome.out
+    scene = ls.Scene([work.capture("capture.ply")])
+    start = ls.frame_camera(scene, width=32, height=24, all_around=True)
+    for k, camera in enumerate(ls.orbit_cameras(scene, 4, start)):
+        frame = ls.render(scene, camera, device="cpu")
+        expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        np.testing.assert_array_equal(read_image(work.path(f"round/frame_{k:04d}.png"))["srgb"], expected)
+    assert json.loads(work.path("round/orbit.json").read_text())["fps"] == "20.0"
+
+
+def test_an_orbit_goes_on_where_it_was_interrupted(work) -> None:
+    """Frames that are there stay; of other options they are refused, unless they are to be removed."""
+    orbit(work)
+    work.path("round/frame_0002.png").unlink()
+    before = work.path("round/frame_0001.png").stat().st_mtime_ns
+    assert "3 of them were there" in orbit(work).out
+    assert work.path("round/frame_0001.png").stat().st_mtime_ns == before
+    for options in (("--elevation", "40"), ("--turns", "0.5"), ("--up", "y-up")):
+        refused = orbit(work, *options)
+        assert refused.status == 2 and "holds frames from before a change of" in refused.err
+    assert orbit(work, "--turns", "0.5", "--overwrite").status == 0
+
+
+def test_a_video_is_made_of_the_frames(work) -> None:
+    """All of them, at the rate."""
+    outcome = orbit(work, "--video", str(work.path("round.gif")))
+    assert outcome.status == 0, outcome.err
+    assert "round.gif (20 frames a second, 0.20 s)" in outcome.out
+    from PIL import Image
+
+    with Image.open(work.path("round.gif")) as video:
+        assert video.n_frames == 4 and video.size == (32, 24)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_an_orbit_starts_at_the_eye(work) -> None:
+    """--eye and --target say where it starts, and what it goes round."""
+    assert orbit(work, "--eye", "0,-1,1", "--target", "0,0,4").status == 0
+    scene = ls.Scene([work.capture("capture.ply")])
+    side = ls.Camera.look_at((3.0, -1.0, 4.0), (0, 0, 4), (0, -1, 0), width=32, height=24)
+    shown = read_image(work.path("round/frame_0001.png"))["srgb"].astype(float)
+    frame = ls.render(scene, side, device="cpu")
+    assert np.abs(shown - np.clip(frame.color, 0, 1) * 255).max() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--seconds", "0"), "--seconds is 0, expected a positive number"),
+        (("--fps", "-1"), "--fps is -1, expected a positive number"),
+        (("--turns", "nan"), "--turns is nan"),
+        (("--seconds", "1e9"), "more than a million frames"),
+        (("--video", "a.png"), "a.png: is a picture's name"),
+    ],
+)
+def test_mistakes_end_before_anything_is_rendered(work, options, message) -> None:
+    """In one line."""
+    outcome = orbit(work, *options)
+    assert outcome.status == 2 and message in outcome.err
+    assert not work.path("round").exists()

@@ -1,0 +1,91 @@
+"""``--path``: a camera that moves through the cameras of a file."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.image_files import read_image
+
+SIZE = ("--width", "32", "--height", "24", "--device", "cpu")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in, with three cameras; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    work = Workplace(tmp_path, capsys)
+    eyes = [(0, 0, 0), (2, -1, 1), (4, 0, 4)]
+    ls.save_cameras(
+        work.path("way.json"), [ls.Camera.look_at(eye, (0, 0, 5), (0, -1, 0), width=64, height=48) for eye in eyes]
+    )
+    return work
+
+
+def same(work: Workplace, name: str, camera: ls.Camera) -> bool:
+    """Whether a picture is what a camera sees."""
+    frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera.scaled(32, 24), device="cpu")
+    expected = (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return np.array_equal(read_image(work.path(name))["srgb"], expected)
+
+
+def test_render_goes_along_a_path(work) -> None:
+    """A picture for each frame: a second from each camera to the next, at --fps."""
+    outcome = work.run("render", "@capture.ply", "--path", "@way.json", "--fps", "2", "-o", "@out", *SIZE)
+    assert outcome.status == 0 and "5 pictures" in outcome.out
+    way = ls.load_camera_path(work.path("way.json"))
+    for k in range(5):
+        assert same(work, f"out/frame_{k:05d}.png", way.at(k / 2))
+
+
+def test_orbit_goes_along_a_path(work) -> None:
+    """As a video, over all of its length; frames of another path are refused."""
+    args = ("orbit", "@capture.ply", "-o", "@out", "--seconds", "0.2", "--fps", "20", *SIZE)
+    assert work.run(*args, "--path", "@way.json").status == 0
+    way = ls.load_camera_path(work.path("way.json"))
+    for k in range(4):
+        assert same(work, f"out/frame_{k:04d}.png", way.at(2.0 * k / 3))
+    refused = work.run(*args)
+    assert refused.status == 2 and "holds frames from before a change of" in refused.err
+
+
+def test_animate_moves_the_camera_of_a_scene_file(work) -> None:
+    """By its keyframes, without actors; --width and --height hold."""
+    work.path("scene.toml").write_text(
+        '[[splats]]\npath = "capture.ply"\n[[cameras]]\ntarget = [0, 0, 5]\n[[cameras.keyframes]]\ntime = 0\n'
+        "eye = [0, 0, 0]\n[[cameras.keyframes]]\ntime = 1\neye = [2, -1, 1]\n[animation]\nfps = 3\n"
+    )
+    outcome = work.run("animate", "@scene.toml", "-o", "@out", *SIZE)
+    assert outcome.status == 0, outcome.err
+    way = ls.load_camera_path(work.path("scene.toml"))
+    for k in range(3):
+        assert same(work, f"out/frame_{k:04d}.png", way.at(k / 3))
+
+
+def test_paths_of_nerfstudio_and_colmap_are_cameras_too(work) -> None:
+    """--cameras takes both."""
+    frame = {"camera_to_world": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1], "fov": 60.0}
+    content = {"camera_path": [frame], "render_width": 32, "render_height": 24, "fps": 24}
+    work.path("camera_path.json").write_text(json.dumps(content))
+    assert work.run("render", "@capture.ply", "--cameras", "@camera_path.json", "-o", "@a.png").status == 0
+    (camera,) = ls.load_cameras(work.path("camera_path.json"))
+    assert same(work, "a.png", camera)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--cameras", "@cameras.json"), "--path and --cameras are both given"),
+        (("--azimuth", "3"), "--path and a viewpoint of your own are both given"),
+        (("--fps", "0"), "fps is 0"),
+    ],
+)
+def test_contradictions_are_refused(work, options, message) -> None:
+    """In one line."""
+    outcome = work.run("render", "@capture.ply", "--path", "@way.json", "-o", "@out", *options)
+    assert outcome.status == 2 and message in outcome.err

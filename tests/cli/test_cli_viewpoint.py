@@ -1,0 +1,108 @@
+"""A camera of one's own on the command line: ``--eye``, ``--target``, ``--azimuth`` and so on."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.image_files import read_image
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def shown(work: Workplace, *options: str, scene: str = "@capture.ply") -> np.ndarray:
+    """The picture that the options give."""
+    outcome = work.run("render", scene, "-o", "@a.png", "--width", "48", "--height", "32", "--device", "cpu", *options)
+    assert outcome.status == 0, outcome.err
+    return read_image(work.path("a.png"))["srgb"]
+
+
+def expected(work: Workplace, camera: ls.Camera) -> np.ndarray:
+    """The picture of a camera of the library."""
+    frame = ls.render(ls.Scene([work.capture("capture.ply")]), camera, device="cpu")
+    return (np.clip(frame.color, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+SIZE: Any = {"width": 48, "height": 32}
+
+
+def test_sides_are_those_of_frame_camera(work) -> None:
+    """Degrees on the command line, radians in Python."""
+    scene = ls.Scene([work.capture("capture.ply")])
+    camera = ls.frame_camera(scene, azimuth=math.radians(30), elevation=math.radians(-10), distance=6.0, **SIZE)
+    picture = shown(work, "--azimuth", "30", "--elevation", "-10", "--distance", "6")
+    np.testing.assert_array_equal(picture, expected(work, camera))
+    lens = ls.frame_camera(scene, fov_y=math.radians(20), target=(0.2, 0.1, 4.0), **SIZE)
+    np.testing.assert_array_equal(shown(work, "--fov", "20", "--target", "0.2 0.1 4"), expected(work, lens))
+
+
+def test_eye_and_target_are_those_of_look_at(work) -> None:
+    """Up is the scene's own, y down of a capture; a number may be negative and come first."""
+    camera = ls.Camera.look_at((-1, -0.5, 0), (0, 0, 4), (0, -1, 0), fov_y=math.radians(50), **SIZE)
+    near = min(camera.near, 1e-3 * math.dist((-1, -0.5, 0), (0, 0, 4)))
+    assert near == pytest.approx(math.sqrt(17.25) / 1000)
+    options = ("--eye=-1,-0.5,0", "--target", "0,0,4", "--fov", "50")
+    np.testing.assert_array_equal(shown(work, *options), expected(work, camera))
+
+
+@pytest.mark.parametrize("up", ["y-up", "z-up", "0.3,-1,0"])
+def test_up_turns_the_picture(work, up) -> None:
+    """--up is that of the scene, an axis or any direction."""
+    direction = up if up[0] in "yz" else (0.3, -1, 0)
+    scene = ls.Scene([work.capture("capture.ply")], up=direction)
+    np.testing.assert_array_equal(shown(work, "--up", up), expected(work, ls.frame_camera(scene, **SIZE)))
+
+
+def test_straight_from_above(work) -> None:
+    """An eye above the target has an up in its image too: where the front camera looks."""
+    camera = ls.Camera.look_at((0, -5, 4), (0, 0, 4), (0, 0, 1), **SIZE)
+    np.testing.assert_array_equal(shown(work, "--eye", "0,-5,4", "--target", "0,0,4"), expected(work, camera))
+
+
+def test_a_viewpoint_replaces_the_cameras_of_a_scene_file(work) -> None:
+    """Options replace what a file says, here its cameras; its up holds."""
+    work.path("scene.toml").write_text(
+        'up = "y-up"\n[[splats]]\npath = "capture.ply"\n[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\n'
+    )
+    scene = ls.Scene([work.capture("capture.ply")], up="y-up")
+    camera = ls.frame_camera(scene, azimuth=math.radians(90), **SIZE)
+    np.testing.assert_array_equal(shown(work, "--azimuth", "90", scene="@scene.toml"), expected(work, camera))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--eye", "1,2"), "--eye is '1,2', expected three numbers"),
+        (("--target", "1,2,nan"), "--target is '1,2,nan', expected finite numbers"),
+        (("--eye", "0,0,1", "--azimuth", "3"), "--eye and --azimuth are both given"),
+        (("--cameras", "@cameras.json", "--fov", "30"), "--cameras and --fov are both given"),
+        (("--elevation", "100"), "--elevation is 100, expected degrees from -90 to 90"),
+        (("--fov", "180"), "--fov is 180, expected degrees between 0 and 180"),
+        (("--distance", "0"), "--distance is 0, expected a positive number"),
+        (("--up", "sideways"), "--up is 'sideways', expected auto, y-down"),
+        (("--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
+        (("--eye", "0,0,1", "--target", "0,0,1"), "--eye is 0,0,1, which is the target"),
+    ],
+)
+def test_contradictions_are_refused(work, options, message) -> None:
+    """In one line, in the words of the shell."""
+    outcome = work.run("render", "@capture.ply", "-o", "@a.png", "--device", "cpu", *options)
+    assert outcome.status == 2
+    assert message in outcome.err and len(outcome.err.splitlines()) == 1
+
+
+def test_bench_takes_a_viewpoint(work) -> None:
+    """Every command that renders has these options."""
+    outcome = work.run("bench", "@capture.ply", "--azimuth", "45", "--width", "32", "--repeats", "1", "--device", "cpu")
+    assert outcome.status == 0 and "32 x 18" in outcome.out

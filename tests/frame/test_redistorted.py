@@ -1,0 +1,114 @@
+"""Rasterised frames of distorting lenses: rays that follow the lens show the same."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.frame.redistorted import undistorted_camera
+from support.scenes.raster_scenes import front_camera, one_gaussian, quad, random_gaussians
+
+FOX = (0.0578421, -0.0805099, 0.0, 0.0, -0.000980296, 0.00015575)
+BARREL = (-0.28, 0.09, -0.012, 0.0, 0.0006, -0.0011)
+CUSHION = (0.21, 0.03, 0.01, 0.002, 0.004, -0.003)
+LENSES = {"fox": FOX, "barrel": BARREL, "cushion": CUSHION}
+NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def camera_of(lens: Any, **changes: Any) -> ls.Camera:
+    """Corners 38 degrees off the axis."""
+    return front_camera(96, 72, 76.0, distortion=lens, **changes)
+
+
+def shown(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: Any) -> ls.Frame:
+    """A frame on the CPU."""
+    return ls.render(scene, camera, ls.RenderConfig(pipeline=pipeline, **settings), device="cpu")
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_raster_and_rays_agree_on_meshes(lens):
+    """The curved edge of a tilted square is where the rays have it; inside, colour, depth and normal are theirs."""
+    scene = ls.Scene([], [quad(4.0, 1.6, tilt=0.4)])
+    camera = camera_of(lens)
+    raster, trace = (shown(scene, camera, pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
+    assert 0.2 < trace.alpha.mean() < 0.9
+    # One ray a pixel has stairs at the edge, the resampled raster is soft there: nearer to what many rays show.
+    exact = shown(scene, camera, ls.Pipeline.TRACE, samples=64)
+    assert np.abs(raster.alpha - exact.alpha).mean() < np.abs(trace.alpha - exact.alpha).mean()
+    assert abs(float(raster.alpha.mean() - exact.alpha.mean())) < 0.004
+    inside = (raster.alpha == 1.0) & (trace.alpha == 1.0)
+    np.testing.assert_allclose(raster.color[inside], trace.color[inside], atol=1e-5)
+    np.testing.assert_allclose(raster.depth[inside], trace.depth[inside], rtol=0.01)
+    np.testing.assert_allclose(raster.normal[inside], trace.normal[inside], atol=1e-5)
+    np.testing.assert_array_equal(raster.instance_index[inside], trace.instance_index[inside])
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_a_lens_costs_no_agreement_on_gaussians(lens):
+    """Raster and rays differ by what they differ by without a lens."""
+    scene = ls.Scene([random_gaussians(5, count=400, center=(0, 0, 5), extent=(2.5, 2.0, 0.5))])
+    difference = []
+    for one in (NONE, lens):
+        raster, trace = (shown(scene, camera_of(one), pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
+        difference.append(np.sqrt(np.mean((raster.color - trace.color) ** 2)))
+    assert difference[1] < 1.15 * difference[0]
+
+
+def test_a_point_appears_where_the_lens_shows_it():
+    """A small Gaussian off the axis, in pixels, by OpenCV's formula."""
+    camera = camera_of(BARREL)
+    u, v = 0.5, -0.35
+    k1, k2, k3, _, p1, p2 = BARREL
+    s = u * u + v * v
+    radial = 1 + k1 * s + k2 * s**2 + k3 * s**3
+    x = u * radial + 2 * p1 * u * v + p2 * (s + 2 * u * u)
+    y = v * radial + p1 * (s + 2 * v * v) + 2 * p2 * u * v
+    frame = shown(ls.Scene([one_gaussian((4 * u, 4 * v, 4.0), 0.05, 0.9)]), camera, ls.Pipeline.RASTER)
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    center = [float((frame.alpha * place).sum() / frame.alpha.sum()) for place in (columns, rows)]
+    assert center == pytest.approx([camera.fx * x + camera.cx, camera.fy * y + camera.cy], abs=0.05)
+
+
+def test_lit_frames_and_layers_are_resampled_too():
+    """All images have the camera's size and are finite; what is not covered is the background."""
+    light = ls.LightPoint((1, -2, 2), intensity=30.0)
+    scene = ls.Scene([random_gaussians(6)], [quad(5.0, 0.8)], [light])
+    camera = camera_of(FOX)
+    aovs = ("albedo", "emission", "reflection", "lights", "hits")
+    frame = shown(scene, camera, ls.Pipeline.HYBRID, aovs=aovs, background=(0.1, 0.2, 0.3))
+    assert frame.camera is camera
+    for name, image in frame.arrays().items():
+        if name != "light_names":
+            assert image.shape[:2] == (72, 96) or image.shape[1:3] == (72, 96), name
+            assert name in ("depth", "depth_z") or np.isfinite(image).all(), name
+    corner = frame.pixels_srgb()[0, 0]
+    if frame.alpha[0, 0] == 0.0:
+        np.testing.assert_allclose(corner, (0.1, 0.2, 0.3), atol=1e-5)
+
+
+def test_nothing_is_shown_beyond_the_fold():
+    """There the background is seen, and no second image of the middle."""
+    camera = front_camera(96, 72, 60.0, distortion=(-0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
+    missing = (camera.ray_directions() == 0.0).all(axis=2)
+    assert missing.any()
+    # A pixel on the fold itself is partly covered.
+    around = np.pad(missing, 1, mode="edge")
+    missing &= around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
+    frame = shown(ls.Scene([], [quad(4.0, 40.0)]), camera, ls.Pipeline.RASTER, background=(1.0, 0.0, 0.0))
+    assert (frame.alpha[missing] == 0.0).all() and (frame.instance_index[missing] == -1).all()
+    np.testing.assert_array_equal(frame.color[missing], np.broadcast_to((1.0, 0.0, 0.0), (int(missing.sum()), 3)))
+
+
+def test_what_cannot_be_undistorted_is_refused():
+    """A lens near 180 degrees needs a plane without end; a resumed frame would be filtered twice."""
+    with pytest.raises(ls.SceneError, match=r"undistorted image of .* use Pipeline.TRACE"):
+        undistorted_camera(front_camera(96, 72, 60.0, distortion=(-0.3, 0.045, 0.0, 0.0, 0.0, 0.0), fx=40.0, fy=40.0))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
+    scene = ls.Scene([one_gaussian()])
+    renderer = ls.create_renderer(config, "cpu")
+    frame = renderer.render(scene, camera_of(FOX))
+    with pytest.raises(ls.ConfigError, match="cannot be resumed"):
+        renderer.render(scene, camera_of(FOX), resume=frame)

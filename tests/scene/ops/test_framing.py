@@ -1,0 +1,164 @@
+"""Cameras from any side of a scene, and the scene's own up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import quad, random_gaussians
+
+SCENE = ls.Scene([random_gaussians(3, center=(5.0, -2.0, 9.0))])
+CENTER = 0.5 * np.add(*SCENE.bulk_bounds())
+UPS = [*ls.Scene.UP_NAMES, (0.1, -0.9, 0.3)]
+
+
+def placed(up: Any, **sides: float) -> tuple[np.ndarray, np.ndarray, ls.Camera]:
+    """Up, the direction from the middle of the scene to the eye, and the camera."""
+    scene = ls.Scene(SCENE.splats, up=up)
+    camera = ls.frame_camera(scene, distance=7.0, **cast(Any, sides))
+    return np.array(scene.up_direction), (camera.eye - CENTER) / 7.0, camera
+
+
+@pytest.mark.parametrize("up", UPS)
+@pytest.mark.parametrize("elevation", [-1.2, 0.0, 0.7])
+def test_elevation_is_the_angle_above_the_horizon(up, elevation):
+    """For any up: its sine is the share of up in the direction to the eye, and up stays up in the image."""
+    upward, outward, camera = placed(up, azimuth=0.4, elevation=elevation)
+    assert outward @ upward == pytest.approx(math.sin(elevation))
+    assert camera.camera_from_world[1, :3] @ upward < -0.1
+    assert camera.camera_from_world[0, :3] @ upward == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_azimuth_turns_to_the_right(up):
+    """A quarter turn looks from where the front camera has its right; a full one is the front again."""
+    _, _, front = placed(up, elevation=0.0)
+    _, right, _ = placed(up, azimuth=0.5 * math.pi, elevation=0.0)
+    np.testing.assert_allclose(right, front.camera_from_world[0, :3], atol=1e-12)
+    _, again, _ = placed(up, azimuth=2.0 * math.pi, elevation=0.0)
+    np.testing.assert_allclose(again, -front.camera_from_world[2, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_poles_have_an_up_too(side):
+    """Straight from above and from below, the image is turned as it is a moment before."""
+    _, outward, pole = placed("y-up", azimuth=0.3, elevation=0.5 * math.pi * side)
+    assert abs(outward[1]) == pytest.approx(1.0)
+    _, _, near = placed("y-up", azimuth=0.3, elevation=(0.5 * math.pi - 0.01) * side)
+    np.testing.assert_allclose(pole.camera_from_world[:3, :3], near.camera_from_world[:3, :3], atol=0.011)
+
+
+def test_target_is_in_the_middle():
+    """A target of one's own is seen in the middle of the image, and all of the scene still fits."""
+    target = CENTER + np.array((0.5, 0.2, -0.1))
+    camera = ls.frame_camera(SCENE, target=target, azimuth=1.0)
+    x, y, z = camera.camera_from_world[:3, :3] @ target + camera.camera_from_world[:3, 3]
+    assert (x, y) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-9)) and z > 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"azimuth": 30.0}, r"azimuth is 30.0, expected radians .*math.radians\(30\)"),
+        ({"elevation": 2.0}, "elevation is 2.0, expected radians"),
+        ({"distance": 0.0}, "distance is 0.0, expected a positive number"),
+        ({"target": (0, 1)}, "target is .*three finite numbers"),
+        ({"fov_y": 45.0}, "fov_y is 45.0, expected radians"),
+        ({"azimuth": math.nan}, "azimuth is nan"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    """Degrees above all."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.frame_camera(SCENE, **arguments)
+
+
+@pytest.mark.parametrize("up", ["sideways", (0, 0, 0), (1, 2), (math.inf, 0, 0)])
+def test_up_is_a_direction(up):
+    """Anything else is refused by the scene."""
+    with pytest.raises(ls.SceneError, match="up is"):
+        ls.Scene(up=up)
+
+
+def test_what_is_upright_shows_its_front():
+    """A model made with y up, turned by `Scene.upright_wxyz`, looks as it does in a scene of its own."""
+    from lumisplat.math.rotations import rotation_matrix
+
+    mesh = ls.Mesh([(0, 0, 0), (1, 0, 0), (0, 2, 0)], [(0, 1, 2)])
+    alone = ls.frame_camera(ls.Scene([], [mesh]))
+    for up in UPS:
+        scene = ls.Scene(up=up)
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_matrix(scene.upright_wxyz)
+        turned = ls.frame_camera(ls.Scene([], [ls.MeshInstance(mesh, pose)], up=up), target=pose[:3, :3] @ (0.5, 1, 0))
+        np.testing.assert_allclose(
+            turned.camera_from_world[:3, :3] @ pose[:3, :3], alone.camera_from_world[:3, :3], atol=1e-12
+        )
+
+
+def test_up_of_a_scene_follows_what_it_holds():
+    """Captures are y down, meshes alone y up, unless the scene says otherwise."""
+    assert SCENE.up_direction == (0.0, -1.0, 0.0)
+    assert ls.Scene([], [quad(1.0)]).up_direction == (0.0, 1.0, 0.0)
+    assert ls.Scene(SCENE.splats, up=(0, 0, 2)).up_direction == (0.0, 0.0, 1.0)
+
+
+def seen(camera: ls.Camera, points: np.ndarray) -> bool:
+    """Whether all points are in the image."""
+    x, y, z = camera.camera_from_world[:3, :3] @ points.T + camera.camera_from_world[:3, 3:]
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return bool((z > 0).all() and (abs(u - 640) <= 640).all() and (abs(v - 360) <= 360).all())
+
+
+def test_an_orbit_shows_all_of_the_scene_all_the_way_round():
+    """Also of a long one, of which the front camera would lose the ends; its front camera is that of a full circle."""
+    long = ls.Scene([random_gaussians(4, extent=(0.3, 0.2, 4.0), center=(1, 2, 3))])
+    low, high = long.bulk_bounds()
+    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
+    cameras = ls.orbit_cameras(long, 24)
+    assert all(seen(camera, corners) for camera in cameras)
+    near = ls.orbit_cameras(long, 24, ls.frame_camera(long))
+    assert not all(seen(camera, corners) for camera in near)
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_an_orbit_is_a_circle_of_frame_cameras(up):
+    """Camera k of n is that of azimuth 2 pi k / n; half a turn is half of it, and negative turns go back."""
+    scene = ls.Scene(SCENE.splats, up=up)
+    start = ls.frame_camera(scene, distance=5.0)
+    for k, camera in enumerate(ls.orbit_cameras(scene, 5, start)):
+        expected = ls.frame_camera(scene, azimuth=2.0 * math.pi * k / 5, distance=5.0)
+        np.testing.assert_allclose(camera.camera_from_world, expected.camera_from_world, atol=1e-9)
+    back = ls.orbit_cameras(scene, 5, start, turns=-1.0)
+    there = ls.orbit_cameras(scene, 5, start)
+    np.testing.assert_allclose(back[1].camera_from_world, there[4].camera_from_world, atol=1e-9)
+    np.testing.assert_allclose(
+        ls.orbit_cameras(scene, 2, start, turns=0.4)[1].camera_from_world, there[1].camera_from_world, atol=1e-9
+    )
+
+
+def test_an_orbit_about_a_point_keeps_its_distance():
+    """And everything else of the first camera: a rolling shutter, a lens."""
+    first = ls.Camera.look_at((5, -3, 4), (5, -2, 9), (0, -1, 0), aperture=0.1, fov_y=0.5, width=64, height=48)
+    for camera in ls.orbit_cameras(SCENE, 7, first, target=(4, -2, 8)):
+        assert np.linalg.norm(camera.eye - (4, -2, 8)) == pytest.approx(np.linalg.norm(first.eye - (4, -2, 8)))
+        assert (camera.aperture, camera.fx, camera.width) == (first.aperture, first.fx, 64)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"count": 0}, "count is 0"),
+        ({"count": 4, "turns": math.inf}, "turns is inf"),
+        ({"count": 4, "target": "here"}, "target is here"),
+        ({"count": 4, "camera": "front"}, "orbit_cameras takes a Camera"),
+    ],
+)
+def test_wrong_orbits_are_refused(arguments, message):
+    """In one line."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.orbit_cameras(SCENE, **arguments)

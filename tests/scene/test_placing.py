@@ -1,0 +1,259 @@
+"""Placing things in words: positions, angles, up, targets, the ground; in Python and in scene files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.files.scene_files import load_scene, refuses
+from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians
+
+BOX = ls.box((1.0, 2.0, 3.0))
+
+
+def moved(point: Any, **words: Any) -> np.ndarray:
+    """Where a point of a mesh goes."""
+    return ls.MeshInstance(BOX, **words).transform[:3] @ (*point, 1.0)
+
+
+def test_words_are_scaled_turned_moved():
+    """A quarter turn about z takes x to y; x turns first, z last."""
+    np.testing.assert_allclose(moved((1, 0, 0), position=(1, 2, 3), rotation_degrees=(0, 0, 90)), (1, 3, 3), atol=1e-12)
+    np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(90, 0, 90), scale_by=2.0), (0, 0, 2), atol=1e-12)
+    np.testing.assert_allclose(moved((0, 1, 0), rotation_degrees=(0, 90, 90)), (-1, 0, 0), atol=1e-12)
+
+
+def test_up_stands_upright():
+    """What was made with y up has its top up, and its front before the front camera."""
+    for up in ls.Scene.UP_NAMES:
+        scene = ls.Scene(up=up)
+        np.testing.assert_allclose(moved((0, 1, 0), up=up), scene.up_direction, atol=1e-12)
+        eye = ls.frame_camera(ls.Scene([], [BOX], up=up), elevation=0.0, distance=1.0).eye
+        np.testing.assert_allclose(moved((0, 0, 1), up=up), eye, atol=1e-12)
+
+
+def test_look_at_turns_the_front():
+    """+z points at the target, and the top stays as upright as it can."""
+    words = {"position": (1, 1, 1), "look_at": (4, -3, 1), "up": "y-down"}
+    np.testing.assert_allclose(moved((0, 0, 5), **words), (4, -3, 1), atol=1e-12)
+    assert (moved((0, 1, 0), **words) - (1, 1, 1)) @ (0, -1, 0) > 0.1
+    assert moved((1, 0, 0), **words)[1] == pytest.approx(1.0)
+
+
+def test_captures_are_placed_by_the_same_words():
+    """And changed like any other instance afterwards."""
+    splat = ls.SplatInstance(one_gaussian((0, 0, 1)), position=(1, 0, 0), rotation_degrees=(0, 90, 0), scale_by=2.0)
+    np.testing.assert_allclose(splat.world_means, [(3, 0, 0)], atol=1e-6)
+    assert splat.scale == pytest.approx(2.0)
+    np.testing.assert_array_equal(replace(splat, name="a").transform, splat.transform)
+    np.testing.assert_array_equal(replace(splat, world_from_object=np.eye(4)).transform, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"world_from_object": np.eye(4), "position": (0, 0, 0)}, "world_from_object and position are both given"),
+        ({"world_from_object": np.eye(4), "up": "y-up"}, "world_from_object and up are both given"),
+        ({"position": (0, 1)}, "position is .*three finite numbers"),
+        ({"rotation_degrees": 90}, "rotation_degrees is 90, expected three finite numbers"),
+        ({"scale_by": 0.0}, "scale is 0.0, expected a positive number"),
+        ({"up": "sideways"}, "up is 'sideways'"),
+        ({"look_at": (0, 5, 0)}, "straight above or below"),
+    ],
+)
+def test_wrong_words_are_refused(words, message):
+    """In one line; of both kinds of instances."""
+    with pytest.raises(ls.SceneError, match=message):
+        ls.MeshInstance(BOX, **words)
+    with pytest.raises(ls.SceneError, match=message):
+        ls.SplatInstance(one_gaussian(), **words)
+
+
+@pytest.mark.parametrize("up", [*ls.Scene.UP_NAMES, (0.2, -0.9, 0.1)])
+def test_a_mesh_stands_on_the_ground(up):
+    """Its lowest point is at the height along up; it moves along the vertical only."""
+    instance = ls.MeshInstance(BOX, position=(3, 4, 5), rotation_degrees=(20, 30, 40))
+    standing = ls.stand_on_ground(instance, 1.5, up=up)
+    upward = np.array(ls.Scene(up=up).up_direction)
+    corners = BOX.positions @ standing.transform[:3, :3].T + standing.transform[:3, 3]
+    assert (corners @ upward).min() == pytest.approx(1.5)
+    shift = standing.transform[:3, 3] - instance.transform[:3, 3]
+    np.testing.assert_allclose(np.cross(shift, upward), 0.0, atol=1e-9)
+
+
+def test_strays_do_not_lift_a_capture():
+    """A few faint Gaussians below its feet do not count."""
+    bulk = random_gaussians(5, count=500)
+    stray = joined(bulk, one_gaussian((0.0, 60.0, 0.0), opacity=0.3))
+    alone, together = (ls.stand_on_ground(ls.SplatInstance(g), up="y-down") for g in (bulk, stray))
+    np.testing.assert_allclose(alone.transform, together.transform, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("light", "direction"),
+    [
+        (ls.LightSpot((0, 4, 0), target=(3, 0, 0)), (0.6, -0.8, 0.0)),
+        (ls.LightDirectional(position=(0, 4, 0), target=(3, 0, 0)), (0.6, -0.8, 0.0)),
+        (ls.LightDirectional(position=(0, 4, 3)), (0.0, -0.8, -0.6)),
+    ],
+)
+def test_lights_are_aimed(light, direction):
+    """At a target, and kept there by changes of something else."""
+    np.testing.assert_allclose(light.direction, direction, atol=1e-7)
+    assert replace(light, intensity=3.0).direction == light.direction
+
+
+def test_a_rect_faces_its_target():
+    """With its width level."""
+    light = ls.LightRect((0, 4, 0), target=(3, 0, 0), size=(2, 0.5))
+    np.testing.assert_allclose(np.cross(light.edge_u, light.edge_v), np.array((0.6, -0.8, 0.0)), atol=1e-6)
+    assert np.linalg.norm(light.edge_u) == pytest.approx(2.0) and light.edge_u[1] == pytest.approx(0.0)
+    down = ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 1))
+    np.testing.assert_allclose(np.cross(down.edge_u, down.edge_v), (0, -1, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ls.LightSpot((0, 4, 0)), "direction has no length: a spot needs one, or a target"),
+        (lambda: ls.LightSpot((0, 4, 0), (0, 1, 0), target=(0, 0, 0)), "direction and target of a spot are both given"),
+        (lambda: ls.LightSpot((0, 4, 0), target=(0, 4, 0)), "target of a spot is where it stands"),
+        (lambda: ls.LightDirectional(target=(0, 0, 0)), "without a position"),
+        (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0)), "target and size of a rect go together"),
+        (lambda: ls.LightRect((0, 4, 0), (1, 0, 0), (0, 1, 0), target=(0, 0, 0), size=(1, 1)), "both given"),
+        (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),
+    ],
+)
+def test_wrong_aims_are_refused(make, message):
+    """In one line."""
+    with pytest.raises(ls.SceneError, match=message):
+        make()
+
+
+FILE = """
+up = "y-down"
+[[meshes]]
+shape = "box"
+size = [1, 2, 3]
+position = [1, 0, 0]
+rotation_degrees = [0, 0, 90]
+ground = -2.0
+[[meshes]]
+shape = "sphere"
+size = 2
+upright = true
+look_at = [5, 0, 0]
+material = { roughness = 0.0 }
+[[lights]]
+type = "spot"
+position = [0, -4, 0]
+target = [3, 0, 0]
+[[lights]]
+type = "directional"
+position = [0, -4, 3]
+[[lights]]
+type = "rect"
+position = [0, -4, 0]
+target = [0, 0, 0]
+size = [1, 2]
+"""
+
+
+def test_scene_files_have_the_same_words(tmp_path):
+    """Shapes without files, angles in degrees, the ground along the file's up, and targets of lights."""
+    scene = load_scene(tmp_path, FILE)
+    first, second = scene.meshes
+    corners = first.mesh.positions @ first.transform[:3, :3].T + first.transform[:3, 3]
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [(0, 1, -1.5), (2, 2, 1.5)], atol=1e-6)
+    assert second.mesh.material.is_smooth
+    np.testing.assert_allclose(second.transform[:3, :3] @ (0, 0, 1), (1, 0, 0), atol=1e-12)
+    spot, sun, rect = scene.lights
+    assert isinstance(spot, ls.LightSpot) and isinstance(sun, ls.LightDirectional) and isinstance(rect, ls.LightRect)
+    np.testing.assert_allclose(spot.direction, (0.6, 0.8, 0.0), atol=1e-7)
+    np.testing.assert_allclose(sun.direction, (0.0, 0.8, -0.6), atol=1e-7)
+    np.testing.assert_allclose(np.cross(rect.edge_u, rect.edge_v), (0, 2, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('shape = "box"', 'shape = "cube"', "shape is 'cube'"),
+        ("size = [1, 2, 3]", "size = [1, 2]", "size is [1, 2], expected one positive number or three"),
+        ("size = [1, 2, 3]", 'size = 1\npath = "a.obj"', "path and shape are both given"),
+        ("rotation_degrees = [0, 0, 90]", "rotation_degrees = [0, 0, 90]\nrotation_wxyz = [1, 0, 0, 0]", "both given"),
+        ("ground = -2.0", "ground = nan", "ground is nan"),
+        ("target = [3, 0, 0]\n", "", "lacks direction"),
+        ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is where it stands"),
+    ],
+)
+def test_wrong_words_of_scene_files_are_refused(tmp_path, old, new, message):
+    """At their line."""
+    with pytest.raises(ls.FormatError) as caught:
+        load_scene(tmp_path, FILE.replace(old, new, 1))
+    refuses(caught, tmp_path, message)
+
+
+@pytest.mark.parametrize("mesh", [ls.box((1, 2, 3)), ls.sphere(2.0, rows=12), ls.plane(2, 3)])
+def test_shapes_face_outwards_and_have_normals_and_uvs(mesh):
+    """Triangles turn as their normals do, uvs are within the texture, normals are of unit length."""
+    a, b, c = (mesh.positions[mesh.indices[:, k]].astype(float) for k in range(3))
+    face = np.cross(b - a, c - a)
+    mean = mesh.normals[mesh.indices].mean(axis=1)
+    assert (np.einsum("fc,fc->f", face, mean) > 0.0).all()
+    if mesh.name != "plane":
+        assert (np.einsum("fc,fc->f", face, a + b + c) > 0.0).all()
+    assert mesh.uvs.min() >= 0.0 and mesh.uvs.max() <= 1.0
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-6)
+
+
+def test_shapes_have_their_sizes():
+    """Bounds, area and volume."""
+    np.testing.assert_allclose(ls.box((1, 2, 3)).bounds(), [(-0.5, -1, -1.5), (0.5, 1, 1.5)])
+    np.testing.assert_allclose(ls.plane(2, 4).bounds(), [(-1, 0, -2), (1, 0, 2)])
+    ball = ls.sphere(2.0, rows=64)
+    a, b, c = (ball.positions[ball.indices[:, k]].astype(float) for k in range(3))
+    assert np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6 == pytest.approx(4 / 3 * math.pi * 8, rel=2e-3)
+    for wrong in (
+        lambda: ls.box((1, 0, 1)),
+        lambda: ls.sphere(-1),
+        lambda: ls.plane(0, 1),
+        lambda: ls.sphere(1, rows=1),
+    ):
+        with pytest.raises(ls.SceneError):
+            wrong()
+
+
+def test_smooth_normals_break_at_creases():
+    """Of a box none are smooth, of a sphere all; a crease angle of 0 is flat."""
+    sharp = ls.smooth_normals(replace(BOX, normals=None))
+    assert sharp.vertex_count == 24
+    np.testing.assert_allclose(np.abs(sharp.normals).max(axis=1), 1.0, atol=1e-6)
+    ball = ls.sphere(1.0, rows=24)
+    smooth = ls.smooth_normals(replace(ball, normals=None))
+    np.testing.assert_allclose(smooth.normals, smooth.positions, atol=5e-3)
+    round_box = ls.smooth_normals(BOX, math.pi)
+    np.testing.assert_allclose(np.abs(round_box.normals), 1 / math.sqrt(3), atol=1e-6)
+    assert ls.smooth_normals(ball, 0.0).normals is None
+    with pytest.raises(ls.SceneError, match="crease_angle is 50"):
+        ls.smooth_normals(ball, 50)
+
+
+def test_objs_without_normals_are_smooth(tmp_path):
+    """Unless asked for flat ones; those of a file are kept; a scene file says it in degrees."""
+    ball = ls.sphere(1.0, rows=8)
+    lines = [f"v {x} {y} {z}" for x, y, z in ball.positions] + [
+        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in ball.indices
+    ]
+    (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
+    smooth, flat = ls.load(tmp_path / "ball.obj"), ls.load(tmp_path / "ball.obj", crease_angle=0.0)
+    assert isinstance(smooth, ls.Mesh) and isinstance(flat, ls.Mesh)
+    assert flat.normals is None
+    np.testing.assert_allclose(smooth.normals, smooth.positions, atol=0.03)
+    (instance,) = load_scene(tmp_path, '[[meshes]]\npath = "ball.obj"\ncrease_angle_degrees = 10\n').meshes
+    normals = instance.mesh.normals
+    assert normals is not None and np.abs(normals - instance.mesh.positions).max() > 0.1
