@@ -99,15 +99,16 @@ def mesh_interaction(
             interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
     # Rough surfaces do not let light through: what they do not reflect specularly is scattered back.
     transmission = wp.where(material.roughness == 0.0, material.transmission, 0.0)
+    interaction.wo = -wave[0].rays.direction[i]
+    interaction.geometric_normal = face_normal(instance, meshes, corners)
+    inside = wp.dot(interaction.geometric_normal, interaction.wo) < 0.0
     interaction.bsdf = bsdf_of(
-        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission
+        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, inside
     )
     if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction
     interaction.exists = True
-    interaction.wo = -wave[0].rays.direction[i]
-    interaction.geometric_normal = face_normal(instance, meshes, corners)
-    if wp.dot(interaction.geometric_normal, interaction.wo) < 0.0:
+    if inside:
         interaction.geometric_normal = -interaction.geometric_normal
         normal = -normal
     # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.

@@ -104,7 +104,7 @@ def splat_interaction(
         if scene[0].attributes[asset].metallic.shape[0] > 0:
             metallic = scene[0].attributes[asset].metallic[surface.gaussian]
     interaction.bsdf = bsdf_of(
-        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0
+        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0, False
     )
     interaction.weight = 1.0 - surface.transmittance
     interaction.occlusion = 1.0

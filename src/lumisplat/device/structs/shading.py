@@ -45,6 +45,8 @@ class MaterialData:
     specular_strength: float
     """Strength of the dielectric reflection."""
     ior: float
+    fresnel_mean: float
+    """Share of even light from all around that a smooth dielectric of this ``ior`` mirrors."""
     transmission: float
     metallic_roughness_texture: TextureData
     normal_texture: TextureData
@@ -157,6 +159,9 @@ class Interactions:
     grazing: wp.array[float]
     alpha: wp.array[float]
     shininess: wp.array[float]
+    dielectric: wp.array[float]
+    eta: wp.array[float]
+    mean_mirrored: wp.array[float]
     weight: wp.array[float]
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]

@@ -10,6 +10,7 @@ import numpy as np
 from lumisplat.constants import SHADOW_ONLY_AMBIENT
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.shading import MaterialData
+from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
@@ -84,6 +85,7 @@ def _fill(row: Any, material: Material) -> None:
         return
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular
+    row["fresnel_mean"] = mean_fresnel(material.ior)
     for name in ("metallic", "roughness", "ior", "transmission", "normal_scale", "occlusion_strength"):
         row[name] = getattr(material, name)
 
