@@ -69,7 +69,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
     interaction.exists = True
     interaction.position = wave[0].interactions.position[j]
     interaction.normal = wave[0].interactions.normal[j]
-    interaction.geometric_normal = wave[0].interactions.geometric_normal[j]
+    interaction.horizon_normal = wave[0].interactions.horizon_normal[j]
     interaction.wo = wave[0].interactions.wo[j]
     interaction.bsdf.model = wave[0].interactions.model[j]
     interaction.bsdf.diffuse = wave[0].interactions.diffuse[j]
@@ -88,13 +88,13 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
-    """Writes interaction ``j``, except for the spawn point of its shadow rays."""
+    """Writes interaction ``j``, except for what its shadow rays begin with."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
     wave[0].interactions.position[j] = interaction.position
     wave[0].interactions.normal[j] = interaction.normal
-    wave[0].interactions.geometric_normal[j] = interaction.geometric_normal
+    wave[0].interactions.horizon_normal[j] = interaction.horizon_normal
     wave[0].interactions.wo[j] = interaction.wo
     wave[0].interactions.model[j] = interaction.bsdf.model
     wave[0].interactions.diffuse[j] = interaction.bsdf.diffuse

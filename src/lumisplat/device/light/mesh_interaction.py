@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.light.shadow_terminator import smooth_height
 from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black, sample_texture
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
@@ -84,6 +85,7 @@ def mesh_interaction(
     roughness = material.roughness
     metallic = material.metallic
     normal = surface_normal(instance, meshes, corners, weights)
+    interaction.horizon_normal = normal
     interaction.occlusion = 1.0
     if material.metallic_roughness_texture.width + material.normal_texture.width + material.occlusion_texture.width > 0:
         uv = hit_uv(meshes, corners, weights)
@@ -110,6 +112,7 @@ def mesh_interaction(
     interaction.exists = True
     if inside:
         interaction.geometric_normal = -interaction.geometric_normal
+        interaction.horizon_normal = -interaction.horizon_normal
         normal = -normal
     # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.
     facing = wp.dot(normal, interaction.wo) > 0.0
@@ -125,6 +128,16 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
+
+
+@wp.func
+def mesh_smooth_height(i: int, normal: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
+    """``smooth_height`` of the mesh that ray ``i`` hits; 0 if it has no normals."""
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    if instance.has_normals == 0:
+        return 0.0
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    return smooth_height(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), normal)
 
 
 @wp.func

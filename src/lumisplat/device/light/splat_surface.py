@@ -95,6 +95,7 @@ def splat_interaction(
     )
     if wp.dot(interaction.normal, interaction.wo) < 0.0:
         interaction.normal = interaction.wo
+    interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     roughness = scene[0].materials[surface.instance].roughness
     metallic = scene[0].materials[surface.instance].metallic

@@ -128,8 +128,12 @@ class Interaction:
     """World space."""
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
+    horizon_normal: wp.vec3
+    """Of the surface without its normal map, world space, unit, on the side of ``wo``: no light arrives from below."""
     geometric_normal: wp.vec3
     """Of the triangle itself, world space, unit, on the side of ``wo``; of Gaussians the shading normal."""
+    smooth_height: float
+    """How far above its triangle the smooth surface of a mesh is, along ``horizon_normal``, scene units."""
     wo: wp.vec3
     """Outgoing direction, unit: back along the ray."""
     bsdf: Bsdf
@@ -151,7 +155,7 @@ class Interactions:
     exists: wp.array[wp.bool]
     position: wp.array[wp.vec3]
     normal: wp.array[wp.vec3]
-    geometric_normal: wp.array[wp.vec3]
+    horizon_normal: wp.array[wp.vec3]
     wo: wp.array[wp.vec3]
     model: wp.array[int]
     diffuse: wp.array[wp.vec3]
@@ -166,9 +170,11 @@ class Interactions:
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
-    """Origin of the shadow rays; without elements in frames without shadow rays."""
+    """Origin of the shadow rays; without elements in frames without shadow rays, as what follows."""
     spawn_t_min: wp.array[float]
     """Distance along them within which Gaussians do not block, scene units."""
+    geometric_normal: wp.array[wp.vec3]
+    smooth_height: wp.array[float]
 
 
 @struct

@@ -5,7 +5,12 @@ import warp as wp
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, LIT_WEIGHT_MIN
 from lumisplat.device.light.environment import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS, store_interaction
-from lumisplat.device.light.mesh_interaction import mesh_emission, mesh_interaction, mesh_spawn_point
+from lumisplat.device.light.mesh_interaction import (
+    mesh_emission,
+    mesh_interaction,
+    mesh_smooth_height,
+    mesh_spawn_point,
+)
 from lumisplat.device.light.splat_surface import (
     is_over_light,
     reflects_light,
@@ -145,9 +150,12 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
         if splats.exists:
             wave[0].interactions.spawn_point[i] = splats.position
             wave[0].interactions.spawn_t_min[i] = shadow_offset(surface, scene)
+            wave[0].interactions.smooth_height[i] = 0.0
         if mesh.exists:
             wave[0].interactions.spawn_point[j] = mesh_spawn_point(i, mesh.geometric_normal, scene, wave)
             wave[0].interactions.spawn_t_min[j] = 0.0
+            wave[0].interactions.geometric_normal[j] = mesh.geometric_normal
+            wave[0].interactions.smooth_height[j] = mesh_smooth_height(i, mesh.horizon_normal, scene, wave)
 
 
 @wp.func
