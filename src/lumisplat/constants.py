@@ -102,6 +102,9 @@ mirrors of thin triangles."""
 SPAWN_SLENDER = 1000.0
 """Longest side over height of a triangle beyond which the offset grows no further: it must stay invisible."""
 
+SMOOTH_HEIGHT_MIN = 1.0e-5
+"""Height of a smooth surface over its triangle, as a share of its sides, below which it is rounding: there is none."""
+
 SMOOTH_START_COSINE = 0.1
 """Cosine of the light on a triangle of a smooth mesh, from which on shadow rays start at the triangle itself. Where it
 is less or negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.lights import Light
 from support.scenes.light_scenes import matte
 
 PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
@@ -31,7 +32,7 @@ def sphere(meridians: int, center: tuple[float, float, float] = (0.0, 0.0, 0.0),
 
 def frame_of(
     meshes: list[ls.Mesh],
-    light: ls.Light,
+    light: Light,
     pipeline: ls.Pipeline = ls.Pipeline.TRACE,
     shadows: ls.Shadows = ls.Shadows.HARD,
     samples: int = 1,
@@ -71,7 +72,7 @@ def test_few_triangles_are_lit_as_many_are(shadows: ls.Shadows, pipeline: ls.Pip
     ],
     ids=["sun", "lamp"],
 )
-def test_soft_light_too(light: ls.Light) -> None:
+def test_soft_light_too(light: Light) -> None:
     """From a sun of 6 degrees, and from a lamp nearby that has an extent."""
     coarse, fine = (frame_of([sphere(count)], light, shadows=ls.Shadows.SOFT, samples=16) for count in (12, 192))
     dark, lit = misjudged(coarse, fine)

@@ -117,6 +117,9 @@ def mesh_interaction(
     # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.
     facing = wp.dot(normal, interaction.wo) > 0.0
     interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
+    interaction.smooth_height = smooth_height(instance, meshes, corners, weights, interaction.horizon_normal)
+    if interaction.smooth_height == 0.0:
+        interaction.horizon_normal = interaction.geometric_normal
     interaction.position = wave[0].rays.origin[i] - wave[0].meshes.t[i] * interaction.wo
     interaction.weight = transmittance
     return interaction
@@ -128,16 +131,6 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
-
-
-@wp.func
-def mesh_smooth_height(i: int, normal: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """``smooth_height`` of the mesh that ray ``i`` hits; 0 if it has no normals."""
-    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
-    if instance.has_normals == 0:
-        return 0.0
-    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
-    return smooth_height(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), normal)
 
 
 @wp.func

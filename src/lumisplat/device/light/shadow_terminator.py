@@ -6,39 +6,50 @@ their outline as a jagged edge of light and shadow. Rays to such lights start on
 
 import warp as wp
 
-from lumisplat.constants import SMOOTH_START_COSINE
+from lumisplat.constants import SMOOTH_HEIGHT_MIN, SMOOTH_START_COSINE
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 from lumisplat.device.structs.shading import Contribution
 
 wp.set_module_options({"enable_backward": False})
 
+HEIGHT_MIN = wp.constant(wp.float32(SMOOTH_HEIGHT_MIN))
 START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
+
+
+@wp.func
+def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, way: wp.vec3, normal: wp.vec3) -> float:
+    """Height along ``normal`` of the plane through a vertex, across its normal, above a point; ``way`` leads there."""
+    across = wp.normalize(instance.world_from_object_normal * meshes.normals[vertex])
+    return wp.dot(across, way) * wp.dot(across, normal)
 
 
 @wp.func
 def smooth_height(
     instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> float:
-    """How far above a point of its triangle the smooth surface is (Hanika 2021), scene units; 0 where it is below.
+    """How far above a point of its triangle the smooth surface is (after Hanika 2021), scene units; 0 where it is not.
 
     The smooth surface is the mean of the planes through the corners across their normals, weighted as the corners are.
+    Normals that lean one way without spreading make no such surface.
 
     Args:
-        instance: Of the mesh, which has normals.
+        instance: Of the mesh.
         meshes: Where its triangles are.
         corners: The triangle's vertices.
         weights: Barycentric.
         normal: Shading normal there, world space, unit, on the side from which the triangle is seen.
     """
+    if instance.has_normals == 0:
+        return 0.0
     p0 = meshes.positions[corners[0]]
-    local = p0 + weights[1] * (meshes.positions[corners[1]] - p0) + weights[2] * (meshes.positions[corners[2]] - p0)
-    height = float(0.0)
-    for k in range(3):
-        across = wp.normalize(instance.world_from_object_normal * meshes.normals[corners[k]])
-        facing = wp.dot(across, normal)
-        above = wp.dot(across, instance.world_from_object * (meshes.positions[corners[k]] - local))
-        # Seen from the other side, both signs change.
-        height += weights[k] * wp.max(wp.sign(facing) * above, 0.0) * wp.abs(facing)
+    edge1 = instance.world_from_object * (meshes.positions[corners[1]] - p0)
+    edge2 = instance.world_from_object * (meshes.positions[corners[2]] - p0)
+    point = weights[1] * edge1 + weights[2] * edge2
+    height = weights[0] * height_at(instance, meshes, corners[0], -point, normal)
+    height += weights[1] * height_at(instance, meshes, corners[1], edge1 - point, normal)
+    height += weights[2] * height_at(instance, meshes, corners[2], edge2 - point, normal)
+    if height <= HEIGHT_MIN * (wp.length(edge1) + wp.length(edge2)):
+        return 0.0
     return height
 
 

@@ -129,7 +129,8 @@ class Interaction:
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
     horizon_normal: wp.vec3
-    """Of the surface without its normal map, world space, unit, on the side of ``wo``: no light arrives from below."""
+    """No light arrives from below: of the smooth surface, without normal map, or of the triangle where there is none;
+    world space, unit, on the side of ``wo``."""
     geometric_normal: wp.vec3
     """Of the triangle itself, world space, unit, on the side of ``wo``; of Gaussians the shading normal."""
     smooth_height: float

@@ -8,7 +8,6 @@ from lumisplat.device.light.interaction import SHADE_OPTIONS, store_interaction
 from lumisplat.device.light.mesh_interaction import (
     mesh_emission,
     mesh_interaction,
-    mesh_smooth_height,
     mesh_spawn_point,
 )
 from lumisplat.device.light.splat_surface import (
@@ -155,7 +154,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
             wave[0].interactions.spawn_point[j] = mesh_spawn_point(i, mesh.geometric_normal, scene, wave)
             wave[0].interactions.spawn_t_min[j] = 0.0
             wave[0].interactions.geometric_normal[j] = mesh.geometric_normal
-            wave[0].interactions.smooth_height[j] = mesh_smooth_height(i, mesh.horizon_normal, scene, wave)
+            wave[0].interactions.smooth_height[j] = mesh.smooth_height
 
 
 @wp.func
