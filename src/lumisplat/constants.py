@@ -114,6 +114,9 @@ BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 
 # --- Light and shadow ---
 
+KEPT_SHARE_MIN = 1.0e-6
+"""Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
+
 EXPOSURE_MAX = 100
 """Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
 

@@ -60,6 +60,7 @@ class MaterialData:
 class SplatAttributes:
     """Attributes of an asset's Gaussians that shading reads; arrays without elements: the asset has none."""
 
+    means: wp.array[wp.vec3]
     scales: wp.array[wp.vec3]
     roughness: wp.array[float]
     metallic: wp.array[float]
@@ -108,14 +109,20 @@ class SplatSurface:
     instance: int
     """Instance of the surface or, without a surface, of the first Gaussian; -1: there is none."""
     gaussian: int
-    """Gaussian of the surface, in its asset; -1: there is no surface."""
+    """Gaussian that lights change, in its asset; -1: they change none."""
+    depth: float
+    """Its distance along the ray, scene units."""
     transmittance: float
     captured: wp.vec3
     """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""
     weight: float
     """Share of the ray's colour that was captured."""
+    kept: float
+    """Share of the ray of Gaussians that keep their captured colour."""
     albedo: wp.vec3
-    """Linear, straight: the surface's own colour."""
+    """Linear, straight: the own colour of what lights change."""
+    share: float
+    """Share of the ray of what lights change."""
 
 
 @struct

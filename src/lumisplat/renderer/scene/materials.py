@@ -29,6 +29,13 @@ def emits_capture_only(instance: SplatInstance) -> bool:
     return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
 
 
+def is_relit(instance: SplatInstance) -> bool:
+    """Whether light alone determines what a splat set shows in lit frames: nothing of it is kept as captured."""
+    material = material_of(instance)
+    ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
+    return not instance.shadow_only and min(np.add(material.emissive, ambient)) < 1.0
+
+
 def material_of(instance: SplatInstance) -> Material:
     """The material of a splat set, or the default one."""
     return instance.material or MaterialSimple()
@@ -64,7 +71,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool) -
         ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
         _fill(row, material)
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
-        row["keeps_capture"] = not is_lit or splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
+        row["keeps_capture"] = not is_lit or not is_relit(splats)
         if splats.shadow_only:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
