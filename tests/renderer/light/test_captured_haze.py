@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
+from support.compare.ways import WAYS, renderer_of
 from support.scenes.raster_scenes import flat_sh, front_camera
 
 PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
@@ -107,10 +108,15 @@ def test_captures_beside_relit_sets_keep_their_bits(pipeline: ls.Pipeline) -> No
     assert same[:, 12:].all()
 
 
-def test_all_schedules_agree() -> None:
-    """One thread, several, and the order of CUDA."""
+@pytest.mark.parametrize("way", WAYS)
+@PIPELINES
+def test_all_schedules_agree(pipeline: ls.Pipeline, way: str) -> None:
+    """The kernels of the CPU and those of CUDA, layers of both kinds one after the other, a mesh between them."""
     splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
     splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]
-    for pipeline in ls.Pipeline:
-        one, other = (frame_of(splats, pipeline, threads=threads).color for threads in (1, 2))
-        np.testing.assert_array_equal(one, other)
+    corners = [[-0.2, -0.2, 2.12], [0.3, -0.2, 2.12], [0.0, 0.3, 2.12]]
+    scene = ls.Scene(splats=splats, meshes=[ls.Mesh(corners, [[0, 2, 1]])], lights=[FACING])
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True)
+    camera = front_camera(24, 18, 30.0)
+    frame = renderer_of(way, config).render(scene, camera)
+    np.testing.assert_allclose(frame.color, renderer_of("cpu", config).render(scene, camera).color, atol=2e-6)
