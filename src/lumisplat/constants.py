@@ -102,10 +102,20 @@ mirrors of thin triangles."""
 SPAWN_SLENDER = 1000.0
 """Longest side over height of a triangle beyond which the offset grows no further: it must stay invisible."""
 
+SMOOTH_HEIGHT_MIN = 1.0e-5
+"""Height of a smooth surface over its triangle, as a share of its sides, below which it is rounding: there is none."""
+
+SMOOTH_START_COSINE = 0.1
+"""Cosine of the light on a triangle of a smooth mesh, from which on shadow rays start at the triangle itself. Where it
+is less or negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""
+
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 """Share of a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
 
 # --- Light and shadow ---
+
+KEPT_SHARE_MIN = 1.0e-6
+"""Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
 
 EXPOSURE_MAX = 100
 """Stops by which pictures may be brightened or darkened: two to this power is still a float32."""

@@ -285,7 +285,11 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
                 "not used without shadows: --shadow-offset (--shadows hard or soft has some)",
             ],
         ),
-        ({"pipeline": ls.Pipeline.HYBRID}, LAMP, []),
+        (
+            {"pipeline": ls.Pipeline.HYBRID},
+            LAMP,
+            ["not used by --pipeline hybrid for what the camera sees itself: --normals (--pipeline trace uses it)"],
+        ),
     ],
     ids=["unlit raster", "unlit samples", "lit raster", "lit rays without shadows", "lit hybrid"],
 )

@@ -14,7 +14,7 @@ from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE, Bsdf, BsdfSamp
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.chi_square import LIMIT, chi_square_z
-from support.oracles.bsdf_oracle import Array, Material, density, evaluate, ggx, mirrored
+from support.oracles.bsdf_oracle import Array, Material, density, evaluate, fresnel, ggx, mirrored, mirrored_share
 from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
@@ -28,8 +28,9 @@ ACROSS = np.cross(NORMAL, ALONG)
 def pbr(
     alpha: float, diffuse: float = 0.8, specular: float = 0.04, grazing: float = 1.0, tint: bool = False
 ) -> Material:
-    """Metallic-roughness, by the alpha of its GGX distribution."""
+    """Metallic-roughness, by the alpha of its GGX distribution; what is diffuse of it is no metal."""
     channels = np.array([1.0, 0.6, 0.3]) if tint else np.ones(3)
+    ratio = math.sqrt(specular / grazing) if grazing > 0.0 else 0.0
     return {
         "model": "pbr",
         "diffuse": diffuse * channels,
@@ -37,7 +38,15 @@ def pbr(
         "grazing": grazing,
         "alpha": alpha,
         "shininess": 0.0,
+        "dielectric": grazing,
+        "eta": (1.0 - ratio) / (1.0 + ratio),
     }
+
+
+def half_metal(alpha: float, share: float = 0.5) -> Material:
+    """White, a share of it metal."""
+    specular, grazing = 0.04 * (1.0 - share) + share, 1.0
+    return pbr(alpha, 1.0 - share, 0.04) | {"specular": np.full(3, specular), "grazing": grazing}
 
 
 def simple(shininess: float, diffuse: float = 0.5, specular: float = 0.3, tint: bool = False) -> Material:
@@ -49,8 +58,9 @@ def rows(material: Material, count: int) -> npt.NDArray[Any]:
     """The material as kernels read it, ``count`` times."""
     table = np.zeros(count, dtype=table_dtype(Bsdf))
     table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
-    for name in ("diffuse", "specular", "grazing", "alpha", "shininess"):
+    for name in ("diffuse", "specular", "grazing", "alpha", "shininess", "dielectric", "eta"):
         table[name] = material[name]
+    table["mean_mirrored"] = mirrored_share(material, None)
     return table
 
 
@@ -115,6 +125,7 @@ MATERIALS = [
     pbr(0.25, specular=0.0, grazing=0.0, tint=True),
     pbr(0.25, specular=0.3, grazing=0.5, tint=True),
     pbr(0.04, diffuse=0.0, specular=0.0),
+    half_metal(0.3),
     *(simple(shininess, tint=True) for shininess in (0.0, 1.0, 32.0, 10_000.0)),
     simple(20.0, diffuse=1.0, specular=1.0),
     simple(20.0, specular=0.0),
@@ -269,9 +280,23 @@ def test_perfect_mirrors_reflect_all(cos: float) -> None:
 @pytest.mark.parametrize("cos", COSINES)
 def test_smooth_white_loses_nothing(cos: float) -> None:
     """What a smooth surface does not mirror, which is left to mirrors, its white inside reflects."""
-    mirror = 0.04 + 0.96 * (1.0 - cos) ** 5
+    mirror = float(fresnel(np.array(cos), 1.0 / 1.5))
     total = mirror + reflected(pbr(0.0, 1.0, 0.04), direction(cos, 1.0), 200)
     assert total == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("cos", COSINES[:-2])
+@pytest.mark.parametrize("alpha", [0.01, 0.09, 0.25, 1.0])
+def test_half_metals_lose_as_much_as_their_halves(alpha: float, cos: float) -> None:
+    """White of which a share is metal reflects what that share of white metal and the rest of white paint do."""
+    view = direction(cos, 0.3)
+    paint = highlighted(pbr(alpha, 0.0), view) + reflected(pbr(alpha, 1.0), view)
+    metal = highlighted(pbr(alpha, 0.0, 1.0), view)
+    for share in (0.2, 0.5, 0.9):
+        both = half_metal(alpha, share)
+        total = highlighted(both | {"diffuse": np.zeros(3)}, view) + reflected(both, view)
+        assert total == pytest.approx(share * metal + (1.0 - share) * paint, abs=1e-5)
+        assert total <= 1.0003
 
 
 def test_diffuse_reflects_its_albedo() -> None:

@@ -326,12 +326,12 @@ def test_the_region_walks_with_the_actor() -> None:
     """``region_radius`` is about the actors of each frame, not of the first."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
-    near = replace(SHADOW, region_radius=1.2)
+    near = replace(SHADOW, region_radius=0.8)  # from the ball, of radius 0.4
     stage = lighter(ls.Scene(splats=[ground]), [slanted], shadow_map=near)
     stage.light([puppet(-1.5)])
     left = light_left(ground, stage.light([puppet(0.5)]).splats[0].gaussians)
     assert left[ground.means[:, 0] > 1.2].min() < 0.05
-    assert (left[ground.means[:, 0] > 0.5 + 1.2] == 1.0).all()
+    assert (left[ground.means[:, 0] > 0.5 + 0.4 + 0.8] == 1.0).all()
 
 
 def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixture) -> None:

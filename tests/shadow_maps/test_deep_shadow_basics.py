@@ -192,6 +192,17 @@ def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture
     assert "no receivers are near" in caplog.text or "no receivers near" in caplog.text
 
 
+def test_region_radius_keeps_the_ground_under_tall_casters() -> None:
+    """A column of 8 units casts its shadow on the floor at its foot, with a radius of 1.5."""
+    heights = np.linspace(0.0, 8.0, 81)
+    means = np.stack([np.zeros(81), np.zeros(81), heights], axis=1)
+    column = replace(random_gaussians(0, 81), means=means, scales=np.full((81, 3), 0.1), opacities=np.full(81, 0.95))
+    points = np.array([[0.5, 0.0, -0.3], [3.0, 0.0, -0.3]], np.float32)
+    config = replace(SMALL, region_radius=1.5)
+    shadow = ls.DeepShadowMap.build(column, (-2.0, 0.0, 1.5), points, config, device="cpu")
+    assert shadow.transmittance(points[:1])[0] < 0.5
+
+
 def test_region_radius_changes_nothing_for_near_receivers() -> None:
     """Near receivers look where they do without one, wherever they stand among those that are left out."""
     receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)

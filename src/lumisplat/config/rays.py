@@ -46,7 +46,8 @@ class NormalMethod(Enum):
     PLANE = "plane"
     """Of the plane that approximates its largest densities (Kheradmand et al. 2025)."""
     ELLIPSOID = "ellipsoid"
-    """Of the ellipsoid outside which it is ignored, where the ray enters it."""
+    """Of the ellipsoid outside which it is ignored, where the ray enters it. For rays only: what is rasterised has
+    ``PLANE``."""
 
 
 class ShadowMethod(Enum):
@@ -108,7 +109,8 @@ class TraceConfig:
     hit_distance: HitDistance = HitDistance.PEAK
     """Where along a ray a Gaussian is hit."""
     normal_method: NormalMethod = NormalMethod.PLANE
-    """Normal of a single Gaussian."""
+    """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always have that of ``PLANE``: no effect on the
+    raster pipeline, nor on what the camera itself sees in the hybrid one."""
     sh_degree: int = SH_DEGREE_MAX
     """Highest SH degree that is evaluated, 0..3."""
     transmittance_min: float = TRANSMITTANCE_MIN

@@ -71,8 +71,9 @@ class DeepShadowConfig:
     region: bool = True
     """Whether only the texels and bins that receivers read are tabulated."""
     region_radius: float | None = None
-    """Receivers farther than this from the casters' centre along x, y or z are left out, scene units, 1e-6..1e9: they
-    stay lit, except where a map that is used by itself holds the texels of nearer receivers. None: none is left out."""
+    """Receivers farther than this from the box around the casters along x, y or z are left out, scene units, 1e-6..1e9:
+    they stay lit, except where a map that is used by itself holds the texels of nearer receivers. None: none is left
+    out."""
     culling: bool = True
     """Whether each tile has a list of the casters that its rays can hit, instead of testing all of them."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO

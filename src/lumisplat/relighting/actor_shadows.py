@@ -19,7 +19,7 @@ from lumisplat.relighting.scaled_light import scale_light_of
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians, center_of
+from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import MeshInstance, SplatInstance
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
@@ -111,7 +111,7 @@ class ActorShadows:
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
         """Which receivers are out of the reach of shadows, shape (N,); warns once if all are."""
-        far = np.abs(np.concatenate(self._means) - center_of(casters)).max(axis=1) > radius
+        far = distance_from_body(np.concatenate(self._means), casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
             _log.warning("no receivers within %g of the actors: they cast no shadow", radius)

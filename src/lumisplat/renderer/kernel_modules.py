@@ -11,6 +11,7 @@ from lumisplat.renderer.raster import (
     mesh_pixel_kernels,
     mesh_raster_kernels,
     mesh_tile_kernels,
+    relit_splat_kernels,
     splat_pixel_kernels,
     splat_raster_kernels,
     splat_tile_kernels,
@@ -40,18 +41,26 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.has_unshadowed:
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
-        modules += [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
-        modules += [splat_raster_kernels, binning_kernels]
-    if plan.rasterises and "hits" in plan.aovs and not launcher.is_parallel:
-        modules += [splat_pixel_kernels]  # those of tiles do not count
-    if plan.rasterises and plan.has_meshes:
-        modules += [mesh_pixel_kernels if launcher.is_parallel else mesh_tile_kernels, mesh_raster_kernels]
+        modules += raster_modules(plan, launcher)
     if plan.max_bounces:
         modules += [specular_wave_kernels]
     if plan.is_sampled:
         modules += [camera_ray_kernels, film_kernels]
     if plan.traces_rays:
         modules += [mesh_trace_kernels]
+    return modules
+
+
+def raster_modules(plan: FramePlan, launcher: Launcher) -> list[KernelModule]:
+    """The kernel modules of rasterised primary hits."""
+    modules: list[KernelModule] = [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
+    modules += [splat_raster_kernels, binning_kernels]
+    if plan.mixes_sets:
+        modules += [relit_splat_kernels]
+    if "hits" in plan.aovs and not launcher.is_parallel:
+        modules += [splat_pixel_kernels]  # those of tiles do not count
+    if plan.has_meshes:
+        modules += [mesh_pixel_kernels if launcher.is_parallel else mesh_tile_kernels, mesh_raster_kernels]
     return modules
 
 

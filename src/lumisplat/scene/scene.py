@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lumisplat.constants import BULK_TAIL, SH_DEGREE_MAX, SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, box_text, matrix_4x4
+from lumisplat.math.arrays import FloatArray, box_text
 from lumisplat.math.rotations import quaternions_from_matrices
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.checks import check_flag, check_kind, check_whole, items_of

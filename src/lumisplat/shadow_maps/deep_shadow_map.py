@@ -18,7 +18,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher, Progress
-from lumisplat.scene.ops.world_gaussians import PlacedGaussians, center_of
+from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import Source, atlas_of, shadow_bound, source_of
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians
@@ -238,8 +238,7 @@ class DeepShadowMap:
         """Fits the atlas to receivers, and tabulates for all builds what their lookups read."""
         rows = np.arange(len(receivers.means), dtype=np.int32)
         if self.config.region_radius is not None:
-            distances = np.abs(receivers.means - center_of(casters)).max(axis=1, initial=0.0)
-            rows = rows[distances <= self.config.region_radius]
+            rows = rows[distance_from_body(receivers.means, casters) <= self.config.region_radius]
         if not len(rows):
             _log.warning("there are no receivers near the casters: nothing is shadowed")
         near = PlacedGaussians(*(column[rows] for column in receivers))

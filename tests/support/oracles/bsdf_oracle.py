@@ -48,12 +48,18 @@ def _above(normal: Array, view: Array, light: Array) -> npt.NDArray[np.bool_]:
     return (cosine(normal, view) > 0.0) & (cosine(normal, light) > 0.0)
 
 
-def directional_albedo(material: Material, cos: Array | None) -> Array:
-    """Share of a white sky that a view at ``cos`` gets by the highlight, as fitted; None: the mean over all views.
+def fresnel(cos: Array, eta: float) -> Array:
+    """Fresnel's equations, unpolarised, by the indices' ratio ``eta``, not above 1."""
+    beyond = np.sqrt(1.0 - eta**2 * (1.0 - cos**2))
+    across, along = (eta * cos - beyond) / (eta * cos + beyond), (cos - eta * beyond) / (cos + eta * beyond)
+    return 0.5 * (across**2 + along**2)
+
+
+def directional_albedo(alpha: float, head_on: npt.ArrayLike, grazing: float, cos: Array | None) -> Array:
+    """Share of a white sky that a view at ``cos`` gets by a highlight, as fitted; None: the mean over all views.
 
     With a reflectance of ``F0 + (F90 - F0) (1 - cos)^5``, it is ``F0 (1 - lost - rising) + F90 rising``.
     """
-    alpha = material["alpha"]
     if cos is None:
         rising = np.asarray(1.0 / 21.0 / (1.0 + 2.4 * alpha + 17.0 * alpha**2))
         lost = np.asarray(alpha**2 / (0.26 + 1.05 * alpha + 0.3 * alpha**2))
@@ -61,17 +67,29 @@ def directional_albedo(material: Material, cos: Array | None) -> Array:
         rough = cos + 2.48 * alpha + 38.2 * alpha**2 + 24.7 * alpha**3
         rising = (1.0 - cos) ** 5 * cos / rough + (1.0 - cos) ** 3 * 2.3 * alpha / rough
         lost = alpha**2 * (0.53 + 0.79 * cos) / (cos**2 + 1.15 * alpha - 0.91 * alpha * cos + 0.74 * alpha**2)
-    head_on = np.asarray(material["specular"], dtype=np.float64)
-    return head_on * (1.0 - lost - rising)[..., None] + material["grazing"] * rising[..., None]
+    head_on = np.asarray(head_on, dtype=np.float64)
+    return head_on * (1.0 - lost - rising)[..., None] + grazing * rising[..., None]
+
+
+def mirrored_share(material: Material, cos: Array | None) -> Array:
+    """What the dielectric part mirrors of light from ``cos``, shape (..., 1); None: of even light from all around."""
+    strength, eta = material["dielectric"], material["eta"]
+    if material["alpha"] > 0.0:
+        head_on = [strength * ((1.0 - eta) / (1.0 + eta)) ** 2]
+        return directional_albedo(material["alpha"], head_on, strength, cos)
+    if cos is not None:
+        return strength * fresnel(cos, eta)[..., None]
+    steps = (np.arange(20_000) + 0.5) / 20_000
+    return np.asarray([strength * np.mean(2.0 * steps * fresnel(steps, eta))])
 
 
 def pbr_diffuse(material: Material, normal: Array, view: Array, light: Array) -> Array:
-    """Kelemen and Szirmay-Kalos 2001: what the highlight leaves at both ends, over what it leaves on average."""
-    if material["grazing"] == 0.0:
+    """Kelemen and Szirmay-Kalos 2001: what is not mirrored at both ends, over what is not mirrored on average."""
+    if material["dielectric"] == 0.0:
         return np.broadcast_to(np.asarray(material["diffuse"]) / np.pi, np.broadcast_shapes(view.shape, light.shape))
-    let_in = 1.0 - directional_albedo(material, cosine(normal, light))
-    let_out = 1.0 - directional_albedo(material, cosine(normal, view))
-    mean = 1.0 - directional_albedo(material, None)
+    let_in = 1.0 - mirrored_share(material, cosine(normal, light))
+    let_out = 1.0 - mirrored_share(material, cosine(normal, view))
+    mean = 1.0 - mirrored_share(material, None)
     return np.asarray(material["diffuse"]) / np.pi * let_in * let_out / mean
 
 
@@ -130,8 +148,9 @@ def density(material: Material, normal: Array, view: Array, light: Array) -> Arr
             to_half = cosine(view, half)
             seen = smith(angle(normal, view), alpha) * ggx(angle(normal, half), alpha) * to_half
             lobe = seen / cosine(normal, view) / (4.0 * to_half)
-            mirror = directional_albedo(material, cosine(normal, view))
-            parts = mirror.mean(axis=-1), (diffuse * (1.0 - mirror)).mean(axis=-1)
+            cos = cosine(normal, view)
+            mirror = directional_albedo(material["alpha"], specular, material["grazing"], cos)
+            parts = mirror.mean(axis=-1), (diffuse * (1.0 - mirrored_share(material, cos))).mean(axis=-1)
             if material["alpha"] <= 0.0 or material["grazing"] <= 0.0:
                 parts = 0.0, 1.0
     total = np.asarray(parts[0] + parts[1])

@@ -3,9 +3,11 @@
 import warp as wp
 
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
+from lumisplat.device.light.interaction import bsdf_of
 from lumisplat.device.light.light import sample_light
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.structs.light import Bsdf, BsdfSample, EnvironmentData, LightData, LightSample
+from lumisplat.device.structs.shading import MaterialData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,3 +74,16 @@ def probe_environment_samples(
     """Picked directions."""
     i = wp.tid()
     samples[i] = sample_environment(environment, randoms[i])
+
+
+@wp.kernel
+def probe_material(
+    materials: wp.array(dtype=MaterialData),
+    color: wp.vec3,
+    inside: bool,
+    bsdfs: wp.array(dtype=Bsdf),
+):
+    """The BSDFs of materials at points without textures."""
+    i = wp.tid()
+    own = materials[i]
+    bsdfs[i] = bsdf_of(materials, i, color, own.roughness, own.metallic, own.transmission, inside)

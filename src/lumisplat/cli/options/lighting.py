@@ -33,8 +33,8 @@ class LightOptions:
     shadow_hits: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
     """Gaussians that first-hits counts."""
     shadow_offset: Annotated[float | None, setting("0..100", "4.0")] = None
-    """A splat surface is not shadowed by Gaussians nearer than this many times their size or its own: raise it against specks,
-    lower it where contact shadows are missing."""
+    """A splat surface is not shadowed by Gaussians nearer than this many times their size or its own: raise it
+    against specks, lower it where contact shadows are missing."""
     shadow_offset_absolute: Annotated[float | None, setting("UNITS", "0.0")] = None
     """Added to that, in units of the scene."""
     shadow_threshold: Annotated[float | None, setting("0..0.99", "0.0")] = None

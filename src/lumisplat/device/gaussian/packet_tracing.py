@@ -15,7 +15,7 @@ from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
-from lumisplat.device.gaussian.ray_compositing import blend_hit, close_pass, load_pixel, store_pixel
+from lumisplat.device.gaussian.ray_compositing import add_relit, blend_hit, close_pass, load_pixel, store_pixel
 from lumisplat.device.math.random import draw_mixed, mix
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.declare import struct
@@ -92,7 +92,10 @@ def blend_hits(
         index = hits[head].index
         alpha = wp.where(config.strategy == STRATEGY_HIT, 1.0, hits[head].alpha)
         head += 1
+        before = pixel
         pixel = blend_hit(pixel, config, scene.instances, scene.assets, ray, index, alpha)
+        if radiance.relit_weight:
+            add_relit(radiance, i, scene.instances, before, pixel, index)
         if pixel.surface == index:
             radiance.depth[i] = larger(t, 0.0)
         # Rounding may deliver a hit after one that is farther.

@@ -79,6 +79,32 @@ def blend_hit(
 
 
 @wp.func
+def begin_relit(hits: GaussianHits, ray: int):
+    """Nothing of relit sets on a ray, if these are told apart."""
+    if hits.relit_weight:
+        hits.relit_color[ray] = wp.vec3(0.0)
+        hits.relit_weight[ray] = 0.0
+        hits.relit_gaussian[ray] = -1
+
+
+@wp.func
+def add_relit(
+    hits: GaussianHits,
+    ray: int,
+    instances: wp.array[SplatInstanceData],
+    before: BlendState,
+    after: BlendState,
+    index: int,
+):
+    """Adds what blending the Gaussian ``index`` has changed to the share of relit sets, if it is one of theirs."""
+    if instances[instance_of(instances, index)].relit != 0:
+        hits.relit_color[ray] += after.color - before.color
+        hits.relit_weight[ray] += before.transmittance - after.transmittance
+        if hits.relit_gaussian[ray] < 0 or after.surface == index:
+            hits.relit_gaussian[ray] = index
+
+
+@wp.func
 def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
     """Decides about a stochastic pass whose farthest Gaussian is ``last``, by what its own Gaussians hide.
 
@@ -111,7 +137,14 @@ def close_pass(
         t: Distance of the pass's farthest Gaussian.
         last: That Gaussian.
     """
+    opacity = 1.0 - pixel.transmittance
     pixel = end_pass(pixel, sample_key, last)
+    if hits.relit_weight:
+        if pixel.surface < 0:
+            begin_relit(hits, ray)
+        else:
+            hits.relit_color[ray] = hits.relit_color[ray] / opacity
+            hits.relit_weight[ray] = hits.relit_weight[ray] / opacity
     if pixel.surface < 0:
         hits.depth[ray] = wp.inf
     elif pixel.surface == last:

@@ -20,7 +20,7 @@ LIGHT_BRANCHES = wp.constant(2)
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
     """Unshadowed irradiance at an interaction by a sample of a light."""
     cosine = wp.dot(interaction.normal, sample.direction)
-    if cosine <= 0.0 or wp.dot(interaction.geometric_normal, sample.direction) <= 0.0:
+    if cosine <= 0.0 or wp.dot(interaction.horizon_normal, sample.direction) <= 0.0:
         return wp.vec3(0.0)
     return cosine * sample.irradiance
 

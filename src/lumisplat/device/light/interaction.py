@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.material.bsdf import head_on_share, mean_mirrored_share
 from lumisplat.device.structs.light import BSDF_PBR, Bsdf
 from lumisplat.device.structs.shading import Interaction, MaterialData, WaveData
 
@@ -30,18 +31,30 @@ def bsdf_of(
     roughness: float,
     metallic: float,
     transmission: float,
+    inside: bool,
 ) -> Bsdf:
-    """The BSDF of material ``number`` at a point of this base colour (docs/adr/0009)."""
+    """The BSDF of a material at a point (docs/adr/0009).
+
+    Args:
+        materials: All materials.
+        number: Which of them.
+        color: Base colour of the point, linear.
+        roughness: There.
+        metallic: There.
+        transmission: There.
+        inside: Seen from inside, if it transmits; what does not has no inside.
+    """
     bsdf = Bsdf()
     bsdf.model = materials[number].model
     if bsdf.model == BSDF_PBR:
         ior = materials[number].ior
-        specular_strength = materials[number].specular_strength
-        ratio = (ior - 1.0) / (ior + 1.0)
+        bsdf.eta = wp.where(inside and transmission > 0.0, ior, 1.0 / ior)
+        bsdf.dielectric = wp.where(ior > 1.0, materials[number].specular_strength, 0.0)
         bsdf.diffuse = (1.0 - metallic) * (1.0 - transmission) * color
-        bsdf.specular = (1.0 - metallic) * wp.vec3(specular_strength * ratio * ratio) + metallic * color
-        bsdf.grazing = (1.0 - metallic) * wp.where(ior > 1.0, specular_strength, 0.0) + metallic
+        bsdf.specular = (1.0 - metallic) * wp.vec3(head_on_share(bsdf.dielectric, bsdf.eta)) + metallic * color
+        bsdf.grazing = (1.0 - metallic) * bsdf.dielectric + metallic
         bsdf.alpha = roughness * roughness
+        bsdf.mean_mirrored = mean_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, materials[number].fresnel_mean)
     else:
         bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
         bsdf.specular = materials[number].specular
@@ -56,7 +69,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
     interaction.exists = True
     interaction.position = wave[0].interactions.position[j]
     interaction.normal = wave[0].interactions.normal[j]
-    interaction.geometric_normal = wave[0].interactions.geometric_normal[j]
+    interaction.horizon_normal = wave[0].interactions.horizon_normal[j]
     interaction.wo = wave[0].interactions.wo[j]
     interaction.bsdf.model = wave[0].interactions.model[j]
     interaction.bsdf.diffuse = wave[0].interactions.diffuse[j]
@@ -64,6 +77,9 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
     interaction.bsdf.grazing = wave[0].interactions.grazing[j]
     interaction.bsdf.alpha = wave[0].interactions.alpha[j]
     interaction.bsdf.shininess = wave[0].interactions.shininess[j]
+    interaction.bsdf.dielectric = wave[0].interactions.dielectric[j]
+    interaction.bsdf.eta = wave[0].interactions.eta[j]
+    interaction.bsdf.mean_mirrored = wave[0].interactions.mean_mirrored[j]
     interaction.weight = wave[0].interactions.weight[j]
     interaction.occlusion = wave[0].interactions.occlusion[j]
     interaction.shadow_only = wave[0].interactions.shadow_only[j]
@@ -72,13 +88,13 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
-    """Writes interaction ``j``, except for the spawn point of its shadow rays."""
+    """Writes interaction ``j``, except for what its shadow rays begin with."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
     wave[0].interactions.position[j] = interaction.position
     wave[0].interactions.normal[j] = interaction.normal
-    wave[0].interactions.geometric_normal[j] = interaction.geometric_normal
+    wave[0].interactions.horizon_normal[j] = interaction.horizon_normal
     wave[0].interactions.wo[j] = interaction.wo
     wave[0].interactions.model[j] = interaction.bsdf.model
     wave[0].interactions.diffuse[j] = interaction.bsdf.diffuse
@@ -86,6 +102,9 @@ def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]
     wave[0].interactions.grazing[j] = interaction.bsdf.grazing
     wave[0].interactions.alpha[j] = interaction.bsdf.alpha
     wave[0].interactions.shininess[j] = interaction.bsdf.shininess
+    wave[0].interactions.dielectric[j] = interaction.bsdf.dielectric
+    wave[0].interactions.eta[j] = interaction.bsdf.eta
+    wave[0].interactions.mean_mirrored[j] = interaction.bsdf.mean_mirrored
     wave[0].interactions.weight[j] = interaction.weight
     wave[0].interactions.occlusion[j] = interaction.occlusion
     wave[0].interactions.shadow_only[j] = interaction.shadow_only

@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.light.shadow_terminator import smooth_height
 from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black, sample_texture
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
@@ -84,6 +85,7 @@ def mesh_interaction(
     roughness = material.roughness
     metallic = material.metallic
     normal = surface_normal(instance, meshes, corners, weights)
+    interaction.horizon_normal = normal
     interaction.occlusion = 1.0
     if material.metallic_roughness_texture.width + material.normal_texture.width + material.occlusion_texture.width > 0:
         uv = hit_uv(meshes, corners, weights)
@@ -99,20 +101,25 @@ def mesh_interaction(
             interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
     # Rough surfaces do not let light through: what they do not reflect specularly is scattered back.
     transmission = wp.where(material.roughness == 0.0, material.transmission, 0.0)
+    interaction.wo = -wave[0].rays.direction[i]
+    interaction.geometric_normal = face_normal(instance, meshes, corners)
+    inside = wp.dot(interaction.geometric_normal, interaction.wo) < 0.0
     interaction.bsdf = bsdf_of(
-        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission
+        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, inside
     )
     if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction
     interaction.exists = True
-    interaction.wo = -wave[0].rays.direction[i]
-    interaction.geometric_normal = face_normal(instance, meshes, corners)
-    if wp.dot(interaction.geometric_normal, interaction.wo) < 0.0:
+    if inside:
         interaction.geometric_normal = -interaction.geometric_normal
+        interaction.horizon_normal = -interaction.horizon_normal
         normal = -normal
     # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.
     facing = wp.dot(normal, interaction.wo) > 0.0
     interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
+    interaction.smooth_height = smooth_height(instance, meshes, corners, weights, interaction.horizon_normal)
+    if interaction.smooth_height == 0.0:
+        interaction.horizon_normal = interaction.geometric_normal
     interaction.position = wave[0].rays.origin[i] - wave[0].meshes.t[i] * interaction.wo
     interaction.weight = transmittance
     return interaction

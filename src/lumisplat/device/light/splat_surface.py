@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants import NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
+from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.math.color import decode_srgb_color, over
@@ -11,6 +11,7 @@ from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, Shadi
 
 wp.set_module_options({"enable_backward": False})
 
+KEPT_MIN = wp.constant(wp.float32(KEPT_SHARE_MIN))
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
@@ -26,11 +27,19 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 
 @wp.func
+def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
+    """Distance along ray ``i`` to where it passes the mean of the surface's Gaussian."""
+    instance = scene[0].splats[surface.instance]
+    mean = scene[0].attributes[instance.asset].means[surface.gaussian] - instance.object_from_world_offset
+    way = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
+    return wp.max(wp.dot(way, wave[0].rays.direction[i]), 0.0)
+
+
+@wp.func
 def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> SplatSurface:
     """The surface of the Gaussians before the nearest mesh on ray ``i``, and their captured colours.
 
-    If their material needs an iso-opacity surface and the ray reaches none, they are left out
-    (docs/method/lighting.md#surfaces).
+    What relit sets show is apart from what others do (docs/method/lighting.md#surfaces).
 
     Args:
         i: The ray.
@@ -42,41 +51,59 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
     surface.instance = -1
     surface.gaussian = -1
     surface.transmittance = wave[0].gaussians.transmittance[i]
+    surface.depth = wave[0].gaussians.depth[i]
     color = wave[0].gaussians.color[i]
     index = wave[0].gaussians.gaussian[i]
-    emits_capture_only = int(1)
-    keeps_capture = int(1)
+    alpha = 1.0 - surface.transmittance
+    relit_color = wp.vec3(0.0)
+    relit = float(0.0)
     if index >= 0:
         surface.instance = instance_of(scene[0].splats, index)
-        emits_capture_only = scene[0].materials[surface.instance].emits_capture_only
-        if wave[0].gaussians.depth[i] < wp.inf:
+        kept_surface = bool(surface.depth < wp.inf)
+        kept_surface = kept_surface and scene[0].materials[surface.instance].keeps_capture != 0
+        kept_surface = kept_surface and scene[0].materials[surface.instance].emits_capture_only == 0
+        relit_index = index
+        if wave[0].gaussians.relit_weight:
+            relit = wave[0].gaussians.relit_weight[i]
+            relit_color = wave[0].gaussians.relit_color[i]
+            relit_index = wave[0].gaussians.relit_gaussian[i]
+            if kept_surface and relit <= alpha - relit:
+                # One surface a ray is lit: this one, and the few relit Gaussians on it show as captured.
+                relit = float(0.0)
+        elif scene[0].materials[surface.instance].keeps_capture == 0:
+            relit = alpha
+            relit_color = color
+        if relit > 0.0:
+            surface.instance = instance_of(scene[0].splats, relit_index)
+            surface.gaussian = relit_index - scene[0].splats[surface.instance].first
+            surface.share = relit
+            surface.albedo = decode_srgb_color(relit_color / relit)
+            if relit_index != index or not surface.depth < wp.inf:
+                surface.depth = distance_to_mean(i, surface, scene, wave)
+        elif kept_surface:
             surface.gaussian = index - scene[0].splats[surface.instance].first
-            keeps_capture = scene[0].materials[surface.instance].keeps_capture
-        elif emits_capture_only == 0:
-            color = wp.vec3(0.0)
-            surface.transmittance = 1.0
-            surface.instance = -1
-    alpha = 1.0 - surface.transmittance
-    if emits_capture_only == 0 and surface.gaussian >= 0:
-        surface.albedo = decode_srgb_color(color / alpha)
-    if keeps_capture == 0:
-        # None of the captured colour is kept: lights alone determine it.
+            surface.share = alpha
+            surface.albedo = decode_srgb_color(color / alpha)
+    surface.kept = alpha - relit
+    if relit > 0.0:
         color = wp.vec3(0.0)
+        if surface.kept > KEPT_MIN:
+            color = wave[0].gaussians.color[i] - relit_color
+        else:
+            surface.kept = 0.0
     if over_light:
         surface.captured = color
-        surface.weight = wp.where(keeps_capture != 0, alpha, 0.0)
+        surface.weight = surface.kept
     else:
         surface.captured = over(color, surface.transmittance, scene[0].settings[0].background)
-        surface.weight = wp.where(keeps_capture != 0, 1.0, surface.transmittance)
+        surface.weight = wp.where(relit > 0.0, surface.kept + surface.transmittance, 1.0)
     return surface
 
 
 @wp.func
-def reflects_light(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
-    """Whether lights change what Gaussians show: they have a surface that does not only emit its captured colour."""
-    if surface.gaussian < 0:
-        return False
-    return scene[0].materials[surface.instance].emits_capture_only == 0
+def reflects_light(surface: SplatSurface) -> bool:
+    """Whether lights change what Gaussians show: they do not only emit their captured colour."""
+    return surface.gaussian >= 0
 
 
 @wp.func
@@ -89,12 +116,13 @@ def splat_interaction(
     asset = scene[0].splats[surface.instance].asset
     interaction.exists = True
     interaction.wo = -wave[0].rays.direction[i]
-    interaction.position = wave[0].rays.origin[i] - wave[0].gaussians.depth[i] * interaction.wo
+    interaction.position = wave[0].rays.origin[i] - surface.depth * interaction.wo
     interaction.normal = unit_or(
         wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), interaction.wo
     )
     if wp.dot(interaction.normal, interaction.wo) < 0.0:
         interaction.normal = interaction.wo
+    interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     roughness = scene[0].materials[surface.instance].roughness
     metallic = scene[0].materials[surface.instance].metallic
@@ -104,9 +132,9 @@ def splat_interaction(
         if scene[0].attributes[asset].metallic.shape[0] > 0:
             metallic = scene[0].attributes[asset].metallic[surface.gaussian]
     interaction.bsdf = bsdf_of(
-        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0
+        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0, False
     )
-    interaction.weight = 1.0 - surface.transmittance
+    interaction.weight = surface.share
     interaction.occlusion = 1.0
     interaction.shadow_only = scene[0].materials[surface.instance].shadow_only != 0
     return interaction

@@ -8,6 +8,7 @@ The equations are in docs/method/materials.md.
 
 import warp as wp
 
+from lumisplat.device.material.fresnel import dielectric_share, mean_dielectric_share
 from lumisplat.device.material.ggx import (
     ALPHA_GGX_MIN,
     HALF_MIN2,
@@ -86,28 +87,46 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 
 @wp.func
-def directional_albedo(bsdf: Bsdf, rising: float, lost: float) -> wp.vec3:
-    """Share of a white sky that the highlight reflects."""
-    return (1.0 - lost - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
+def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """Share of a white sky that the highlight reflects to a view at that cosine."""
+    rising = rising_share(cosine, bsdf.alpha)
+    return (1.0 - lost_share(cosine, bsdf.alpha) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
 
 
 @wp.func
-def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """``directional_albedo`` for a view at that cosine."""
-    return directional_albedo(bsdf, rising_share(cosine, bsdf.alpha), lost_share(cosine, bsdf.alpha))
+def head_on_share(dielectric: float, eta: float) -> float:
+    """Share of the light that a dielectric whose reflection has this strength mirrors at normal incidence."""
+    ratio = (1.0 - eta) / (1.0 + eta)
+    return dielectric * ratio * ratio
+
+
+@wp.func
+def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
+    """Share of the light from that cosine which the dielectric mirrors, by its highlight or along a ray."""
+    if bsdf.alpha <= 0.0:
+        return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
+    rising = rising_share(cosine, bsdf.alpha)
+    head_on = head_on_share(bsdf.dielectric, bsdf.eta)
+    return head_on * (1.0 - lost_share(cosine, bsdf.alpha) - rising) + bsdf.dielectric * rising
+
+
+@wp.func
+def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mean: float) -> float:
+    """``mirrored_share`` of even light from all around."""
+    if alpha <= 0.0:
+        return mean_dielectric_share(dielectric, fresnel_mean, eta)
+    rising = mean_rising_share(alpha)
+    return head_on_share(dielectric, eta) * (1.0 - mean_lost_share(alpha) - rising) + dielectric * rising
 
 
 @wp.func
 def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
-    """The diffuse part: what the highlight leaves on the way in and on the way out (Kelemen and Szirmay-Kalos 2001)."""
-    if bsdf.grazing <= 0.0:
+    """The diffuse part: what is not mirrored on the way in and on the way out (Kelemen and Szirmay-Kalos 2001)."""
+    if bsdf.dielectric <= 0.0:
         return INV_PI * bsdf.diffuse
-    white = wp.vec3(1.0)
-    enters = white - view_albedo(bsdf, cos_light)
-    leaves = white - view_albedo(bsdf, cos_view)
-    mean = white - directional_albedo(bsdf, mean_rising_share(bsdf.alpha), mean_lost_share(bsdf.alpha))
-    mean = wp.vec3(wp.max(mean[0], 1e-6), wp.max(mean[1], 1e-6), wp.max(mean[2], 1e-6))
-    return INV_PI * wp.cw_mul(bsdf.diffuse, wp.cw_div(wp.cw_mul(enters, leaves), mean))
+    enters = 1.0 - mirrored_share(bsdf, cos_light)
+    leaves = 1.0 - mirrored_share(bsdf, cos_view)
+    return (INV_PI * enters * leaves / wp.max(1.0 - bsdf.mean_mirrored, 1e-6)) * bsdf.diffuse
 
 
 @wp.func
@@ -133,9 +152,8 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     """Probability with which the highlight is sampled: its share of the material's directional albedo."""
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
-    mirrored = view_albedo(bsdf, cos_view)
-    specular = mean_of(mirrored)
-    diffuse = mean_of(wp.cw_mul(bsdf.diffuse, wp.vec3(1.0) - mirrored))
+    specular = mean_of(view_albedo(bsdf, cos_view))
+    diffuse = (1.0 - mirrored_share(bsdf, cos_view)) * mean_of(bsdf.diffuse)
     if diffuse <= 0.0:
         return 1.0
     return specular / (specular + diffuse)

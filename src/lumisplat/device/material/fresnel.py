@@ -47,6 +47,29 @@ def fresnel(cosine: float, eta: float) -> float:
 
 
 @wp.func
+def dielectric_share(strength: float, cosine: float, eta: float) -> float:
+    """Share of the light that a dielectric mirrors; the strength of its reflection does not weaken a total one."""
+    if cosine2_beyond(cosine, eta) <= 0.0:
+        return 1.0
+    return strength * fresnel(cosine, eta)
+
+
+@wp.func
+def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
+    """``dielectric_share`` of even light from all around.
+
+    Args:
+        strength: Of the reflection.
+        fresnel_mean: The mean from outside, of a strength of 1.
+        eta: Above 1 inside, from where the share 1 / eta^2 of the light gets as far as the outside.
+    """
+    mean = strength * fresnel_mean
+    if eta > 1.0:
+        return 1.0 - (1.0 - mean) / (eta * eta)
+    return mean
+
+
+@wp.func
 def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
     """Reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
     grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)

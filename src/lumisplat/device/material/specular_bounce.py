@@ -10,7 +10,7 @@ The equations are in docs/method/materials.md#smooth-surfaces.
 import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
-from lumisplat.device.material.fresnel import cosine2_beyond, fresnel, reflect, refract, schlick
+from lumisplat.device.material.fresnel import cosine2_beyond, dielectric_share, reflect, refract, schlick
 from lumisplat.device.math.color import encode_srgb_color
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
 from lumisplat.device.structs.rays import Bounce
@@ -75,9 +75,7 @@ def bounce_of(
     if not stays_outside(direction, bounce.normal, bounce.side, bounce.eta, passes):
         bounce.normal = bounce.side
     cosine = wp.clamp(-wp.dot(direction, bounce.normal), 0.0, 1.0)
-    mirrored = fresnel(cosine, bounce.eta)
-    if cosine2_beyond(cosine, bounce.eta) > 0.0:
-        mirrored *= material.specular
+    mirrored = dielectric_share(material.specular, cosine, bounce.eta)
     dielectric = 1.0 - material.metallic
     transmitted = dielectric * (1.0 - mirrored) * bounce.color
     bounce.reflected = wp.vec3(dielectric * mirrored)

@@ -83,7 +83,7 @@ class Bsdf:
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
     diffuse: wp.vec3
-    """Albedo of the diffuse part; of BSDF_PBR before Fresnel's share is taken off."""
+    """Albedo of the diffuse part; of BSDF_PBR before the mirrored share is taken off."""
     specular: wp.vec3
     """BSDF_SIMPLE: albedo of the highlight. BSDF_PBR: reflectance at normal incidence."""
     grazing: float
@@ -92,6 +92,12 @@ class Bsdf:
     """BSDF_PBR: alpha of the GGX distribution, roughness squared; 0: smooth, with specular bounces for a highlight."""
     shininess: float
     """BSDF_SIMPLE: exponent of the highlight."""
+    dielectric: float
+    """BSDF_PBR: strength of the reflection by what is not metal, which leaves the rest to the diffuse part."""
+    eta: float
+    """BSDF_PBR: index of refraction on the side of the viewer over that behind the surface."""
+    mean_mirrored: float
+    """BSDF_PBR: share of even light from all around that what is not metal mirrors."""
 
 
 @struct

@@ -65,6 +65,16 @@ class GaussianHits:
     """Gaussian of the surface or, if it is not reached, the first one blended, among all of the scene's; -1: none."""
     hits: wp.array[int]
     """How many were blended."""
+    relit_color: wp.array[wp.vec3]
+    """The part of ``color`` of relit sets; like what follows without elements unless there are others as well."""
+    relit_weight: wp.array[float]
+    """Their share of the ray."""
+    relit_gaussian: wp.array[int]
+    """The surface's Gaussian if it is one of theirs, else the first of them; undefined if their share is 0."""
+
+
+RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
+"""Fields of `GaussianHits` for scenes with relit sets and others."""
 
 
 @struct

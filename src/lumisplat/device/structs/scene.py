@@ -68,6 +68,8 @@ class SplatInstanceData:
     """1: normals are those stored in the asset."""
     shadow_only: int
     """1: shadow rays that skip such instances pass through it."""
+    relit: int
+    """1: light alone determines what shows of it, nothing is as captured."""
 
 
 @struct

@@ -45,6 +45,8 @@ class MaterialData:
     specular_strength: float
     """Strength of the dielectric reflection."""
     ior: float
+    fresnel_mean: float
+    """Share of even light from all around that a smooth dielectric of this ``ior`` mirrors."""
     transmission: float
     metallic_roughness_texture: TextureData
     normal_texture: TextureData
@@ -58,6 +60,7 @@ class MaterialData:
 class SplatAttributes:
     """Attributes of an asset's Gaussians that shading reads; arrays without elements: the asset has none."""
 
+    means: wp.array[wp.vec3]
     scales: wp.array[wp.vec3]
     roughness: wp.array[float]
     metallic: wp.array[float]
@@ -106,14 +109,20 @@ class SplatSurface:
     instance: int
     """Instance of the surface or, without a surface, of the first Gaussian; -1: there is none."""
     gaussian: int
-    """Gaussian of the surface, in its asset; -1: there is no surface."""
+    """Gaussian that lights change, in its asset; -1: they change none."""
+    depth: float
+    """Its distance along the ray, scene units."""
     transmittance: float
     captured: wp.vec3
     """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""
     weight: float
     """Share of the ray's colour that was captured."""
+    kept: float
+    """Share of the ray of Gaussians that keep their captured colour."""
     albedo: wp.vec3
-    """Linear, straight: the surface's own colour."""
+    """Linear, straight: the own colour of what lights change."""
+    share: float
+    """Share of the ray of what lights change."""
 
 
 @struct
@@ -126,8 +135,13 @@ class Interaction:
     """World space."""
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
+    horizon_normal: wp.vec3
+    """No light arrives from below: of the smooth surface, without normal map, or of the triangle where there is none;
+    world space, unit, on the side of ``wo``."""
     geometric_normal: wp.vec3
     """Of the triangle itself, world space, unit, on the side of ``wo``; of Gaussians the shading normal."""
+    smooth_height: float
+    """How far above its triangle the smooth surface of a mesh is, along ``horizon_normal``, scene units."""
     wo: wp.vec3
     """Outgoing direction, unit: back along the ray."""
     bsdf: Bsdf
@@ -149,7 +163,7 @@ class Interactions:
     exists: wp.array[wp.bool]
     position: wp.array[wp.vec3]
     normal: wp.array[wp.vec3]
-    geometric_normal: wp.array[wp.vec3]
+    horizon_normal: wp.array[wp.vec3]
     wo: wp.array[wp.vec3]
     model: wp.array[int]
     diffuse: wp.array[wp.vec3]
@@ -157,13 +171,18 @@ class Interactions:
     grazing: wp.array[float]
     alpha: wp.array[float]
     shininess: wp.array[float]
+    dielectric: wp.array[float]
+    eta: wp.array[float]
+    mean_mirrored: wp.array[float]
     weight: wp.array[float]
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
-    """Origin of the shadow rays; without elements in frames without shadow rays."""
+    """Origin of the shadow rays; without elements in frames without shadow rays, as what follows."""
     spawn_t_min: wp.array[float]
     """Distance along them within which Gaussians do not block, scene units."""
+    geometric_normal: wp.array[wp.vec3]
+    smooth_height: wp.array[float]
 
 
 @struct

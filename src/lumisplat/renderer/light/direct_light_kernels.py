@@ -13,6 +13,7 @@ from lumisplat.device.light.direct_light import (
     light_sample_contribution,
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.shadow_terminator import lift_of, lifted
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
 from lumisplat.device.math.random import branch_key
@@ -52,7 +53,14 @@ def spawn_shadow_rays(
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
-            rays_out.origin[j] = wave[0].interactions.spawn_point[j]
+            origin = wave[0].interactions.spawn_point[j]
+            height = wave[0].interactions.smooth_height[j]
+            if height > 0.0:
+                normal = wave[0].interactions.horizon_normal[j]
+                lift = lift_of(height, normal, wave[0].interactions.geometric_normal[j], contribution.direction)
+                contribution = lifted(contribution, lift)
+                origin += lift
+            rays_out.origin[j] = origin
             rays_out.direction[j] = contribution.direction
             rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
             rays_out.t_max[j] = contribution.distance

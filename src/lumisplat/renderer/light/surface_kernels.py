@@ -5,7 +5,11 @@ import warp as wp
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, LIT_WEIGHT_MIN
 from lumisplat.device.light.environment import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS, store_interaction
-from lumisplat.device.light.mesh_interaction import mesh_emission, mesh_interaction, mesh_spawn_point
+from lumisplat.device.light.mesh_interaction import (
+    mesh_emission,
+    mesh_interaction,
+    mesh_spawn_point,
+)
 from lumisplat.device.light.splat_surface import (
     is_over_light,
     reflects_light,
@@ -108,16 +112,21 @@ def store_layers(
     wave: wp.array[WaveData],
 ):
     """Writes the albedo and the emission of the surfaces on a ray."""
-    own = (1.0 - surface.transmittance) * surface.albedo
-    if surface.instance >= 0 and scene[0].materials[surface.instance].emits_capture_only != 0:
+    albedo = surface.share * surface.albedo
+    emission = wp.vec3(0.0)
+    shows_captured = surface.kept > 0.0
+    if reflects_light(surface):
+        material = scene[0].materials[surface.instance]
+        shows_captured = shows_captured and material.keeps_capture == 0
+        emission = albedo
+        if material.shadow_only == 0:
+            emission = wp.cw_mul(material.emissive + material.ambient, albedo)
+    if shows_captured:
         own = captured_color(surface.captured, surface.weight)
         if not over_light:
             own -= decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
-    albedo = own
-    emission = own
-    if surface.instance >= 0 and scene[0].materials[surface.instance].shadow_only == 0:
-        material = scene[0].materials[surface.instance]
-        emission = wp.cw_mul(material.emissive + material.ambient, own)
+        albedo += own
+        emission += own
     if wave[0].meshes.face[i] >= 0:
         number = wave[0].meshes.instance[i]
         corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
@@ -134,7 +143,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
     """Writes the interactions of a ray with the surface of its Gaussians and with the mesh behind it."""
     j = wave[0].interactions.exists.shape[0] // 2 + i
     splats = Interaction()
-    if reflects_light(surface, scene):
+    if reflects_light(surface):
         splats = splat_interaction(i, surface, scene, wave)
     store_interaction(i, splats, wave)
     mesh = Interaction()
@@ -145,9 +154,12 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
         if splats.exists:
             wave[0].interactions.spawn_point[i] = splats.position
             wave[0].interactions.spawn_t_min[i] = shadow_offset(surface, scene)
+            wave[0].interactions.smooth_height[i] = 0.0
         if mesh.exists:
             wave[0].interactions.spawn_point[j] = mesh_spawn_point(i, mesh.geometric_normal, scene, wave)
             wave[0].interactions.spawn_t_min[j] = 0.0
+            wave[0].interactions.geometric_normal[j] = mesh.geometric_normal
+            wave[0].interactions.smooth_height[j] = mesh.smooth_height
 
 
 @wp.func
@@ -177,12 +189,12 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     elif over_light and not (from_camera and camera_sees == SEES_NOTHING):
         light = surface.transmittance * environment_radiance(scene[0].environment, wave[0].rays.direction[i])
 
-    if reflects_light(surface, scene):
+    if reflects_light(surface):
         material = scene[0].materials[surface.instance]
         if material.shadow_only == 0:
             kept = wp.where(material.keeps_capture != 0, 1.0, 0.0)
             change = material.emissive + material.ambient - wp.vec3(kept)
-            light += (1.0 - surface.transmittance) * wp.cw_mul(change, surface.albedo)
+            light += surface.share * wp.cw_mul(change, surface.albedo)
     wave[0].radiance.captured[i] = surface.captured
     wave[0].radiance.captured_weight[i] = surface.weight
     wave[0].radiance.light[i] = light + beyond

@@ -15,6 +15,9 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import upload_structs
 
+SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
+"""Fields of interactions that only shadow rays need."""
+
 
 class Surfaces:
     """Makes a wave of rays from their hits.
@@ -78,7 +81,7 @@ class Surfaces:
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
         if not plan.is_lit:
             return Interactions()
-        without = () if plan.spawns_shadow_rays else ("spawn_point", "spawn_t_min")
+        without = () if plan.spawns_shadow_rays else SHADOW_RAY_FIELDS
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:

@@ -11,8 +11,8 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
-from lumisplat.device.structs.rays import GaussianHits
-from lumisplat.renderer.raster import splat_pixel_kernels, splat_raster_kernels, splat_tile_kernels
+from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits
+from lumisplat.renderer.raster import relit_splat_kernels, splat_pixel_kernels, splat_raster_kernels, splat_tile_kernels
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
@@ -94,7 +94,7 @@ class SplatRaster:
         pixels: PixelData,
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background."""
-        nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0)
+        nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, RELIT_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
         self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
 
@@ -114,10 +114,29 @@ class SplatRaster:
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
         if counts and not self._launcher.is_parallel:
-            counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits))
+            counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits), RELIT_FIELDS)
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
+
+    def tell_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
+        """Adds to sorted hits what Gaussians of relit sets show, by compositing once more with all others black."""
+        count, get = len(hits.hits), self._buffers.get
+        splats = get("raster.relit_splats", Splat, scene.gaussian_count)
+        shown = self._buffers.struct("raster.relit", GaussianHits, count, RELIT_FIELDS)
+        self._launcher.run_banded(
+            relit_splat_kernels.show_relit, scene.gaussian_count, scene.splat_instances, tiles.splats, splats
+        )
+        self._composite(scene, (splats, tiles.starts, tiles.items, meshes, True, PixelData(), shown))
+        hits.relit_color = shown.color
+        hits.relit_weight = get("raster.relit_weight", wp.float32, count)
+        hits.relit_gaussian = get("raster.relit_gaussian", wp.int32, count)
+        tiles_x, tiles_y = scene.tile_grid
+        self._launcher.run_banded(
+            relit_splat_kernels.find_relit,
+            tiles_x * tiles_y * TILE_PX * TILE_PX,
+            *(scene.camera, splats, tiles.starts, tiles.items, meshes, shown, hits),
+        )
 
     def sample_hits(
         self,

@@ -57,6 +57,8 @@ class DeviceScene:
         """Gaussians over all instances."""
         self.triangle_count = 0
         """Triangles over all instances."""
+        self.mixes_sets = False
+        """What Gaussians of relit sets show is told apart from what others do: `FramePlan.mixes_sets`."""
         self.version = 0
         """Changes with the arrays of assets: captured graphs are then stale."""
 
@@ -87,6 +89,7 @@ class DeviceScene:
             DeviceError: The device is out of memory.
         """
         with self._launcher.stage("sync"):
+            self.mixes_sets = plan.mixes_sets
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.scene.scene import Scene
 
 
@@ -34,6 +35,8 @@ class FramePlan:
     """The scene has mesh instances."""
     has_shadow_only: bool
     """Some splat set is shadow-only."""
+    mixes_sets: bool
+    """Some splat sets are relit, and some keep their captured colours: what they show is added up apart."""
     aovs: frozenset[str]
     """Further images of the frame."""
     for_camera: bool
@@ -61,6 +64,7 @@ class FramePlan:
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
             has_meshes=bool(scene.meshes),
+            mixes_sets=is_lit and len({is_relit(instance) for instance in scene.splats}) > 1,
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,
             for_camera=True,

@@ -9,7 +9,7 @@ import numpy as np
 from lumisplat.config import Antialiasing, RenderConfig
 from lumisplat.constants import KERNEL_LINEAR_SLOPE
 from lumisplat.device.structs.scene import KernelData, MeshInstanceData, SplatInstanceData
-from lumisplat.renderer.scene.materials import shading_overrides
+from lumisplat.renderer.scene.materials import is_relit, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -49,6 +49,7 @@ def splat_instance_table(
     table["asset"] = [asset_index[id(instance.gaussians)] for instance in scene.splats]
     table["sh_degree"] = [instance.sh_degree for instance in scene.splats]
     table["shadow_only"] = [instance.shadow_only for instance in scene.splats]
+    table["relit"] = [is_lit and is_relit(instance) for instance in scene.splats]
     for name, values in shading_overrides(scene, is_lit).items():
         table[name] = values
     forced = config.raster.antialiasing is Antialiasing.ON

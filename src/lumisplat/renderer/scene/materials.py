@@ -10,6 +10,7 @@ import numpy as np
 from lumisplat.constants import SHADOW_ONLY_AMBIENT
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.shading import MaterialData
+from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
@@ -26,6 +27,13 @@ def emits_capture_only(instance: SplatInstance) -> bool:
     if instance.shadow_only or isinstance(material, MaterialPbr):
         return False
     return material.emissive == (1.0, 1.0, 1.0) and not any(material.ambient + material.diffuse + material.specular)
+
+
+def is_relit(instance: SplatInstance) -> bool:
+    """Whether light alone determines what a splat set shows in lit frames: nothing of it is kept as captured."""
+    material = material_of(instance)
+    ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
+    return not instance.shadow_only and min(np.add(material.emissive, ambient)) < 1.0
 
 
 def material_of(instance: SplatInstance) -> Material:
@@ -63,7 +71,7 @@ def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool) -
         ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
         _fill(row, material)
         row["emits_capture_only"] = not is_lit or emits_capture_only(splats)
-        row["keeps_capture"] = not is_lit or splats.shadow_only or min(np.add(material.emissive, ambient)) >= 1.0
+        row["keeps_capture"] = not is_lit or not is_relit(splats)
         if splats.shadow_only:
             row["shadow_only"] = 1
             row["emissive"] = 1.0
@@ -84,6 +92,7 @@ def _fill(row: Any, material: Material) -> None:
         return
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular
+    row["fresnel_mean"] = mean_fresnel(material.ior)
     for name in ("metallic", "roughness", "ior", "transmission", "normal_scale", "occlusion_strength"):
         row[name] = getattr(material, name)
 

@@ -112,7 +112,7 @@ class ShadingTables:
 def attribute_row(asset: SplatAsset, device: str) -> SplatAttributes:
     """The attributes of an asset's Gaussians that shading reads."""
     row = SplatAttributes()
-    row.scales = asset.data.scales
+    row.means, row.scales = asset.data.means, asset.data.scales
     for name in ("roughness", "metallic"):
         values = getattr(asset.gaussians, name)
         if values is not None:

@@ -10,7 +10,7 @@ import warp as wp
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
 from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
-from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
 from lumisplat.runtime.buffers import Buffers, assign_table
@@ -50,7 +50,7 @@ class GaussianTracer:
             name: Of the buffers that hold the result.
         """
         count = len(rays.t_max)
-        hits = self._buffers.struct(name, GaussianHits, count)
+        hits = self._buffers.struct(name, GaussianHits, count, () if scene.mixes_sets else RELIT_FIELDS)
         self._launcher.run_banded(
             self._kernel,
             count // self._lanes,

@@ -26,7 +26,7 @@ from lumisplat.device.gaussian.packet_tracing import (
     is_cut,
     packet_tracing_of,
 )
-from lumisplat.device.gaussian.ray_compositing import store_pixel
+from lumisplat.device.gaussian.ray_compositing import begin_relit, store_pixel
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, SceneBvh, TraceData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import GaussianHits, RayData
@@ -59,6 +59,7 @@ def gaussian_trace_kernel(lanes: int) -> Any:
         for lane in range(LANES):
             radiance_out.depth[first + lane] = wp.inf
             store_pixel(radiance_out, first + lane, empty_pixel())
+            begin_relit(radiance_out, first + lane)
         waiting = ends_of(rays, limits, first)
         if largest(waiting) < 0.0:
             return

@@ -12,6 +12,9 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.math.rotations import multiply_quaternions, quaternions_from_matrices
 from lumisplat.scene.scene import SplatInstance
 
+_STRAYS = 0.01
+"""Share of a body's means on each side that its box leaves out."""
+
 
 class PlacedGaussians(NamedTuple):
     """Gaussians in world space, as float32."""
@@ -38,10 +41,18 @@ def placed_gaussians(instances: Iterable[SplatInstance]) -> PlacedGaussians:
     return PlacedGaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def center_of(gaussians: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Mean position, weighted by opacity, shape (3,)."""
-    # Fully transparent Gaussians still have a position: their weights must not sum to 0.
-    return np.average(gaussians.means, axis=0, weights=gaussians.opacities + 1e-9)
+def distance_from_body(points: npt.NDArray[np.floating], gaussians: PlacedGaussians) -> npt.NDArray[np.floating]:
+    """How far points are from the box of a body along x, y or z, whichever is farthest; 0 within.
+
+    Args:
+        points: World space, shape (P, 3).
+        gaussians: The body, at least one Gaussian. A hundredth of the means on each side does not count: strays.
+
+    Returns:
+        Scene units, shape (P,).
+    """
+    low, high = np.quantile(gaussians.means, (_STRAYS, 1.0 - _STRAYS), axis=0)
+    return np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1, initial=0.0)
 
 
 def _in_world(instance: SplatInstance) -> PlacedGaussians:

@@ -1,0 +1,81 @@
+"""Smooth surfaces: what they mirror and what they scatter comes to all of the light that arrives, and to no more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.material.specular_bounce import bounce_of
+from lumisplat.device.structs.light import Bsdf
+from lumisplat.device.structs.scene import SmoothData
+from lumisplat.device.structs.shading import MaterialData
+from lumisplat.renderer.scene.materials import material_table
+from lumisplat.runtime.launcher import Launcher
+from support.probes import probe_light_kernels
+
+UP = np.array([0.0, 0.0, 1.0])
+DEGREES = (0.0, 30.0, 60.0, 75.0, 84.0, 88.0)
+WHITE = (1.0, 1.0, 1.0)
+
+
+def direction(cosine: np.ndarray | float) -> np.ndarray:
+    """Unit vectors of those cosines with the normal, shape (..., 3)."""
+    cosine = np.asarray(cosine)
+    return np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
+
+
+def mirrored(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> tuple[float, float]:
+    """Shares of the light that the reflected and the refracted ray bring."""
+    smooth = SmoothData()
+    smooth.smooth = 1
+    for name in ("metallic", "specular", "ior", "transmission"):
+        setattr(smooth, name, getattr(material, name))
+    side = wp.vec3(0.0, 0.0, -1.0 if inside else 1.0)
+    bounce = bounce_of(smooth, wp.vec3(1.0), side, side, wp.vec3(*-direction(cosine)), True)
+    return float(np.array(bounce.reflected)[1]), float(np.array(bounce.refracted)[1])
+
+
+def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> float:
+    """Share of a white sky that the diffuse part reflects, by quadrature; nodes are dense where it begins to."""
+    mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
+    table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True)
+    launcher = Launcher("cpu", threads=1)
+    bsdf = wp.zeros(1, dtype=Bsdf, device="cpu")
+    materials = wp.array(table, dtype=MaterialData, device="cpu")
+    launcher.run(probe_light_kernels.probe_material, 1, materials, wp.vec3(1.0), inside, bsdf)
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    root = 0.5 * (nodes + 1.0)  # of the cosine or, inside, of the cosine of the refracted ray, so that none is wasted
+    critical2 = 1.0 - 1.0 / material.ior**2 if inside else 0.0
+    lights = direction(np.sqrt(critical2 + (1.0 - critical2) * root**4))
+    count = len(lights)
+    bsdfs = wp.array(np.repeat(bsdf.numpy(), count), dtype=Bsdf, device="cpu")
+    vectors = [np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (UP, direction(cosine), lights)]
+    inputs = [wp.array(v, dtype=wp.vec3, device="cpu") for v in vectors]
+    values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
+    launcher.run(probe_light_kernels.probe_bsdf, count, bsdfs, *inputs, values, densities)
+    # Over the whole turn, with cosine d(cosine) = (1 - critical^2) 2 root^3 d(root).
+    return float((values.numpy()[:, 1] * 2.0 * np.pi * (1.0 - critical2) * root**3 * weights).sum())
+
+
+@pytest.mark.parametrize("degrees", DEGREES)
+@pytest.mark.parametrize("ior", [1.0, 1.05, 1.2, 1.5, 2.0, 3.0, 20.0])
+def test_white_reflects_all_light(ior: float, degrees: float) -> None:
+    """Of a white sky, at every angle and index of refraction, whatever of it is metal or a weak highlight."""
+    cosine = float(np.cos(np.radians(degrees)))
+    for metallic, specular in ((0.0, 1.0), (0.5, 1.0), (0.0, 0.4), (0.3, 0.7)):
+        material = ls.MaterialPbr(base_color=WHITE, roughness=0.0, metallic=metallic, specular=specular, ior=ior)
+        total = mirrored(material, cosine)[0] + scattered(material, cosine)
+        assert total == pytest.approx(1.0, abs=2e-5), (metallic, specular)
+
+
+@pytest.mark.parametrize("degrees", DEGREES)
+@pytest.mark.parametrize("inside", [False, True])
+def test_half_transparent_white_loses_nothing(inside: bool, degrees: float) -> None:
+    """What glass refracts and what it scatters shares what it does not mirror, also where it mirrors all."""
+    cosine = float(np.cos(np.radians(degrees)))
+    for specular in (1.0, 0.5):
+        material = ls.MaterialPbr(base_color=WHITE, roughness=0.0, transmission=0.6, ior=1.7, specular=specular)
+        total = sum(mirrored(material, cosine, inside)) + scattered(material, cosine, inside)
+        assert total == pytest.approx(1.0, abs=2e-5)

@@ -1,0 +1,122 @@
+"""Haze of captures in lit frames: Gaussians too thin for a surface stay as captured, or are lit, as their set says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import decode_srgb
+from support.compare.ways import WAYS, renderer_of
+from support.scenes.raster_scenes import flat_sh, front_camera
+
+PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
+FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
+GREEN, RED = np.array([0.2, 0.7, 0.3]), np.array([0.8, 0.3, 0.2])
+GLOWING = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
+"""Relit: none of it is as captured, and half of its albedo shines without light."""
+KEPT = {
+    "shadow-only": {"shadow_only": True},
+    "ambient": {"material": ls.MaterialSimple(ambient=(0.4, 0.4, 0.4))},
+    "diffuse": {"material": ls.MaterialSimple(diffuse=(0.5, 0.5, 0.5))},
+}
+
+
+def veil(depth: float, opacity: float, color: np.ndarray) -> ls.Gaussians:
+    """One Gaussian, flat and so wide that its alpha is even over the view."""
+    return ls.Gaussians(
+        [[0.0, 0.0, depth]], [[1.0, 0.0, 0.0, 0.0]], [[40.0, 40.0, 0.002]], [opacity], flat_sh(color[None])
+    )
+
+
+def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
+    """From the front, in the light."""
+    config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
+    return ls.render(ls.Scene(splats=splats, lights=[FACING]), front_camera(24, 18, 30.0), config, device="cpu")
+
+
+@PIPELINES
+@pytest.mark.parametrize("kind", KEPT)
+@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.9, 0.6, 0.1), None], ids=["black", "orange", "none"])
+def test_kept_haze_shows_as_captured(
+    background: tuple[float, float, float] | None, kind: str, pipeline: ls.Pipeline
+) -> None:
+    """Where no surface is found, a lit frame shows the same as an unlit one, to the bit."""
+    splats = [ls.SplatInstance(veil(2.0, 0.2, GREEN), **KEPT[kind])]
+    lit = frame_of(splats, pipeline, background=background)
+    unlit = frame_of(splats, pipeline, background=background, lighting=False)
+    assert lit.alpha.max() == pytest.approx(0.2, abs=1e-3)
+    np.testing.assert_array_equal(lit.alpha, unlit.alpha)
+    np.testing.assert_array_equal(lit.pixels_srgb(), unlit.pixels_srgb())
+
+
+@PIPELINES
+@pytest.mark.parametrize("first", ["captured", "relit"])
+@pytest.mark.parametrize("opacity", [0.12, 0.5, 0.9])
+def test_each_gaussian_shows_as_its_set_says(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
+    """Whichever is in front, and whether they come to a surface: captured plus what the relit ones shine."""
+    depths = (2.0, 2.5) if first == "captured" else (2.5, 2.0)
+    captured = ls.SplatInstance(veil(depths[0], opacity, GREEN))
+    relit = ls.SplatInstance(veil(depths[1], opacity, RED), material=GLOWING)
+    shares = (opacity, opacity * (1.0 - opacity))
+    share_captured, share_relit = shares if first == "captured" else shares[::-1]
+    expected = share_captured * decode_srgb(GREEN) + 0.5 * share_relit * decode_srgb(RED)
+    for splats in ([captured, relit], [relit, captured]):
+        frame = frame_of(splats, pipeline, background=None)
+        middle = frame.color[7:11, 10:14].mean(axis=(0, 1))
+        np.testing.assert_allclose(middle, expected, rtol=3e-3)
+
+
+@pytest.mark.parametrize("strategy", [ls.TraceStrategy.STOCHASTIC_HIT, ls.TraceStrategy.STOCHASTIC_PASS])
+def test_random_hits_have_the_same_mean(strategy: ls.TraceStrategy) -> None:
+    """Three veils of both kinds, by rays that each see one Gaussian, or one pass."""
+    splats = [
+        ls.SplatInstance(veil(2.0, 0.3, GREEN)),
+        ls.SplatInstance(veil(2.2, 0.4, RED), material=GLOWING),
+        ls.SplatInstance(veil(2.4, 0.3, GREEN)),
+    ]
+    exact = frame_of(splats, background=None, jitter=False)
+    trace = ls.TraceConfig(strategy=strategy, hits_per_pass=4)
+    mean = frame_of(splats, background=None, jitter=False, trace=trace, samples=64)
+    np.testing.assert_allclose(mean.color.mean(axis=(0, 1)), exact.color.mean(axis=(0, 1)), rtol=0.02)
+
+
+@PIPELINES
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a captured set"])
+def test_relit_haze_is_lit(beside: bool, pipeline: ls.Pipeline) -> None:
+    """By the light that faces it: no jump where its alpha reaches that of a surface, 0.3."""
+    material = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(1.0, 1.0, 1.0))
+    more = [ls.SplatInstance(veil(9.0, 1e-6, GREEN))] if beside else []
+    for opacity in (0.05, 0.29, 0.31):
+        splats = [ls.SplatInstance(veil(2.0, opacity, RED), material=material), *more]
+        frame = frame_of(splats, pipeline, background=None, shadows=ls.Shadows.OFF)
+        middle = frame.color[7:11, 10:14].mean(axis=(0, 1))
+        np.testing.assert_allclose(middle, opacity * decode_srgb(RED), rtol=0.01)
+
+
+@PIPELINES
+def test_captures_beside_relit_sets_keep_their_bits(pipeline: ls.Pipeline) -> None:
+    """Pixels that the relit set does not reach show what they show unlit."""
+    capture = ls.SplatInstance(veil(2.0, 0.6, GREEN))
+    spot = ls.Gaussians([[-0.4, 0.0, 1.9]], [[1.0, 0.0, 0.0, 0.0]], [[0.05, 0.05, 0.05]], [0.8], flat_sh(RED[None]))
+    lit = frame_of([capture, ls.SplatInstance(spot, material=GLOWING)], pipeline)
+    unlit = frame_of([capture], pipeline, lighting=False)
+    same = (lit.pixels_srgb() == unlit.pixels_srgb()).all(axis=-1)
+    assert 0.7 < same.mean() < 0.99
+    assert same[:, 12:].all()
+
+
+@pytest.mark.parametrize("way", WAYS)
+@PIPELINES
+def test_all_schedules_agree(pipeline: ls.Pipeline, way: str) -> None:
+    """The kernels of the CPU and those of CUDA, layers of both kinds one after the other, a mesh between them."""
+    splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
+    splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]
+    corners = [[-0.2, -0.2, 2.12], [0.3, -0.2, 2.12], [0.0, 0.3, 2.12]]
+    scene = ls.Scene(splats=splats, meshes=[ls.Mesh(corners, [[0, 2, 1]])], lights=[FACING])
+    config = ls.RenderConfig(pipeline=pipeline, lighting=True)
+    camera = front_camera(24, 18, 30.0)
+    frame = renderer_of(way, config).render(scene, camera)
+    np.testing.assert_allclose(frame.color, renderer_of("cpu", config).render(scene, camera).color, atol=2e-6)
