@@ -32,8 +32,9 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.is_sampled:
         modules += [surface_kernels]
     if plan.casts_shadows:
-        modules += shadow_modules(launcher, config)
-    if plan.spawns_shadow_rays or plan.has_shadow_only:
+        modules += gaussian_shadow_modules(launcher, config) if plan.splat_shadows.exist else []
+        modules += [mesh_shadow_kernels] if plan.has_meshes else []
+    if plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     if plan.follows_rays:
         modules += [gaussian_bvh_kernels]
@@ -57,12 +58,13 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
 
 def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of transmittance along rays."""
-    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules(launcher, RenderConfig())]
+    shadow_modules = [*gaussian_shadow_modules(launcher, RenderConfig()), mesh_shadow_kernels]
+    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules]
 
 
-def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
-    """The kernel modules of shadow rays."""
-    modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module, mesh_shadow_kernels]
+def gaussian_shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
+    """The kernel modules of shadow rays through Gaussians."""
+    modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module]
     if config.shadow_rays.method is ShadowMethod.STOCHASTIC:
         modules += [stochastic_bvh_kernels]
     return modules

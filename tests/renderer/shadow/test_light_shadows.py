@@ -343,6 +343,43 @@ def test_shadow_only_sets_are_darkened_by_what_their_lights_lack(pipeline: ls.Pi
 
 
 @PIPELINES
+@pytest.mark.parametrize("aovs", [(), ("lights",)], ids=["", "lights"])
+def test_shadow_only_sets_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
+    """With nothing else in the scene they stay as captured, to the bit, and all of the light arrives."""
+    over = ls.SplatInstance(stack(), shadow_only=True)
+    light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
+    frame = lit(ls.Scene([sheet(shadow_only=True), over], (), [light]), STACK_CAMERA, pipeline, aovs=aovs)
+    unlit = ls.render(ls.Scene([sheet(), stack()]), STACK_CAMERA, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    assert frame.captured is not None
+    assert frame.light is not None
+    surface = np.isfinite(unlit.depth)
+    assert surface.mean() > 0.3
+    np.testing.assert_array_equal(frame.captured[surface], unlit.color[surface])
+    np.testing.assert_array_equal(frame.light, 0.0)
+    if aovs:
+        assert frame.light_shadow is not None
+        assert (frame.light_shadow == 1.0).all()
+
+
+@PIPELINES
+def test_other_sets_shadow_shadow_only_ones(pipeline: ls.Pipeline) -> None:
+    """Where only Gaussians are in the way, the exact product is what is left of the light."""
+    light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
+    shares = []
+    for shadow_only in (False, True):
+        scene = ls.Scene([sheet(shadow_only=True), replace(sheet(1), gaussians=stack(), shadow_only=shadow_only)])
+        frame = lit(replace(scene, lights=[light]), STACK_CAMERA, pipeline, aovs=("lights",))
+        assert frame.light_shadow is not None
+        on_sheet = (frame.instance_index == 0) & (frame.alpha > 0.99) & (np.abs(frame.position[..., 1]) < 0.1)
+        expected = (1.0 - alphas(stack(), frame.position.astype(float), np.array(light.position))).prod(axis=0)
+        shares.append(frame.light_shadow[0, ..., 0][on_sheet])
+    assert len(shares[0]) > 100
+    np.testing.assert_allclose(shares[0], expected[on_sheet], atol=0.02)
+    assert shares[0].min() < 0.1
+    assert (shares[1] == 1.0).all()
+
+
+@PIPELINES
 def test_a_captured_colour_is_the_albedo_of_a_set_without_any(pipeline: ls.Pipeline) -> None:
     """A matte sheet of Gaussians under a sun: decoded colour over pi times lux times cosine."""
     capture = sheet(material=matte(1.0))

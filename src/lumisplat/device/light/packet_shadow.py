@@ -17,9 +17,9 @@ from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
 from lumisplat.device.light.shadow import shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, Particle, SceneBvh, ShadowData
+from lumisplat.device.structs.bvh import FAR, WORLD, Particle, SceneBvh, ShadowData
 from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.packet import Hit, HitList, PacketRays
+from lumisplat.device.structs.packet import Hit, HitList, PacketPlace, PacketRays
 from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -67,11 +67,18 @@ def begin_first_hits(first_hits: FirstHits):
 
 
 @wp.func
-def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array[wp.bool], first: int):
-    """Lets the Gaussians of an instance count up to the rays' limits; on rays that skip it, none of them does."""
+def end_rays(packet: PacketRays, place: PacketPlace, skips: wp.array[wp.bool], first: int) -> float:
+    """Lets the Gaussians of a tree count up to the rays' limits; on rays that skip its instance, none of them does.
+
+    Returns the farthest distance at which one counts, at least -FAR: nodes farther away need not be visited.
+    """
+    is_shadow_only = place.number != WORLD and place.instance.shadow_only != 0
+    reach = float(-FAR)
     for lane in range(packet.t_max.shape[0]):
-        is_skipped = instance.shadow_only != 0 and skips[first + lane]
+        is_skipped = is_shadow_only and skips[first + lane]
         packet.t_max[lane] = wp.where(is_skipped, -FAR, packet.limit[lane])
+        reach = larger(reach, packet.t_max[lane])
+    return reach
 
 
 @wp.func

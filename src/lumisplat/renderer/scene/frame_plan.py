@@ -5,7 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class SplatShadows:
+    """On what splat sets may cast shadows."""
+
+    on_reflecting: bool
+    """On surfaces that reflect light: all sets do."""
+    on_shadow_only: bool
+    """On shadow-only sets: those that are not shadow-only themselves do."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> SplatShadows:
+        """Of the splat sets of a scene, on what there is in it."""
+        casting = [not instance.shadow_only for instance in scene.splats]
+        return cls(reflects_light(scene) and bool(casting), any(casting) and not all(casting))
+
+    @property
+    def exist(self) -> bool:
+        """Whether there are any."""
+        return self.on_reflecting or self.on_shadow_only
+
+
+ON_ALL = SplatShadows(on_reflecting=True, on_shadow_only=True)
+"""Of rays whose receivers are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +47,11 @@ class FramePlan:
     traces_rays: bool
     """Some of these rays find hits to be shaded: from the camera or from mirrors."""
     has_unshadowed: bool
-    """Some light is added without a shadow: it casts none, the frame has none, or it is the headlight."""
+    """Some surface reflects a light without a shadow: it casts none, the frame has none, or it is the headlight."""
     casts_shadows: bool
-    """Some light is shadowed by what its shadow rays hit."""
+    """Shadow rays are followed: some light casts shadows, on some surface that something can shadow."""
+    splat_shadows: SplatShadows
+    """Which of these rays splat sets may block."""
     spawns_shadow_rays: bool
     """Rays towards lights start at interactions: for shadows, or for images of each light."""
     is_sampled: bool
@@ -46,17 +74,22 @@ class FramePlan:
         rasterises = config.pipeline is not Pipeline.TRACE
         only_rasterises = config.pipeline is Pipeline.RASTER
         casts = any(light.enabled and light.casts_shadow for light in scene.lights)
-        casts_shadows = is_lit and casts and config.shadows is not Shadows.OFF
+        reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
+        has_blockers = splat_shadows.exist or bool(scene.meshes)
+        casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
         has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
-            follows_rays=casts_shadows or not only_rasterises,
+            follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
             traces_rays=not only_rasterises,
-            has_unshadowed=is_lit and (not casts_shadows or not all(light.casts_shadow for light in scene.lights)),
+            has_unshadowed=is_lit
+            and reflects
+            and (not casts_shadows or not all(light.casts_shadow for light in scene.lights)),
             casts_shadows=casts_shadows,
+            splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
@@ -71,3 +104,8 @@ class FramePlan:
         """The plan of rays that a caller gives: without a background, and without further images."""
         plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=()), scene)
         return replace(plan, for_camera=False)
+
+
+def reflects_light(scene: Scene) -> bool:
+    """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
+    return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)

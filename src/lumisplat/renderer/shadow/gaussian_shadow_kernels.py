@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, NodeStackStorage, node_stack, push_root
+from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.light.packet_shadow import (
     begin_absorption,
@@ -76,15 +77,15 @@ def shadow_kernel(lanes: int) -> Any:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_absorption(absorption, packet)
             begin = nearest_begin(packet)
-            reach = largest(packet.limit)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
+            reach = end_rays(packet, place, skips, first)
             while top > 0:
                 top -= 1
                 number = stack[top].instance
                 if number != place.number:
                     enter_instance(place, packet, number, scene, rays, first)
-                    end_rays(packet, place.instance, skips, first)
+                    reach = end_rays(packet, place, skips, first)
                 leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST)
                 found = int(0)
                 for leaf in range(leaf_count):
@@ -143,14 +144,16 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
             reach = farthest_reach(first_hits, packet)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
+            counted = end_rays(packet, place, skips, first)
             while top > 0:
                 top -= 1
                 if stack[top].entry <= reach:
                     number = stack[top].instance
                     if number != place.number:
                         enter_instance(place, packet, number, scene, rays, first)
-                        end_rays(packet, place.instance, skips, first)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, NEAR_FIRST)
+                        counted = end_rays(packet, place, skips, first)
+                    near = lesser(reach, counted)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST)
                     found = int(0)
                     for leaf in range(leaf_count):
                         particle = scene.assets[place.instance.asset].particles[leaves[leaf]]

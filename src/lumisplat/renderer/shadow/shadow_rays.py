@@ -12,6 +12,7 @@ from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PE
 from lumisplat.device.structs.bvh import ShadowData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
 from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
@@ -47,7 +48,14 @@ class ShadowRays:
             self._stochastic_bvh.begin_sample()
 
     def trace(
-        self, scene: DeviceScene, rays: RayData, skips: wp.array[wp.bool] | None, name: str, *, opaque: bool = False
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        skips: wp.array[wp.bool] | None,
+        name: str,
+        *,
+        opaque: bool = False,
+        of_splats: SplatShadows = ON_ALL,
     ) -> DeviceArray:
         """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
@@ -59,13 +67,16 @@ class ShadowRays:
             skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
             name: Of the buffer that holds the result.
             opaque: All meshes are, also those of glass.
+            of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
-        limits = self._past_meshes(scene, rays, light, opaque)
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
+        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, of_splats=of_splats)
+        if not of_splats.exist:
+            return light
         bvh = scene.bvh.data(scene.splat_instances)
         if self._is_stochastic and (assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)):
             bvh.assets = assets
@@ -77,17 +88,27 @@ class ShadowRays:
         )
         return light
 
-    def _past_meshes(self, scene: DeviceScene, rays: RayData, light: DeviceArray, opaque: bool) -> wp.array[Any]:
+    def _past_meshes(
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        skips: wp.array[wp.bool],
+        light: DeviceArray,
+        *,
+        opaque: bool,
+        of_splats: SplatShadows,
+    ) -> wp.array[Any]:
         """Writes what meshes let through; how far Gaussians may block what is left."""
         count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
+        meshes_only = not of_splats.on_shadow_only
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
-            *(opaque, scene.mesh_instances, scene.mesh_data, rays, light, limits),
+            *(opaque, meshes_only, scene.mesh_instances, scene.mesh_data, rays, skips, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
         return limits
