@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig, ShadowMethod
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
@@ -18,7 +19,7 @@ from lumisplat.renderer.raster import (
 from lumisplat.renderer.scene import gaussian_bvh_kernels
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
-from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
+from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
 from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -65,6 +66,6 @@ def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
 def gaussian_shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of shadow rays through Gaussians."""
     modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module]
-    if config.shadow_rays.method is ShadowMethod.STOCHASTIC:
+    if draws_of(config) == DRAWS_SHARED:
         modules += [stochastic_bvh_kernels]
     return modules

@@ -49,6 +49,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "offset_absolute": between(0.0, 1e6),
         "transmittance_min": between(0.0, 1.0),
         "transmittance_threshold": st.floats(0.0, 0.99),
+        "acceptance_scale": between(1e-3, 1.0),
         "color_strength": between(0.0, 5.0),
     },
     ls.RenderConfig: {

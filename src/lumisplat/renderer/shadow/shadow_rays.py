@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
 from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import ShadowData
+from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, ShadowData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
@@ -34,7 +34,7 @@ class ShadowRays:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         self._kernel = shadow_kernel_of(launcher, config)
-        self._is_stochastic = config.shadow_rays.method is ShadowMethod.STOCHASTIC
+        self._draws = draws_of(config)
         self._stochastic_bvh = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
@@ -42,7 +42,7 @@ class ShadowRays:
 
     def begin_sample(self, sample: int) -> None:
         """Before the rays of a sample: stochastic shadows are drawn anew for each."""
-        if self._is_stochastic:
+        if self._draws != DRAWS_NONE:
             self._table["sample"] = sample
             assign_table(self._settings, self._table)
             self._stochastic_bvh.begin_sample()
@@ -78,7 +78,9 @@ class ShadowRays:
         if not of_splats.exist:
             return light
         bvh = scene.bvh.data(scene.splat_instances)
-        if self._is_stochastic and (assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)):
+        if self._draws == DRAWS_SHARED and (
+            assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
+        ):
             bvh.assets = assets
         run(
             self._kernel,
@@ -122,10 +124,18 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     return gaussian_shadow_kernels.shadow_kernel(lanes)
 
 
+def draws_of(config: RenderConfig) -> int:
+    """What is drawn at random: DRAWS_NONE and so on."""
+    if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
+        return DRAWS_NONE
+    return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY
+
+
 def shadow_table(config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the settings of shadow rays from."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
-    row["stochastic"] = config.shadow_rays.method is ShadowMethod.STOCHASTIC
+    row["draws"] = draws_of(config)
+    row["acceptance_scale"] = config.shadow_rays.acceptance_scale
     is_first = config.shadow_rays.method is ShadowMethod.FIRST_HITS
     row["hits"] = config.shadow_rays.hits
     row["hull"] = is_first and config.shadow_rays.hit_distance is HitDistance.HULL
