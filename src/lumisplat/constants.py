@@ -77,6 +77,9 @@ SAH_BINS = 16
 SAMPLES_MAX = 16_777_216
 """Largest number of samples of a pixel: up to here, the running mean still changes in float32."""
 
+SAMPLES_OF_RANDOM_LIGHT = 16
+"""Samples of a pixel, unless told, where light comes from random directions: what noise is left is fine grain."""
+
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 """Step from a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
 2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""

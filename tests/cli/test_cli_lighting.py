@@ -341,7 +341,7 @@ DEFAULTS: dict[str, Any] = {
     "sh_degree": CONFIG.raster.sh_degree,
     "transmittance_min": CONFIG.raster.transmittance_min,
     "strategy": CONFIG.trace.strategy,
-    "samples": CONFIG.samples,
+    "samples": "auto" if CONFIG.samples is None else CONFIG.samples,
     "seed": CONFIG.seed,
     "max_bounces": CONFIG.max_bounces,
     "min_response": CONFIG.response.min_response,

@@ -56,7 +56,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "background": st.none() | st.tuples(*[between(0.0, 1.0)] * 3),
         "lighting": st.none() | st.booleans(),
         "aovs": st.lists(st.sampled_from(AOVS), unique=True),
-        "samples": st.integers(1, 16_777_216),
+        "samples": st.none() | st.integers(1, 16_777_216),
         "seed": st.integers(0, 2**32 - 1),
         "max_bounces": st.integers(0, 64),
     },

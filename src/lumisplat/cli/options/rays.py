@@ -22,8 +22,9 @@ class RayOptions:
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
     """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: a random one of them, the fastest.
     stochastic-pass: a random few of them. --samples average the noise."""
-    samples: Annotated[int | None, setting("N", "1")] = None
-    """Rays a pixel; more of them smooth edges and average noise."""
+    samples: Annotated[int | None, setting("N", "auto")] = None
+    """Rays a pixel; more of them smooth edges and average noise. auto: 16 where light comes from an environment or
+    throws soft shadows, else 1."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Another one gives other noise, the same one the same image."""
     max_bounces: Annotated[int | None, setting("N", "3")] = None

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT
 from lumisplat.renderer.scene.materials import emits_capture_only
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
 
 
@@ -56,6 +58,10 @@ class FramePlan:
     """Rays towards lights start at interactions: for shadows, or for images of each light."""
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
+    samples: int
+    """Samples a pixel; of no meaning unless the frame is sampled."""
+    grain: tuple[str, ...]
+    """Light that comes from random directions, in words: too few samples show it as grain."""
     max_bounces: int
     """How many times a ray is reflected or refracted by smooth meshes at most; 0 in scenes without any."""
     has_meshes: bool
@@ -79,19 +85,23 @@ class FramePlan:
         casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
         has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
+        has_unshadowed = (
+            is_lit and reflects and not (casts_shadows and all(light.casts_shadow for light in scene.lights))
+        )
+        grain = random_light(config, scene) if has_unshadowed or casts_shadows else ()
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
             follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
             traces_rays=not only_rasterises,
-            has_unshadowed=is_lit
-            and reflects
-            and (not casts_shadows or not all(light.casts_shadow for light in scene.lights)),
+            has_unshadowed=has_unshadowed,
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
+            samples=config.samples or (SAMPLES_OF_RANDOM_LIGHT if grain else 1),
+            grain=grain,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
             has_meshes=bool(scene.meshes),
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
@@ -109,3 +119,20 @@ class FramePlan:
 def reflects_light(scene: Scene) -> bool:
     """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
     return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)
+
+
+def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
+    """The lights whose direction differs from sample to sample, in words."""
+    lights = [light for light in scene.lights if light.enabled]
+    environment = any(isinstance(light, LightEnvironment) for light in lights)
+    soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
+    return ("the environment",) * environment + ("lights that have a size",) * soft
+
+
+def has_size(light: Light) -> bool:
+    """Whether soft shadows sample a light over its extent; an environment has none."""
+    if isinstance(light, LightEnvironment):
+        return False
+    if isinstance(light, LightRect):
+        return True
+    return (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0
