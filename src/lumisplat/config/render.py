@@ -93,9 +93,9 @@ class RenderConfig:
     aovs: tuple[str, ...] = ()
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``."""
     samples: int | None = None
-    """Samples a pixel, averaged, at least 1. None: 16 where light is sampled at random, that is from an environment, or
-    from lights that have a size with soft shadows; else 1. The unlit, sorted raster is exact with one, and takes no
-    more."""
+    """Samples a pixel, averaged, at least 1. None: as many as random light needs, 16 for an environment and for soft
+    shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted raster is
+    exact with one, and takes no more."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""

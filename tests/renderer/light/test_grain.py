@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT
+from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
 from lumisplat.demo.shapes import icosphere
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from support.scenes.raster_scenes import front_camera, random_gaussians
@@ -18,7 +18,7 @@ from support.scenes.raster_scenes import front_camera, random_gaussians
 SUN = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
 SOFT_SUN = replace(SUN, angle=0.1)
 SKY = ls.LightEnvironment()
-MANY = SAMPLES_OF_RANDOM_LIGHT
+MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
 
 
 def ball(radius: float) -> ls.MeshInstance:
@@ -49,7 +49,8 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(SKY), {"shadows": ls.Shadows.OFF}, MANY),
         (scene(SKY), {"lighting": False}, 1),
         (scene(replace(SKY, enabled=False)), {}, 1),
-        (scene(SKY, material=ls.MaterialPbr()), {}, MANY),
+        (scene(SKY, material=ls.MaterialPbr()), {}, SOME),
+        (scene(SKY, SOFT_SUN, material=ls.MaterialPbr()), {"shadows": ls.Shadows.SOFT}, MANY),
         (scene(SKY, sh_degree=0), {}, 1),
         (scene(SKY, shadow_only=True), {}, 1),
         (scene(SKY), {"samples": 3}, 3),
@@ -95,6 +96,7 @@ def test_too_few_samples_are_told_of_once(caplog: pytest.LogCaptureFixture) -> N
     assert line == f"light from the environment and lights that have a size is grainy with 4 samples a pixel{end}"
     assert not lines(scene(SKY))
     assert not lines(scene(SUN), samples=1)
+    assert not lines(scene(SKY, material=ls.MaterialPbr()), samples=SOME)
     assert not lines(scene(SKY), samples=MANY)
     half = ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera)
     caplog.clear()

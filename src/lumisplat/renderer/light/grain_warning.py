@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 
-from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT
 from lumisplat.renderer.scene.frame_plan import FramePlan
 
 _log = logging.getLogger("lumisplat")
@@ -18,12 +17,12 @@ class GrainWarning:
 
     def warn_of(self, plan: FramePlan, samples: int) -> None:
         """Logs that so many samples, given by the user, are few for the light of the frame."""
-        if plan.grain and samples < SAMPLES_OF_RANDOM_LIGHT and not self._has_warned:
+        if samples < plan.samples_wanted and not self._has_warned:
             self._has_warned = True
             _log.warning(
                 "light from %s is grainy with %d %s a pixel: %d or more make it smooth, and are the default",
                 " and ".join(plan.grain),
                 samples,
                 "sample" if samples == 1 else "samples",
-                SAMPLES_OF_RANDOM_LIGHT,
+                plan.samples_wanted,
             )

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
-from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT
+from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
 from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
+
+SKY = "the environment"
+SOFT_LIGHTS = "lights that have a size"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,8 @@ class FramePlan:
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     samples: int
     """Samples a pixel; of no meaning unless the frame is sampled."""
+    samples_wanted: int
+    """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
     max_bounces: int
@@ -89,6 +94,7 @@ class FramePlan:
             is_lit and reflects and not (casts_shadows and all(light.casts_shadow for light in scene.lights))
         )
         grain = random_light(config, scene) if has_unshadowed or casts_shadows else ()
+        samples_wanted = samples_of(grain, scene)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
@@ -100,7 +106,8 @@ class FramePlan:
             splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
-            samples=config.samples or (SAMPLES_OF_RANDOM_LIGHT if grain else 1),
+            samples=config.samples or samples_wanted,
+            samples_wanted=samples_wanted,
             grain=grain,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
             has_meshes=bool(scene.meshes),
@@ -126,7 +133,14 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
     lights = [light for light in scene.lights if light.enabled]
     environment = any(isinstance(light, LightEnvironment) for light in lights)
     soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
-    return ("the environment",) * environment + ("lights that have a size",) * soft
+    return (SKY,) * environment + (SOFT_LIGHTS,) * soft
+
+
+def samples_of(grain: tuple[str, ...], scene: Scene) -> int:
+    """Samples a pixel that random light needs; one if there is none."""
+    if not grain:
+        return 1
+    return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in grain else SAMPLES_OF_SKY_ON_SPLATS
 
 
 def has_size(light: Light) -> bool:
