@@ -77,6 +77,13 @@ SAH_BINS = 16
 SAMPLES_MAX = 16_777_216
 """Largest number of samples of a pixel: up to here, the running mean still changes in float32."""
 
+SAMPLES_OF_RANDOM_LIGHT = 16
+"""Samples of a pixel, unless told, where light comes from random directions: what noise is left is fine grain."""
+
+SAMPLES_OF_SKY_ON_SPLATS = 8
+"""The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
+many (41 dB on the biker) as 16 of meshes (42 dB on a duck), but cost more, as each ray crosses Gaussians."""
+
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
 """Step from a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
 2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""

@@ -119,7 +119,7 @@ def test_a_scene_file_brings_its_cameras_and_settings(work, monkeypatch):
 def test_options_win_over_the_file(work, monkeypatch):
     """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
     stage = Stage(monkeypatch)
-    options = ("--pipeline", "raster", "--samples", "1", "--shadows", "hard", "--tone-map", "none")
+    options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
     options += ("--background", "black", "--shadow-offset", "3", "--min-response", "0", "--exposure", "-2")
     assert work.run("render", "@scene.toml", "-o", "@a.png", "--frame", "near", *options).status == 0
     assert stage.config == ls.RenderConfig()
@@ -345,7 +345,7 @@ DEFAULTS: dict[str, Any] = {
     "sh_degree": CONFIG.raster.sh_degree,
     "transmittance_min": CONFIG.raster.transmittance_min,
     "strategy": CONFIG.trace.strategy,
-    "samples": CONFIG.samples,
+    "samples": "auto" if CONFIG.samples is None else CONFIG.samples,
     "seed": CONFIG.seed,
     "max_bounces": CONFIG.max_bounces,
     "min_response": CONFIG.response.min_response,

@@ -70,6 +70,8 @@ WHOLE = "expected a whole number from"
         (ls.ShadowConfig, {"hit_distance": "far"}, "expected 'peak' or 'hull'"),
         (ls.ShadowConfig, {"transmittance_min": 1.5}, "transmittance_min is 1.5, expected 0.0 to 1.0"),
         (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
+        (ls.ShadowConfig, {"acceptance_scale": 0.0}, "acceptance_scale is 0.0, expected 0.001 to 1.0"),
+        (ls.ShadowConfig, {"shared_draws": 1}, "shared_draws is 1, expected True or False"),
         (ls.ShadowConfig, {"color_strength": 6.0}, "color_strength is 6.0, expected 0.0 to 5.0"),
         (ls.RasterConfig, {"strategy": "Sorted"}, "strategy is 'Sorted', expected 'sorted' or 'stochastic'"),
         (ls.RasterConfig, {"sh_degree": 1.5}, f"sh_degree is 1.5, {WHOLE} 0 to 3"),

@@ -86,3 +86,32 @@ def test_captures_alone_load_no_more_than_they_need() -> None:
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))
     assert launcher.loaded == launcher.launched
+
+
+def names_of(content: ls.Scene, **settings: Any) -> set[str]:
+    """Kernel modules that a rasterised frame launches: the last part of their names."""
+    launcher = Recorder(parallel=False)
+    Renderer(ls.RenderConfig(**settings), launcher).render(content, front_camera(16, 16))
+    assert launcher.launched <= launcher.loaded
+    return {name.rpartition(".")[2].partition("__")[0] for name in launcher.launched}
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_frames_without_blockers_follow_no_shadow_rays(soft: bool) -> None:
+    """Shadow-only sets are shadowed by what was added, captures not at all: alone, they need no rays, no hierarchy."""
+    settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
+    for lamp in (LAMP, ls.LightEnvironment()):
+        kept = ls.Scene([random_gaussians(3, count=60)], (), [lamp])
+        for content in (scene([], lamp, shadow_only=True), kept):
+            names = names_of(content, **settings)
+            assert not names & {"shadow_kernel", "mesh_shadow_kernels", "gaussian_bvh_kernels", "direct_light_kernels"}
+        for content in (scene([]), scene([icosphere(0.4)], shadow_only=True)):
+            shadowed = names_of(ls.Scene(content.splats, content.meshes, [lamp]), **settings)
+            assert shadowed >= {"shadow_kernel", "gaussian_bvh_kernels", "direct_light_kernels"}
+
+
+def test_meshes_alone_shadow_without_gaussians() -> None:
+    """Nor do their frames wait for the kernels of Gaussians."""
+    names = names_of(ls.Scene((), [icosphere(0.4)], [LAMP]))
+    assert "mesh_shadow_kernels" in names
+    assert not names & {"shadow_kernel", "gaussian_bvh_kernels"}

@@ -104,8 +104,10 @@ class RenderConfig:
     aovs: tuple[str, ...] = ()
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``. A single
     name, or several with commas, becomes a tuple."""
-    samples: int = 1
-    """Samples a pixel, averaged, at least 1. The unlit, sorted raster is exact with one, and takes no more."""
+    samples: int | None = None
+    """Samples a pixel, averaged, at least 1. None: as many as random light needs, 16 for an environment and for soft
+    shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted raster is
+    exact with one, and takes no more."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
@@ -129,7 +131,8 @@ class RenderConfig:
         take_enum(self, "tone_map", ToneMap)
         # In one order, each once, so that settings that ask for the same images are equal.
         object.__setattr__(self, "aovs", _checked_aovs(self.aovs))
-        check_whole("samples", self.samples, 1, SAMPLES_MAX)
+        if self.samples is not None:
+            check_whole("samples", self.samples, 1, SAMPLES_MAX)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)
         check_whole("max_bounces", self.max_bounces, 0, 64)

@@ -66,7 +66,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         raise ConfigError(
             f"cannot resume a frame of another camera or other settings: they differ in {', '.join(other)}"
         )
-    if frame.samples + config.samples > SAMPLES_MAX:
+    if frame.samples + plan.samples > SAMPLES_MAX:
         raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
     if plan.has_shadow_only:
         raise ConfigError("cannot resume a lit frame with shadow-only sets: how much is left of them is not kept")

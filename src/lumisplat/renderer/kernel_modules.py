@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig, ShadowMethod
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
@@ -19,7 +20,7 @@ from lumisplat.renderer.raster import (
 from lumisplat.renderer.scene import gaussian_bvh_kernels
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
-from lumisplat.renderer.shadow.shadow_rays import shadow_kernel_of
+from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
 from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -33,8 +34,9 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.is_sampled:
         modules += [surface_kernels]
     if plan.casts_shadows:
-        modules += shadow_modules(launcher, config)
-    if plan.spawns_shadow_rays or plan.has_shadow_only:
+        modules += gaussian_shadow_modules(launcher, config) if plan.splat_shadows.exist else []
+        modules += [mesh_shadow_kernels] if plan.has_meshes else []
+    if plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     if plan.follows_rays:
         modules += [gaussian_bvh_kernels]
@@ -66,12 +68,13 @@ def raster_modules(plan: FramePlan, launcher: Launcher) -> list[KernelModule]:
 
 def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of transmittance along rays."""
-    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules(launcher, RenderConfig())]
+    shadow_modules = [*gaussian_shadow_modules(launcher, RenderConfig()), mesh_shadow_kernels]
+    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules]
 
 
-def shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
-    """The kernel modules of shadow rays."""
-    modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module, mesh_shadow_kernels]
-    if config.shadow_rays.method is ShadowMethod.STOCHASTIC:
+def gaussian_shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
+    """The kernel modules of shadow rays through Gaussians."""
+    modules: list[KernelModule] = [shadow_kernel_of(launcher, config).module]
+    if draws_of(config) == DRAWS_SHARED:
         modules += [stochastic_bvh_kernels]
     return modules

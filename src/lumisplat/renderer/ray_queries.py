@@ -122,7 +122,7 @@ class RayQueries:
         """Images of one row of rays, and how many samples were not finite."""
         # Given rays are not jittered: without random numbers, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
-        samples = self._config.samples if is_random else 1
+        samples = plan.samples if is_random else 1
         count, rays = len(batch[0]), self._rays(len(batch[0]))
         inputs = self._upload(batch)
         pixels = PixelBuffers.of(self._buffers, (len(rays.t_max), 1))

@@ -18,6 +18,7 @@ from lumisplat.renderer.checks import check_resumable, check_scene, checked_conf
 from lumisplat.renderer.film.film import Film, images_of_pixels
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
+from lumisplat.renderer.light.grain_warning import GrainWarning
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
@@ -62,6 +63,7 @@ class Renderer:
         self._film = Film(launcher, buffers)
         self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrator)
         self._warnings = RasterWarnings()
+        self._grain = GrainWarning()
         self._loaded: set[int] = set()
         self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config), progress)
 
@@ -79,7 +81,7 @@ class Renderer:
             scene: What to draw. Assets of the last frame are not uploaded again. If a capture replaces another one with
                 as many Gaussians, the ray tracer refits the hierarchy instead of building a new one.
             camera: From where.
-            resume: A ray-traced frame of the same scene, view and settings: ``config.samples`` more are added to its
+            resume: A ray-traced frame of the same scene, view and settings: ``samples`` more are added to its
                 mean, as if all had been rendered at once.
             progress: Called with a label and the fraction of the samples done, 0..1.
 
@@ -109,7 +111,8 @@ class Renderer:
 
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
-        end = first + self.config.samples
+        end = first + plan.samples
+        self._grain.warn_of(plan, end)
         for sample in range(first, end):
             self._scene.begin_sample(sample, is_last=sample == end - 1)
             hits = self._find_hits(plan)
@@ -117,7 +120,7 @@ class Renderer:
             lights = self._integrator.light_images(self._scene, plan, hits)
             self._film.add(self._scene, wave, lights)
             if progress:
-                progress("tracing", (sample - first + 1) / self.config.samples)
+                progress("tracing", (sample - first + 1) / plan.samples)
         with self._launcher.stage("download"):
             images = self._film.images(len(self._scene.lights.names))
             if "lights" in plan.aovs:

@@ -411,35 +411,87 @@ def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options:
     return total / samples
 
 
+SHARED = pytest.mark.parametrize("shared", [False, True], ids=["per ray", "shared"])
+"""Whether rays draw a number each, or share one for each Gaussian."""
+
+
+@SHARED
 @pytest.mark.parametrize("degree", [0, 2, pytest.param(3, marks=pytest.mark.deep)])
-def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int) -> None:
+def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int, shared: bool) -> None:
     """Ray by ray within four standard deviations, and more tightly over all; instances share their trees."""
     asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)
     scene = ls.Scene([asset, ls.SplatInstance(asset, similarity((1, 2, 0.5), 1.1, 1.2, (0.3, 0.1, 4.0))), stack(0.5)])
     rays = rays_around(81, 200)
     exact = rig.light(scene, *rays)[:, 0]
     samples = 256
-    mean = chances(rig, scene, rays, samples)
+    mean = chances(rig, scene, rays, samples, shared_draws=shared)
     sigma = np.sqrt(exact * (1.0 - exact) / samples)
-    assert (np.abs(mean - exact) <= 4.0 * sigma + 1e-6).mean() > 0.995
-    assert (np.abs(mean - exact) <= 5.0 * sigma + 2.0 / samples).all()
-    assert abs(float(np.mean(mean - exact))) < 0.02
+    if shared:
+        assert (np.abs(mean - exact) <= 4.0 * sigma + 1e-6).mean() > 0.995
+        assert (np.abs(mean - exact) <= 5.0 * sigma + 2.0 / samples).all()
+        assert abs(float(np.mean(mean - exact))) < 0.02
+    else:
+        # The numbers of a ray lie one in each 256th: the mean is exact to that.
+        assert (np.abs(mean - exact) <= 1.0 / samples + 1e-5).all()
+        assert abs(float(np.mean(mean - exact))) < 4.0 / samples / math.sqrt(len(exact))
+
+
+def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
+    """The same ray many times: half get through in each sample, whatever became of those beside it.
+
+    With numbers that rays share, all of them get through, or none.
+    """
+    count = 64 * 64
+    scene, rays = ls.Scene([stack(0.5)]), (np.zeros((count, 3)), AHEAD)
+    limit = 4.0 / math.sqrt(count)
+    passed = [rig.light(scene, *rays, sample=sample, method=STOCHASTIC)[:, 0] for sample in (0, 1, 16)]
+    for light in passed:
+        assert light.mean() == pytest.approx(0.5, abs=0.5 * limit)
+        for step in (1, 2, 3, 4, 16, 64):  # of a packet, of the next one, and of other rows
+            assert abs(np.corrcoef(light[:-step], light[step:])[0, 1]) < limit
+    # Numbers 0 and 1 of a sequence lie in different halves; those of other pairs are independent.
+    np.testing.assert_array_equal(passed[0] + passed[1], 1.0)
+    assert abs(np.corrcoef(passed[0], passed[2])[0, 1]) < limit
+    shared = rig.light(scene, *rays, method=STOCHASTIC, shared_draws=True)
+    assert np.ptp(shared) == 0.0
+
+
+@SHARED
+def test_acceptance_scale_blocks_sooner(rig: ShadowRig, shared: bool) -> None:
+    """Each Gaussian blocks with the probability min(1, alpha over the scale): darker than exact, by a known amount."""
+    pane = stack(0.3, 0.2)
+    scene, rays = ls.Scene([pane]), (np.zeros((16, 3)), AHEAD)
+    sigma = math.sqrt(0.24 / 256)
+    for scale, expected in ((1.0, 0.7 * 0.8), (0.5, 0.4 * 0.6), (0.25, 0.0)):
+        mean = chances(rig, scene, rays, 256, acceptance_scale=scale, shared_draws=shared)
+        assert mean == pytest.approx(expected, abs=4.0 * sigma)
+    config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=STOCHASTIC, acceptance_scale=0.4))
+    scene, rays = ls.Scene([random_gaussians(93, 100)]), rays_around(94, 120)
+    twin = shadow_oracle.light(scene, *rays, config)
+    mean = chances(rig, scene, rays, 256, acceptance_scale=0.4, shared_draws=shared)
+    deviation = np.sqrt(np.maximum(twin.color[:, 0] * (1.0 - twin.color[:, 0]), 0.0) / 256)
+    sure = twin.slack < 1e-3
+    assert sure.mean() > 0.9
+    assert (np.abs(mean - twin.color[:, 0]) <= 5.0 * deviation + 2.0 / 256)[sure].all()
 
 
 @pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
-def test_draws_are_independent(rig: ShadowRig, other: str, samples: int) -> None:
+@SHARED
+def test_draws_are_independent(rig: ShadowRig, shared: bool, other: str, samples: int) -> None:
     """Two Gaussians at one place each let light through half the time: together a quarter, not half."""
     pane = stack(0.5)
     scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
     sigma = math.sqrt(0.25 * 0.75 / samples)
-    assert chances(rig, scene, (np.zeros((1, 3)), AHEAD), samples)[0] == pytest.approx(0.25, abs=4.0 * sigma)
+    mean = chances(rig, scene, (np.zeros((1, 3)), AHEAD), samples, shared_draws=shared)[0]
+    assert mean == pytest.approx(0.25, abs=4.0 * sigma)
 
 
-def test_samples_are_stratified(rig: ShadowRig) -> None:
+@SHARED
+def test_samples_are_stratified(rig: ShadowRig, shared: bool) -> None:
     """Sixteen samples of one Gaussian miss its alpha by less than one of them."""
     for opacity in (0.1, 0.5, 0.77):
-        through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16)[0]
+        through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16, shared_draws=shared)[0]
         assert abs(16.0 * through - 16.0 * (1.0 - opacity)) < 1.0
 
 
@@ -479,7 +531,7 @@ def test_shrunk_trees_change_nothing(
     for rays_per_gaussian in (0.0, np.inf):
         monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
         found[rays_per_gaussian] = [
-            rig.light(scene, *rays, config, sample=sample, method=STOCHASTIC) for sample in range(8)
+            rig.light(scene, *rays, config, sample=sample, method=STOCHASTIC, shared_draws=True) for sample in range(8)
         ]
     np.testing.assert_array_equal(found[0.0], found[np.inf])
     assert 0.02 < np.mean(found[0.0]) < 0.98
@@ -500,7 +552,8 @@ def test_shrunk_trees_follow_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(stochastic_bvh, "SHRINK_RAYS_PER_GAUSSIAN", rays_per_gaussian)
         rig = ShadowRig()
         shadows[rays_per_gaussian] = [
-            rig.light(scene, *rays, sample=sample, method=STOCHASTIC) for sample, scene in enumerate(scenes)
+            rig.light(scene, *rays, sample=sample, method=STOCHASTIC, shared_draws=True)
+            for sample, scene in enumerate(scenes)
         ]
     for shrunk, whole in zip(shadows[0.0], shadows[np.inf], strict=True):
         np.testing.assert_array_equal(shrunk, whole)

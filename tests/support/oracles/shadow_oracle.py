@@ -75,7 +75,9 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
         if next_one - last <= 2.0 * error.max() or doubtful.any():
             return past_meshes, np.inf
         found = picked(found, slice(shadow.hits))
-    transmittance = float(np.prod(1.0 - found.alpha))
+    by_chance = shadow.method is ShadowMethod.STOCHASTIC
+    blocking = np.minimum(found.alpha / shadow.acceptance_scale, 1.0) if by_chance else found.alpha
+    transmittance = float(np.prod(1.0 - blocking))
     floor = max(shadow.transmittance_min, shadow.transmittance_threshold)
     color = past_meshes * shade(transmittance, mean_color(world, found), world.config)
     slope = (1.0 + shadow.color_strength) / (1.0 - shadow.transmittance_threshold)

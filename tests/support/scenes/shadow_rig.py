@@ -18,6 +18,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
+from support.oracles.random_oracle import sample_keys
 from support.scenes.raster_scenes import front_camera
 
 SCHEDULES = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
@@ -68,6 +69,7 @@ class ShadowRig:
         shadows = self._shadows[config]
         origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
         rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
+        rays.pixel_key.assign(sample_keys(np.arange(len(rays.pixel_key)), 0, config.seed))
         shadows.begin_sample(sample)
         light = shadows.trace(on_device, rays, skipping, "light", opaque=opaque)
         return light.numpy()[: len(origins)].astype(float)

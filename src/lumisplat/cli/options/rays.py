@@ -22,8 +22,9 @@ class RayOptions:
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
     """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: a random one of them, the fastest.
     stochastic-pass: a random few of them. --samples average the noise."""
-    samples: Annotated[int | None, setting("N", "1")] = None
-    """Rays a pixel; more of them smooth edges and average noise."""
+    samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
+    """Rays a pixel; more of them smooth edges and average noise. auto: as many as random light needs, 16 under an
+    environment (8 for captures alone) and for soft shadows of lights that have a size, else 1."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Another one gives other noise, the same one the same image."""
     max_bounces: Annotated[int | None, setting("N", "3")] = None
@@ -50,7 +51,7 @@ class RayOptions:
         """The settings that were given."""
         hit_distance = self.hit_distance and ls.HitDistance(self.hit_distance)
         frame = {
-            "samples": self.samples,
+            "samples": None if self.samples == "auto" else self.samples,
             "jitter": False if self.no_jitter else None,
             "seed": self.seed,
             "max_bounces": self.max_bounces,
@@ -70,7 +71,8 @@ class RayOptions:
             },
             "shadow_rays": {"hit_distance": hit_distance},
         }
-        return without_none(frame) | {name: without_none(group) for name, group in groups.items()}
+        chosen: Changes = {"samples": None} if self.samples == "auto" else {}
+        return chosen | without_none(frame) | {name: without_none(group) for name, group in groups.items()}
 
 
 RayGroup = Annotated[RayOptions, arg(name="ray"), OmitArgPrefixes]

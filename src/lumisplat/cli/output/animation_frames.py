@@ -58,7 +58,7 @@ class AnimationFrames:
                 scene = self._lit_scene(index)
             if done == 1:
                 # Remarks are about the lit scene, as actors may bring light into a scene without any.
-                for line in (*self._remarks(scene), *self._light_remarks(scene)):
+                for line in (*self._remarks(scene), *self._light_remarks()):
                     _log.warning("%s", line)
             with self._timed("rendering"):
                 frame = self._renderer.render(scene, self._cameras[index], progress=report)
@@ -92,14 +92,11 @@ class AnimationFrames:
             relit=[actor.relight for _, actor in placed],
         )
 
-    def _light_remarks(self, scene: ls.Scene) -> Iterable[str]:
-        """Lines about the light of the first frame: which lights were found, and whether it is noisy."""
+    def _light_remarks(self) -> Iterable[str]:
+        """Lines about the light of the first frame: which lights were found."""
         estimate = self._lighter.estimate if self._lighter is not None else None
         if estimate is not None:
             yield f"no lights are given, shadows fall from what was found: {light_positions(estimate.lights)}"
-        environment = any(isinstance(light, ls.LightEnvironment) and light.enabled for light in scene.lights)
-        if environment and scene.meshes and self._renderer.config.samples == 1:
-            yield "meshes are lit from random directions all around: --samples 16 or more average the noise"
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:

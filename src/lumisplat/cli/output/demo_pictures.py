@@ -28,7 +28,7 @@ _SWING_MIDDLE = 0.2
 _CONFIG = ls.RenderConfig(
     pipeline=ls.Pipeline.HYBRID,
     shadows=ls.Shadows.SOFT,
-    # On average as bright as exact shadows, and twice as fast; with this many samples no difference is visible.
+    # On average as bright as exact shadows, and faster; with this many samples no difference is visible.
     shadow_rays=ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),
     tone_map=ls.ToneMap.NEUTRAL,
     samples=_SAMPLES,

@@ -15,6 +15,9 @@ wp.set_module_options({"enable_backward": False})
 LIGHT_BRANCHES = wp.constant(2)
 """First branch of the lights' random numbers: 0 and 1 are the reflected and the refracted ray."""
 
+SHADOW_BRANCHES = wp.constant(2)
+"""First branch of a light's shadow rays: 0 and 1 are samples of the BSDF."""
+
 
 @wp.func
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
@@ -45,6 +48,12 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
     """Key of the random sequence that samples light ``number``."""
     return branch_key(pixel_key, LIGHT_BRANCHES + number)
+
+
+@wp.func
+def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
+    """Key of the shadow ray from interaction ``slot`` of a ray of this key towards light ``number``."""
+    return branch_key(light_key(key, number), SHADOW_BRANCHES + slot + 2 * int(samples_bsdf))
 
 
 @wp.func

@@ -15,11 +15,21 @@ from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
-from lumisplat.device.light.shadow import shadow_of, tint_of
+from lumisplat.device.light.shadow import shadow_floor, shadow_of, tint_of
 from lumisplat.device.math.random import draw_stratified
-from lumisplat.device.structs.bvh import FAR, Particle, SceneBvh, ShadowData
+from lumisplat.device.structs.bvh import (
+    DRAWS_NONE,
+    DRAWS_PER_RAY,
+    DRAWS_SHARED,
+    FAR,
+    WORLD,
+    Particle,
+    SceneBvh,
+    ShadowData,
+)
 from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.packet import Hit, HitList, PacketRays
+from lumisplat.device.structs.packet import Hit, HitList, PacketPlace, PacketRays
+from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -30,7 +40,9 @@ class Absorption:
     """What a packet has passed so far, one lane a ray; local arrays of the kernel."""
 
     transmittance: wp.array[float]
-    """0 for rays that are not of the packet."""
+    """0 for rays that are blocked, and for those that are not of the packet."""
+    floor: wp.array[float]
+    """A ray is blocked as soon as its transmittance falls to this; FAR for rays that are not of the packet."""
     tint: wp.array(dtype=float, ndim=2)
     """Sum of linear colours, weighted by alpha: red, green and blue by lane."""
 
@@ -48,10 +60,14 @@ class FirstHits:
 
 
 @wp.func
-def begin_absorption(absorption: Absorption, packet: PacketRays):
+def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowData, rays: RayData, first: int):
     """Nothing absorbed yet."""
     for lane in range(absorption.transmittance.shape[0]):
-        absorption.transmittance[lane] = wp.where(packet.limit[lane] > 0.0, 1.0, 0.0)
+        is_taken = packet.limit[lane] > 0.0
+        absorption.transmittance[lane] = wp.where(is_taken, 1.0, 0.0)
+        absorption.floor[lane] = FAR
+        if is_taken:
+            absorption.floor[lane] = shadow_floor(config, rays.pixel_key[first + lane])
         for k in range(3):
             absorption.tint[k, lane] = 0.0
 
@@ -67,11 +83,18 @@ def begin_first_hits(first_hits: FirstHits):
 
 
 @wp.func
-def end_rays(packet: PacketRays, instance: SplatInstanceData, skips: wp.array[wp.bool], first: int):
-    """Lets the Gaussians of an instance count up to the rays' limits; on rays that skip it, none of them does."""
+def end_rays(packet: PacketRays, place: PacketPlace, skips: wp.array[wp.bool], first: int) -> float:
+    """Lets the Gaussians of a tree count up to the rays' limits; on rays that skip its instance, none of them does.
+
+    Returns the farthest distance at which one counts, at least -FAR: nodes farther away need not be visited.
+    """
+    is_shadow_only = place.number != WORLD and place.instance.shadow_only != 0
+    reach = float(-FAR)
     for lane in range(packet.t_max.shape[0]):
-        is_skipped = instance.shadow_only != 0 and skips[first + lane]
+        is_skipped = is_shadow_only and skips[first + lane]
         packet.t_max[lane] = wp.where(is_skipped, -FAR, packet.limit[lane])
+        reach = larger(reach, packet.t_max[lane])
+    return reach
 
 
 @wp.func
@@ -144,6 +167,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         """The variable in which an Absorption lies."""
 
         transmittance: Floats
+        floor: Floats
         tint: Vec3s
 
     @wp.func
@@ -151,6 +175,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         """What lies in a variable."""
         absorption = Absorption()
         absorption.transmittance = wp.array(ptr=wp.address_of(storage.transmittance), shape=(LANES,), dtype=float)
+        absorption.floor = wp.array(ptr=wp.address_of(storage.floor), shape=(LANES,), dtype=float)
         absorption.tint = wp.array(ptr=wp.address_of(storage.tint), shape=(3, LANES), dtype=float)
         return absorption
 
@@ -164,7 +189,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         scene: SceneBvh,
         key: wp.uint32,
     ) -> int:
-        """Adds what a Gaussian absorbs; returns 1 if a ray hits it, else 0."""
+        """Adds what a Gaussian absorbs, and ends the rays that it blocks; returns 1 if a ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
         is_hit, across2, along2 = hit_responses(particle, begin, packet)
         found = int(0)
@@ -176,14 +201,21 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         for lane in range(LANES):
             distance2[lane] = across2[lane] / along2[lane]
         alpha = alphas_at(instance.kernel, particle, distance2)
-        if config.stochastic != 0:
-            number = draw_stratified(key, config.sample, instance.first + particle.index)
+        if config.draws == DRAWS_SHARED:
+            number = config.acceptance_scale * draw_stratified(key, config.sample, instance.first + particle.index)
             for lane in range(LANES):
                 alpha[lane] = wp.where(number < alpha[lane], 1.0, 0.0)
+        if config.draws == DRAWS_PER_RAY:
+            for lane in range(LANES):
+                alpha[lane] = lesser(alpha[lane] / config.acceptance_scale, 1.0)
         for lane in range(LANES):
             alpha[lane] = wp.where(is_hit[lane] != 0, alpha[lane], 0.0)
-            absorption.transmittance[lane] = absorption.transmittance[lane] * (1.0 - alpha[lane])
-        if config.color_strength > 0.0 and config.stochastic == 0:
+            passed = absorption.transmittance[lane] * (1.0 - alpha[lane])
+            is_blocked = passed <= absorption.floor[lane]
+            absorption.transmittance[lane] = wp.where(is_blocked, 0.0, passed)
+            packet.limit[lane] = wp.where(is_blocked, -FAR, packet.limit[lane])
+            packet.t_max[lane] = wp.where(is_blocked, -FAR, packet.t_max[lane])
+        if config.color_strength > 0.0 and config.draws == DRAWS_NONE:
             color = tint_of(scene.assets[instance.asset].gaussians, particle.index)
             for lane in range(LANES):
                 for k in range(3):

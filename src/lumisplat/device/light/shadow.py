@@ -4,9 +4,9 @@ import warp as wp
 
 from lumisplat.device.material.fresnel import fresnel
 from lumisplat.device.math.color import decode_srgb_color
-from lumisplat.device.math.random import sample_key_of
+from lumisplat.device.math.random import sample_key_of, sobol_2d
 from lumisplat.device.math.sh import sh_color
-from lumisplat.device.structs.bvh import ShadowData
+from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, ShadowData
 from lumisplat.device.structs.scene import GaussianData, SmoothData
 
 wp.set_module_options({"enable_backward": False})
@@ -14,8 +14,26 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Key of the random numbers of a stochastic sample, the same for all pixels."""
+    """Key of the random numbers that all rays of a stochastic sample share."""
     return sample_key_of(-1, settings.sample // 16, settings.seed)
+
+
+@wp.func
+def shadow_floor(settings: ShadowData, pixel_key: wp.uint32) -> float:
+    """Transmittance down to which a ray is followed: where it counts as black; by a number a ray, that number."""
+    if settings.draws == DRAWS_PER_RAY:
+        return sobol_2d(pixel_key, settings.sample)[0]
+    if settings.draws == DRAWS_SHARED:
+        return 0.0
+    return wp.max(settings.transmittance_min, settings.threshold)
+
+
+@wp.func
+def passed_share(settings: ShadowData, transmittance: float) -> float:
+    """The transmittance of a ray that came through; 1 or 0 if it was blocked wholly or not at all."""
+    if settings.draws == DRAWS_NONE:
+        return transmittance
+    return wp.where(transmittance > 0.0, 1.0, 0.0)
 
 
 @wp.func

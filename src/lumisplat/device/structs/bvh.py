@@ -81,14 +81,24 @@ class SceneBvh:
     """Rays that start farther apart than this are not traced together, world space."""
 
 
+DRAWS_NONE: int = wp.constant(0)
+"""Gaussians absorb their share of a ray."""
+DRAWS_PER_RAY: int = wp.constant(1)
+"""Rays are blocked wholly or not at all: where their transmittance falls to a number that is drawn for each."""
+DRAWS_SHARED: int = wp.constant(2)
+"""The same, by a number for each Gaussian, which all rays of a sample share."""
+
+
 @struct
 class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
     hits: int
     """How many of the nearest Gaussians count; read by shadows by first hits only."""
-    stochastic: int
-    """1: Gaussians block a ray wholly or not at all, at random."""
+    draws: int
+    """One of the constants above."""
+    acceptance_scale: float
+    """Of random numbers, 0..1: below 1, rays are blocked sooner."""
     hull: int
     """1: Gaussians are hit where rays enter their ellipsoid, which decides the first ones."""
     transmittance_min: float

@@ -41,7 +41,7 @@ class DirectLight:
         """Adds the light of all lights that a wave's interactions reflect."""
         # Shadow-only sets are darkened by the blocked share of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_only)
-        if not one_by_one:
+        if plan.has_unshadowed and not one_by_one:
             with self._launcher.stage("shade"):
                 self._add_unshadowed(scene, plan, wave)
         if plan.casts_shadows or one_by_one:
@@ -101,7 +101,8 @@ class DirectLight:
                 arrived.zero_()
             if shadowed or also_unshadowed:
                 for samples_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
-                    contributions, visibility = self._contributions(scene, wave, number, samples_bsdf, shadowed)
+                    contributions = self._contributions(scene, wave, number, samples_bsdf)
+                    visibility = self._visibility(scene, plan, wave) if shadowed else contributions
                     with self._launcher.stage("shade"):
                         self._launcher.run_banded(
                             kernels.add_light,
@@ -111,21 +112,25 @@ class DirectLight:
         if plan.has_shadow_only:
             self._launcher.run_banded(kernels.darken_captured, wave.count, scene.shading, arrivals, wave.data)
 
-    def _contributions(
-        self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool, shadowed: bool
-    ) -> tuple[DeviceArray, DeviceArray]:
-        """A light's unshadowed contributions at the interactions, and the visibility of each."""
+    def _contributions(self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool) -> DeviceArray:
+        """A light's unshadowed contributions at the interactions; also writes the shadow rays of each."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
-        shadow_rays = self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
                 kernels.spawn_shadow_rays,
                 wave.count,
-                *(number, samples_bsdf, scene.shading, wave.data, shadow_rays, contributions),
+                *(number, samples_bsdf, scene.shading, wave.data, self._shadow_rays(wave), contributions),
                 bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
             )
-        if not shadowed:
-            return contributions, contributions
+        return contributions
+
+    def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
+        """What of the contributions arrives, by the shadow rays."""
+        skips = wave.row.interactions.shadow_only
         with self._launcher.stage("shadow"):
-            skips = wave.row.interactions.shadow_only
-            return contributions, self._shadows.trace(scene, shadow_rays, skips, "light.visibility")
+            return self._shadows.trace(
+                scene, self._shadow_rays(wave), skips, "light.visibility", of_splats=plan.splat_shadows
+            )
+
+    def _shadow_rays(self, wave: RayWave) -> RayData:
+        return self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)

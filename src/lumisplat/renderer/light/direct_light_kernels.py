@@ -9,14 +9,13 @@ import warp as wp
 from lumisplat.device.light.direct_light import (
     environment_contribution,
     light_center_contribution,
-    light_key,
     light_sample_contribution,
+    shadow_ray_key,
 )
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_terminator import lift_of, lifted
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
-from lumisplat.device.math.random import branch_key
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
@@ -65,8 +64,8 @@ def spawn_shadow_rays(
             rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
             rays_out.t_max[j] = contribution.distance
             rays_out.path_length[j] = 0.0
-            rays_out.pixel_key[j] = wave[0].rays.pixel_key[i]
-            rays_out.sample_key[j] = branch_key(light_key(wave[0].rays.sample_key[i], number), slot)
+            rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
+            rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
 
 
 @wp.kernel

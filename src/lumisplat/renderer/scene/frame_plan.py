@@ -5,8 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
-from lumisplat.renderer.scene.materials import is_relit
+from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
+from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
+
+SKY = "the environment"
+SOFT_LIGHTS = "lights that have a size"
+
+
+@dataclass(frozen=True, slots=True)
+class SplatShadows:
+    """On what splat sets may cast shadows."""
+
+    on_reflecting: bool
+    """On surfaces that reflect light: all sets do."""
+    on_shadow_only: bool
+    """On shadow-only sets: those that are not shadow-only themselves do."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> SplatShadows:
+        """Of the splat sets of a scene, on what there is in it."""
+        casting = [not instance.shadow_only for instance in scene.splats]
+        return cls(reflects_light(scene) and bool(casting), any(casting) and not all(casting))
+
+    @property
+    def exist(self) -> bool:
+        """Whether there are any."""
+        return self.on_reflecting or self.on_shadow_only
+
+
+ON_ALL = SplatShadows(on_reflecting=True, on_shadow_only=True)
+"""Of rays whose receivers are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +52,21 @@ class FramePlan:
     traces_rays: bool
     """Some of these rays find hits to be shaded: from the camera or from mirrors."""
     has_unshadowed: bool
-    """Some light is added without a shadow: it casts none, the frame has none, or it is the headlight."""
+    """Some surface reflects a light without a shadow: it casts none, the frame has none, or it is the headlight."""
     casts_shadows: bool
-    """Some light is shadowed by what its shadow rays hit."""
+    """Shadow rays are followed: some light casts shadows, on some surface that something can shadow."""
+    splat_shadows: SplatShadows
+    """Which of these rays splat sets may block."""
     spawns_shadow_rays: bool
     """Rays towards lights start at interactions: for shadows, or for images of each light."""
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
+    samples: int
+    """Samples a pixel; of no meaning unless the frame is sampled."""
+    samples_wanted: int
+    """How many its light needs, so that none of it is grainy."""
+    grain: tuple[str, ...]
+    """Light that comes from random directions, in words: too few samples show it as grain."""
     max_bounces: int
     """How many times a ray is reflected or refracted by smooth meshes at most; 0 in scenes without any."""
     has_meshes: bool
@@ -49,19 +87,30 @@ class FramePlan:
         rasterises = config.pipeline is not Pipeline.TRACE
         only_rasterises = config.pipeline is Pipeline.RASTER
         casts = any(light.enabled and light.casts_shadow for light in scene.lights)
-        casts_shadows = is_lit and casts and config.shadows is not Shadows.OFF
+        reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
+        has_blockers = splat_shadows.exist or bool(scene.meshes)
+        casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
         has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
+        has_unshadowed = (
+            is_lit and reflects and not (casts_shadows and all(light.casts_shadow for light in scene.lights))
+        )
+        grain = random_light(config, scene) if has_unshadowed or casts_shadows else ()
+        samples_wanted = samples_of(grain, scene)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
-            follows_rays=casts_shadows or not only_rasterises,
+            follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
             traces_rays=not only_rasterises,
-            has_unshadowed=is_lit and (not casts_shadows or not all(light.casts_shadow for light in scene.lights)),
+            has_unshadowed=has_unshadowed,
             casts_shadows=casts_shadows,
+            splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
+            samples=config.samples or samples_wanted,
+            samples_wanted=samples_wanted,
+            grain=grain,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
             has_meshes=bool(scene.meshes),
             mixes_sets=is_lit and len({is_relit(instance) for instance in scene.splats}) > 1,
@@ -76,3 +125,32 @@ class FramePlan:
         lighting = bool(scene.lights) if config.lighting is None else config.lighting
         plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=(), lighting=lighting), scene)
         return replace(plan, for_camera=False)
+
+
+def reflects_light(scene: Scene) -> bool:
+    """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
+    return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)
+
+
+def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
+    """The lights whose direction differs from sample to sample, in words."""
+    lights = [light for light in scene.lights if light.enabled]
+    environment = any(isinstance(light, LightEnvironment) for light in lights)
+    soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
+    return (SKY,) * environment + (SOFT_LIGHTS,) * soft
+
+
+def samples_of(grain: tuple[str, ...], scene: Scene) -> int:
+    """Samples a pixel that random light needs; one if there is none."""
+    if not grain:
+        return 1
+    return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in grain else SAMPLES_OF_SKY_ON_SPLATS
+
+
+def has_size(light: Light) -> bool:
+    """Whether soft shadows sample a light over its extent; an environment has none."""
+    if isinstance(light, LightEnvironment):
+        return False
+    if isinstance(light, LightRect):
+        return True
+    return (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0

@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, NodeStackStorage, node_stack, push_root
+from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.light.packet_shadow import (
     begin_absorption,
@@ -27,8 +28,8 @@ from lumisplat.device.light.packet_shadow import (
     packet_first_hits_of,
     shadow_of_list,
 )
-from lumisplat.device.light.shadow import shadow_key, shadow_of
-from lumisplat.device.structs.bvh import WORLD, ChildLinks, SceneBvh, ShadowData
+from lumisplat.device.light.shadow import passed_share, shadow_key, shadow_of
+from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, SceneBvh, ShadowData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import RayData
 
@@ -58,7 +59,6 @@ def shadow_kernel(lanes: int) -> Any:
         """Multiplies the light of each ray with what the Gaussians up to its limit let through."""
         first = (start + wp.tid()) * LANES
         config = settings[0]
-        black = wp.max(config.transmittance_min, config.threshold)
         key = shadow_key(config)
         waiting = ends_of(rays, limits, first)
         if largest(waiting) < 0.0:
@@ -74,28 +74,29 @@ def shadow_kernel(lanes: int) -> Any:
         place = PacketPlace()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
-            begin_absorption(absorption, packet)
+            begin_absorption(absorption, packet, config, rays, first)
             begin = nearest_begin(config, packet)
-            reach = largest(packet.limit)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
+            reach = end_rays(packet, place, skips, first)
             while top > 0:
                 top -= 1
                 number = stack[top].instance
                 if number != place.number:
                     enter_instance(place, packet, number, scene, rays, first)
-                    end_rays(packet, place.instance, skips, first)
+                    reach = end_rays(packet, place, skips, first)
                 leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST)
                 found = int(0)
                 for leaf in range(leaf_count):
                     particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
                     found = found | absorb(absorption, packet, particle, place.instance, config, scene, key)
-                if found != 0 and largest(absorption.transmittance) <= black:
+                if found != 0 and largest(absorption.transmittance) <= 0.0:
                     top = int(0)
             for lane in range(LANES):
-                if packet.limit[lane] > 0.0:
+                if absorption.floor[lane] < FAR:
                     tint = wp.vec3(absorption.tint[0, lane], absorption.tint[1, lane], absorption.tint[2, lane])
-                    shadow = shadow_of(config, absorption.transmittance[lane], tint)
+                    passed = passed_share(config, absorption.transmittance[lane])
+                    shadow = shadow_of(config, passed, tint)
                     light_inout[first + lane] = wp.cw_mul(light_inout[first + lane], shadow)
 
     return shadow_by_all
@@ -143,14 +144,16 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
             reach = farthest_reach(first_hits, packet)
             top = push_root(stack)
             enter_instance(place, packet, WORLD, scene, rays, first)
+            counted = end_rays(packet, place, skips, first)
             while top > 0:
                 top -= 1
                 if stack[top].entry <= reach:
                     number = stack[top].instance
                     if number != place.number:
                         enter_instance(place, packet, number, scene, rays, first)
-                        end_rays(packet, place.instance, skips, first)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, NEAR_FIRST)
+                        counted = end_rays(packet, place, skips, first)
+                    near = lesser(reach, counted)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST)
                     found = int(0)
                     for leaf in range(leaf_count):
                         particle = scene.assets[place.instance.asset].particles[leaves[leaf]]

@@ -20,15 +20,18 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 def shadow_by_meshes(
     start: int,
     opaque: bool,
+    meshes_only: bool,
     instances: wp.array[MeshInstanceData],
     meshes: MeshData,
     rays: RayData,
+    skips: wp.array[wp.bool],
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
     """What all triangles between the origin and ``t_max`` let through; nothing if they are ``opaque``.
 
-    ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is.
+    ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
+    shadow-only sets if ``meshes_only`` block these.
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]
@@ -64,4 +67,5 @@ def shadow_by_meshes(
                                 share = pass_straight(instance.material, color, cosine)
                         light = wp.cw_mul(light, share)
     light_out[i] = light
-    limit_out[i] = wp.where(wp.max(light) > 0.0, t_max, 0.0)
+    is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])
+    limit_out[i] = wp.where(is_done, 0.0, t_max)

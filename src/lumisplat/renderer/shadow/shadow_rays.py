@@ -9,9 +9,10 @@ import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
 from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import ShadowData
+from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, ShadowData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
 from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
@@ -33,7 +34,7 @@ class ShadowRays:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         self._kernel = shadow_kernel_of(launcher, config)
-        self._is_stochastic = config.shadow_rays.method is ShadowMethod.STOCHASTIC
+        self._draws = draws_of(config)
         self._stochastic_bvh = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
@@ -41,13 +42,20 @@ class ShadowRays:
 
     def begin_sample(self, sample: int) -> None:
         """Before the rays of a sample: stochastic shadows are drawn anew for each."""
-        if self._is_stochastic:
+        if self._draws != DRAWS_NONE:
             self._table["sample"] = sample
             assign_table(self._settings, self._table)
             self._stochastic_bvh.begin_sample()
 
     def trace(
-        self, scene: DeviceScene, rays: RayData, skips: wp.array[wp.bool] | None, name: str, *, opaque: bool = False
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        skips: wp.array[wp.bool] | None,
+        name: str,
+        *,
+        opaque: bool = False,
+        of_splats: SplatShadows = ON_ALL,
     ) -> DeviceArray:
         """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
@@ -59,15 +67,20 @@ class ShadowRays:
             skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
             name: Of the buffer that holds the result.
             opaque: All meshes are, also those of glass.
+            of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
-        limits = self._past_meshes(scene, rays, light, opaque)
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
+        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, of_splats=of_splats)
+        if not of_splats.exist:
+            return light
         bvh = scene.bvh.data(scene.splat_instances)
-        if self._is_stochastic and (assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)):
+        if self._draws == DRAWS_SHARED and (
+            assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
+        ):
             bvh.assets = assets
         run(
             self._kernel,
@@ -77,17 +90,27 @@ class ShadowRays:
         )
         return light
 
-    def _past_meshes(self, scene: DeviceScene, rays: RayData, light: DeviceArray, opaque: bool) -> wp.array[Any]:
+    def _past_meshes(
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        skips: wp.array[wp.bool],
+        light: DeviceArray,
+        *,
+        opaque: bool,
+        of_splats: SplatShadows,
+    ) -> wp.array[Any]:
         """Writes what meshes let through; how far Gaussians may block what is left."""
         count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
+        meshes_only = not of_splats.on_shadow_only
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
-            *(opaque, scene.mesh_instances, scene.mesh_data, rays, light, limits),
+            *(opaque, meshes_only, scene.mesh_instances, scene.mesh_data, rays, skips, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
         return limits
@@ -101,10 +124,18 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
     return gaussian_shadow_kernels.shadow_kernel(lanes)
 
 
+def draws_of(config: RenderConfig) -> int:
+    """What is drawn at random: DRAWS_NONE and so on."""
+    if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
+        return DRAWS_NONE
+    return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY
+
+
 def shadow_table(config: RenderConfig) -> np.ndarray:
     """The 1-element table that kernels read the settings of shadow rays from."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
-    row["stochastic"] = config.shadow_rays.method is ShadowMethod.STOCHASTIC
+    row["draws"] = draws_of(config)
+    row["acceptance_scale"] = config.shadow_rays.acceptance_scale
     is_first = config.shadow_rays.method is ShadowMethod.FIRST_HITS
     row["hits"] = config.shadow_rays.hits
     row["hull"] = is_first and config.shadow_rays.hit_distance is HitDistance.HULL

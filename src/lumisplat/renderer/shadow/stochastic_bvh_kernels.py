@@ -47,6 +47,7 @@ def shrink_nodes(
             for k in range(owners.shape[0]):
                 index = instances[owners[k]].first + particle.index
                 number = wp.min(number, draw_stratified(key, view.sample, index))
+            number = view.acceptance_scale * number
             log_response = wp.log(number) - particle.log_opacity
             if number < ALPHA_LIMIT and log_response < 0.0 and particle.reach2 > 0.0:
                 share = wp.sqrt(wp.min(distance_squared(kernel, log_response) / particle.reach2, 1.0))

@@ -1,0 +1,104 @@
+"""How many samples a frame has unless it is told, and what is said of those that are told too few."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
+from lumisplat.demo.shapes import icosphere
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+SUN = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
+SOFT_SUN = replace(SUN, angle=0.1)
+SKY = ls.LightEnvironment()
+MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
+
+
+def ball(radius: float) -> ls.MeshInstance:
+    """In front of the camera."""
+    pose = np.eye(4)
+    pose[2, 3] = 4.0
+    return ls.MeshInstance(icosphere(radius), pose)
+
+
+def scene(*lights: Any, **capture: Any) -> ls.Scene:
+    """A capture and a ball; without the ball if the capture is described."""
+    splats = [ls.SplatInstance(random_gaussians(3, count=60), **capture)]
+    return ls.Scene(splats, () if capture else [ball(0.4)], lights)
+
+
+@pytest.mark.parametrize(
+    ("content", "settings", "samples"),
+    [
+        (scene(), {}, 1),
+        (scene(SUN), {}, 1),
+        (scene(SOFT_SUN), {}, 1),
+        (scene(SUN), {"shadows": ls.Shadows.SOFT}, 1),
+        (scene(SOFT_SUN), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(ls.LightPoint((0, 0, 0), radius=0.1)), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(ls.LightSphere((0, 0, 0), 0.1)), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(ls.LightRect((0, 0, 0), (1, 0, 0), (0, 1, 0))), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(SKY), {}, MANY),
+        (scene(SKY), {"shadows": ls.Shadows.OFF}, MANY),
+        (scene(SKY), {"lighting": False}, 1),
+        (scene(replace(SKY, enabled=False)), {}, 1),
+        (scene(SKY, material=ls.MaterialPbr()), {}, SOME),
+        (scene(SKY, SOFT_SUN, material=ls.MaterialPbr()), {"shadows": ls.Shadows.SOFT}, MANY),
+        (scene(SKY, sh_degree=0), {}, 1),
+        (scene(SKY, shadow_only=True), {}, 1),
+        (scene(SKY), {"samples": 3}, 3),
+    ],
+)
+def test_samples_are_chosen_by_what_is_lit(content: ls.Scene, settings: dict[str, Any], samples: int) -> None:
+    """Many where light comes from random directions and is reflected or blocked, else one."""
+    assert FramePlan.of(ls.RenderConfig(**settings), content).samples == samples
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline)
+def test_an_environment_shows_no_pepper_by_default(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+    """A bright window in a dark room: one sample leaves black points next to bright ones, the default does not."""
+    image = np.full((16, 32, 3), 0.02, np.float32)
+    image[5:9, 12:20] = 12.0
+    lit = ls.Scene((), [ball(0.9)], [ls.LightEnvironment(image)])
+    config = ls.RenderConfig(pipeline=pipeline, background=(0.0, 0.0, 0.0))
+    errors: dict[int | None, float] = {}
+    smooth = ls.render(lit, front_camera(32, 24), replace(config, samples=256), device="cpu")
+    inside = (smooth.instance_index == 0) & (smooth.color.max(axis=-1) > 0.1)
+    for samples in (1, None):
+        frame = ls.render(lit, front_camera(32, 24), replace(config, samples=samples), device="cpu")
+        errors[samples] = float(np.sqrt(np.mean((frame.color - smooth.color)[inside] ** 2)))
+        assert frame.samples == (samples or MANY)
+    assert inside.sum() > 50
+    assert errors[None] < 0.35 * errors[1]
+
+
+def test_too_few_samples_are_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    """With what is grainy and what helps; never by default, nor as soon as resumed frames have enough."""
+    camera, soft = front_camera(16, 16), scene(SKY, SOFT_SUN)
+
+    def lines(content: ls.Scene, **settings: Any) -> list[str]:
+        caplog.clear()
+        renderer = ls.create_renderer(ls.RenderConfig(**settings), "cpu")
+        for _ in range(2):
+            renderer.render(content, camera)
+        return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+
+    end = f": {MANY} or more make it smooth, and are the default"
+    assert lines(scene(SKY), samples=1) == [f"light from the environment is grainy with 1 sample a pixel{end}"]
+    (line,) = lines(soft, samples=4, shadows=ls.Shadows.SOFT)
+    assert line == f"light from the environment and lights that have a size is grainy with 4 samples a pixel{end}"
+    assert not lines(scene(SKY))
+    assert not lines(scene(SUN), samples=1)
+    assert not lines(scene(SKY, material=ls.MaterialPbr()), samples=SOME)
+    assert not lines(scene(SKY), samples=MANY)
+    half = ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera)
+    caplog.clear()
+    ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera, resume=half)
+    assert not caplog.records
