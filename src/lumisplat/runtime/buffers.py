@@ -155,6 +155,7 @@ class Buffers:
             arrays[field] = DeviceArray(
                 ptr=block.ptr + 4 * first, dtype=dtype, shape=count, device=self._device, copy=False
             )
+            arrays[field].kept = block
             first += count * words
         return block, arrays
 

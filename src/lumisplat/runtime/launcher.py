@@ -167,7 +167,7 @@ class Launcher:
         ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
         The first call with a key runs it directly, which allocates and compiles; the second captures.
         """
-        if not self.is_cuda or self.profile:
+        if not self.can_capture:
             work()
             return
         seen, graph = self._graphs.get(name, (None, None))
@@ -181,6 +181,15 @@ class Launcher:
             graph = capture.graph
             self._graphs[name] = (key, graph)
         wp.capture_launch(graph)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def can_capture(self) -> bool:
+        """Whether repeated work becomes graphs: on CUDA, unless stages are timed one by one.
+
+        Sums and sorts allocate scratch space while they are captured, for which the device needs memory pools: some
+        virtual GPUs, and Windows' subsystem for Linux, have none.
+        """
+        return self.is_cuda and not self.profile and wp.get_device(self.device).is_mempool_enabled
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

@@ -19,6 +19,11 @@ class GraphLauncher(Launcher):
         self.is_cuda = True  # all that CUDA does differently from here on is graphs, and not to time stages
         self._used: list[tuple[Any, ...]] = []
 
+    @property
+    def can_capture(self) -> bool:
+        """As on a GPU with memory pools."""
+        return not self.profile
+
     def run(self, kernel: Any, count: int, *inputs: Any) -> None:
         """Keeps the inputs: a stale graph shows old data, where with freed memory it might end the process."""
         self._used.append(inputs)
