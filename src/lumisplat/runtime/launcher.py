@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 import warp as wp
 
@@ -189,7 +190,8 @@ class Launcher:
         Sums and sorts allocate scratch space while they are captured, for which the device needs memory pools: some
         virtual GPUs, and Windows' subsystem for Linux, have none.
         """
-        return self.is_cuda and not self.profile and wp.get_device(self.device).is_mempool_enabled
+        device: Any = wp.get_device(self.device)
+        return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""
