@@ -81,7 +81,9 @@ STEPS = (
 def main() -> int:
     """Runs the steps; returns the exit status."""
     given = parser("first_light", __doc__)
-    given.add_argument("--out", type=Path, default=ROOT / "bench" / "results" / "first_light", help="folder of the report")
+    given.add_argument(
+        "--out", type=Path, default=ROOT / "bench" / "results" / "first_light", help="folder of the report"
+    )
     given.add_argument("--budget", type=float, default=BUDGET_S, metavar="S", help="seconds for all steps")
     given.add_argument("--only", nargs="+", metavar="STEP", help="run these only: " + ", ".join(s.name for s in STEPS))
     given.add_argument("--sizes", type=int, nargs="+", metavar="N", help="Gaussians of the sets that are timed")

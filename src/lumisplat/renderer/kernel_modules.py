@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig, ShadowMethod
+from lumisplat.config import RasterStrategy, RenderConfig, ShadowMethod
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
@@ -11,6 +11,7 @@ from lumisplat.renderer.raster import (
     mesh_pixel_kernels,
     mesh_raster_kernels,
     mesh_tile_kernels,
+    splat_block_kernels,
     splat_pixel_kernels,
     splat_raster_kernels,
     splat_tile_kernels,
@@ -40,7 +41,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.has_unshadowed:
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
-        modules += [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
+        blended = splat_block_kernels if config.raster.strategy is RasterStrategy.SORTED else splat_pixel_kernels
+        modules += [blended if launcher.is_parallel else splat_tile_kernels]
         modules += [splat_raster_kernels, binning_kernels]
     if plan.rasterises and "hits" in plan.aovs and not launcher.is_parallel:
         modules += [splat_pixel_kernels]  # those of tiles do not count

@@ -29,6 +29,11 @@ class GraphLauncher(Launcher):
         self._used.append(inputs)
         super().run(kernel, count, *inputs)
 
+    def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
+        """So does this."""
+        self._used.append(inputs)
+        super().run_blocks(kernel, blocks, *inputs)
+
     def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
         """As on CUDA; fails instead of drawing the same frame for ever."""
         self.draws += 1
