@@ -9,6 +9,7 @@ import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
+from lumisplat.device.gaussian.aligned import load_splat
 from lumisplat.device.gaussian.compositing import blend, empty_pixel, store_result
 from lumisplat.device.gaussian.projection import LOG_ALPHA_MIN, alpha_from_log
 from lumisplat.device.gaussian.splat_coverage import log_alpha_at
@@ -55,7 +56,7 @@ def composite_blocks(
     while first < end and unfinished > 0:
         splat = Splat()
         if first + lane < end:
-            splat = splats[tile_splats[first + lane]]
+            load_splat(splats, tile_splats[first + lane], splat)
         wp.tile_scatter_masked(batch, lane, splat, first + lane < end)
         count = wp.min(end - first, TILE_PIXELS)
         j = wp.where(pixel.transmittance > 0.0, 0, count)

@@ -6,6 +6,7 @@ The equations are in docs/method/rasterisation.md.
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.gaussian.aligned import store_splat
 from lumisplat.device.gaussian.projection import project_gaussian
 from lumisplat.device.gaussian.splat_coverage import is_finite, tile_range
 from lumisplat.device.structs.camera import CameraData
@@ -45,6 +46,6 @@ def project_splats(
         else:
             key = KEY_NONFINITE
     if key < KEY_NONFINITE:
-        splats_out[splat.index] = splat  # culled ones are never read
+        store_splat(splats_out, splat.index, splat)  # culled ones are never read
     keys_out[splat.index] = key
     rects_out[splat.index] = rect
