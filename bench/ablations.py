@@ -1,6 +1,6 @@
 """The ablations of Mir et al. 2026, section 4, on our data.
 
-``python -m bench.ablations`` prints tables next to the paper's.
+``python -m bench.ablations [--device cuda]`` prints tables next to the paper's.
 
 ``--write`` puts them into docs/benchmarks.md. Names pick some of the tables; ``--pictures FOLDER`` keeps what the
 default settings show: shadow strength, the mesh's, and their difference.
@@ -8,7 +8,6 @@ default settings show: shadow strength, the mesh's, and their difference.
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import sys
@@ -22,6 +21,7 @@ import lumisplat as ls
 from bench.run import ROOT, describe_machine
 from bench.shadow_report import lines, write_section
 from bench.shadow_stage import Shot, Stage
+from bench.timing import parser, quiet_warp
 
 DEFAULT = ls.DeepShadowConfig()
 
@@ -92,30 +92,28 @@ REPEATS = 5
 
 def main() -> None:
     """Measures what is asked for and prints it."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
-    parser = argparse.ArgumentParser(prog="python -m bench.ablations", description=__doc__)
-    parser.add_argument("tables", nargs="*", help=f"some of {', '.join([*TABLES, 'timings'])}; none: all")
-    parser.add_argument("--size", choices=STAGES, default="640x360", help="of the pictures, and sets to match")
-    parser.add_argument("--frames", type=int, default=12, help="moments of the walk, each under the next lamp")
-    parser.add_argument("--pictures", type=Path, help="a folder for pictures of the default settings")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/benchmarks.md")
-    given = parser.parse_args()
+    quiet_warp()
+    options = parser("ablations", __doc__)
+    options.add_argument("tables", nargs="*", help=f"some of {', '.join([*TABLES, 'timings'])}; none: all")
+    options.add_argument("--size", choices=STAGES, default="640x360", help="of the pictures, and sets to match")
+    options.add_argument("--frames", type=int, default=12, help="moments of the walk, each under the next lamp")
+    options.add_argument("--pictures", type=Path, help="a folder for pictures of the default settings")
+    options.add_argument("--write", action="store_true", help="put the tables into docs/benchmarks.md")
+    given = options.parse_args()
     names = given.tables or [*TABLES, "timings"]
     if unknown := sorted(set(names) - {*TABLES, "timings"}):
-        parser.error(f"no table {', '.join(unknown)}: use {', '.join([*TABLES, 'timings'])}")
-    stage = STAGES[given.size]
+        options.error(f"no table {', '.join(unknown)}: use {', '.join([*TABLES, 'timings'])}")
+    stage = replace(STAGES[given.size], device=given.device)
     shots = stage.shots(given.frames) if set(names) & {*TABLES} or given.pictures else []
     known: dict = {}
     found: dict = {}
     for name in names:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        found[name] = timings() if name == "timings" else measure(stage, shots, TABLES[name], known)
+        found[name] = timings(given.device) if name == "timings" else measure(stage, shots, TABLES[name], known)
     if given.pictures:
         keep_pictures(stage, shots, given.pictures)
     sizes = {"size": given.size, "casters": stage.casters, "receivers": stage.receivers, "frames": given.frames}
-    facts = describe_machine() | sizes
+    facts = describe_machine(given.device) | sizes
     print(json.dumps(facts | found))
     print("\n".join(lines(facts, found)))
     if given.write:
@@ -141,7 +139,7 @@ def row(stage: Stage, shots: list[Shot], variant: Variant) -> dict:
         casters = ls.SplatInstance(shot.casters.gaussians, frame @ shot.casters.transform)
         receivers, lamp = ls.SplatInstance(looking, frame), frame[:3, :3] @ shot.lamp
         begun = time.perf_counter()
-        shadow = ls.DeepShadowMap.build(casters, lamp, receivers, variant.config, device="cpu")
+        shadow = ls.DeepShadowMap.build(casters, lamp, receivers, variant.config, device=stage.device)
         built = time.perf_counter()
         transmittance = shadow.transmittance_of(receivers)
         sampled = time.perf_counter()
@@ -173,9 +171,9 @@ def scores(picture: np.ndarray, shot: Shot) -> dict[str, float]:
     }
 
 
-def timings() -> dict:
+def timings(device: str) -> dict:
     """Seconds of one frame's build with and without its two ways to do less."""
-    stage = Stage(50_000, 200_000, 64, 36)
+    stage = Stage(50_000, 200_000, 64, 36, device)
     shot, scenery = stage.shots(3)[1], stage.scenery
     small = replace(DEFAULT, resolution=256, bins=64)
     configs = {
@@ -186,21 +184,21 @@ def timings() -> dict:
     }
     found: dict = {"casters": stage.casters, "receivers": stage.receivers, "resolution": 256, "bins": 64}
     builds: dict[str, float] = {}
-    build(shot, scenery, small)  # Warm.
+    build(shot, scenery, small, device)  # Warm.
     for name, config in configs.items():
         repeats = 1 if name == "neither" else REPEATS
-        builds[name] = seconds(repeats, lambda config=config: build(shot, scenery, config))
+        builds[name] = seconds(repeats, lambda config=config: build(shot, scenery, config, device))
     for prefix, config in (("", small), ("default_", DEFAULT)):
-        shadow = build(shot, scenery, config)
-        found[f"{prefix}build_s"] = seconds(REPEATS, lambda config=config: build(shot, scenery, config))
+        shadow = build(shot, scenery, config, device)
+        found[f"{prefix}build_s"] = seconds(REPEATS, lambda config=config: build(shot, scenery, config, device))
         found[f"{prefix}rebuild_s"] = seconds(REPEATS, lambda shadow=shadow: shadow.rebuild(shot.casters))
         found[f"{prefix}sample_s"] = seconds(REPEATS, lambda shadow=shadow: shadow.transmittance_of(scenery))
     return found | {"build": builds}
 
 
-def build(shot: Shot, scenery: ls.Gaussians, config: ls.DeepShadowConfig) -> ls.DeepShadowMap:
+def build(shot: Shot, scenery: ls.Gaussians, config: ls.DeepShadowConfig, device: str) -> ls.DeepShadowMap:
     """The map of one moment."""
-    return ls.DeepShadowMap.build(shot.casters, shot.lamp, scenery, config, device="cpu")
+    return ls.DeepShadowMap.build(shot.casters, shot.lamp, scenery, config, device=device)
 
 
 def seconds(repeats: int, call) -> float:
@@ -219,7 +217,7 @@ def keep_pictures(stage: Stage, shots: list[Shot], folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for shot in shots:
-        shadow = build(shot, stage.scenery, DEFAULT)
+        shadow = build(shot, stage.scenery, DEFAULT, stage.device)
         ours = stage.picture(stage.scenery, shadow.transmittance_of(stage.scenery)).clip(0.0, 1.0)
         truth = np.where(shot.region, shot.truth, 0.25 * shot.truth)
         pictures = [np.repeat(one[..., None], 3, axis=2) for one in (ours, truth)]

@@ -1,6 +1,6 @@
 """Times one preset in a process of its own, so that memory and first use are the preset's.
 
-``python -m bench.case NAME`` prints one JSON object.
+``python -m bench.case NAME [--device cuda]`` prints one JSON object.
 """
 
 from __future__ import annotations
@@ -15,30 +15,34 @@ from pathlib import Path
 REPEATS = 20
 
 
-def main(name: str) -> None:
+def main() -> None:
     """Prints one JSON object: milliseconds, counts and peak memory."""
     import lumisplat as ls
     from bench.presets import BIKER, PRESETS, synthetic
+    from bench.timing import parser
 
-    preset = next(preset for preset in PRESETS if preset.name == name)
+    given = parser("case", __doc__)
+    given.add_argument("name")
+    options = given.parse_args()
+    preset = next(preset for preset in PRESETS if preset.name == options.name)
     with tempfile.TemporaryDirectory() as folder:
         path = BIKER
         if preset.count:
             path = Path(folder) / "synthetic.ply"
             ls.save(path, synthetic(preset.count))
-        print(json.dumps(timed(path, preset)))
+        print(json.dumps(timed(path, preset, options.device)))
 
 
-def timed(path: Path, preset) -> dict:
+def timed(path: Path, preset, device: str) -> dict:
     """Loads in a process whose peak memory is then that of loading and rendering alone."""
     import subprocess
 
-    script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r})"
+    script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r}, {device!r})"
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def measure(name: str, path: str) -> None:
+def measure(name: str, path: str, device: str) -> None:
     """Loads, renders a first frame and ``REPEATS`` steady ones, and prints what they took."""
     started = time.perf_counter()
     import lumisplat as ls
@@ -47,24 +51,21 @@ def measure(name: str, path: str) -> None:
     assert isinstance(capture, ls.Gaussians)
     scene = ls.Scene(splats=[capture])
     loaded = time.perf_counter()
-    import warp as wp
+    from bench.presets import PRESETS
+    from bench.timing import TimedRenderer, quiet_warp
 
-    wp.config.log_level = wp.LOG_ERROR
-    from bench.presets import PRESETS, stage_ms
+    quiet_warp()
 
     preset = next(preset for preset in PRESETS if preset.name == name)
     camera = preset.camera()
-    renderer = ls.create_renderer(preset.config(), device="cpu")
+    renderer = TimedRenderer(preset.config(), device)
     ready = time.perf_counter()
-    build_ms = stage_ms(renderer.render(scene, camera)).get("build", 0.0)
+    build_ms = renderer.render(scene, camera).stage_ms.get("build", 0.0)
     first = time.perf_counter()
-    frames, walls = [], []
-    for _ in range(REPEATS):
-        begun = time.perf_counter()
-        frames.append(renderer.render(scene, camera))
-        walls.append(1e3 * (time.perf_counter() - begun))
-    stages = {name: statistics.median(stage_ms(frame)[name] for frame in frames) for name in stage_ms(frames[0])}
-    stats = frames[0].stats
+    frames = [renderer.render(scene, camera) for _ in range(REPEATS)]
+    walls = [frame.wall_ms for frame in frames]
+    stages = {name: statistics.median(frame.stage_ms[name] for frame in frames) for name in frames[0].stage_ms}
+    stats = frames[0].frame.stats
     assert stats is not None
     row = {
         "load_ms": 1e3 * (loaded - started),
@@ -92,4 +93,4 @@ def peak_mib() -> float:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()

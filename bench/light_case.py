@@ -1,4 +1,4 @@
-"""Times one lit preset in a process of its own: ``python -m bench.light_case NAME SCENE`` prints one JSON object.
+"""Times one lit preset in a process of its own: ``python -m bench.light_case NAME SCENE [--device cuda]``.
 
 SCENE is the file of `bench.light_presets.store_demo`. Frames of the preset and unlit raster frames take turns, so that
 a machine that is busy for a while slows both.
@@ -8,36 +8,34 @@ from __future__ import annotations
 
 import json
 import statistics
-import sys
-import time
 from pathlib import Path
 
 REPEATS = 15
 
 
-def main(name: str, path: str) -> None:
-    """Renders a first frame of both, then times ``REPEATS`` of each."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
-    import lumisplat as ls
+def main() -> None:
+    """Renders a first frame of both, times ``REPEATS`` of each, and prints one JSON object."""
     from bench.light_presets import BASE, LIGHT, camera, stored_demo
-    from bench.presets import stage_ms
+    from bench.timing import TimedRenderer, parser, quiet_warp
 
-    demo, view = stored_demo(Path(path)), camera()
-    preset = next(preset for preset in LIGHT if preset.name == name)
-    turns = {part: (ls.create_renderer(part.config(), device="cpu"), part.scene(demo)) for part in (BASE, preset)}
+    given = parser("light_case", __doc__)
+    given.add_argument("name")
+    given.add_argument("scene", type=Path)
+    options = given.parse_args()
+    quiet_warp()
+    demo, view = stored_demo(options.scene), camera()
+    preset = next(preset for preset in LIGHT if preset.name == options.name)
+    turns = {part: (TimedRenderer(part.config(), options.device), part.scene(demo)) for part in (BASE, preset)}
     walls: dict = {part: [] for part in turns}
     stages = []
     for turn in range(REPEATS + 1):
         for part, (renderer, scene) in turns.items():
-            begun = time.perf_counter()
-            frame = renderer.render(scene, view)
+            timed = renderer.render(scene, view)
             # The first ones upload, build trees and allocate.
             if turn > 0:
-                walls[part].append(1e3 * (time.perf_counter() - begun))
+                walls[part].append(timed.wall_ms)
                 if part == preset:
-                    stages.append(stage_ms(frame))
+                    stages.append(timed.stage_ms)
     middle = {part: statistics.median(times) for part, times in walls.items()}
     row = {
         "frame_ms": middle[preset],
@@ -51,4 +49,4 @@ def main(name: str, path: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

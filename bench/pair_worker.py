@@ -1,4 +1,7 @@
-"""Renders what `bench.pairs` asks for on stdin, answers with milliseconds; public names only: any revision can."""
+"""Renders what `bench.pairs` asks for on stdin, answers with milliseconds; public names only: any revision can.
+
+``python -m bench.pair_worker DEVICE`` is how it is started.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # Warp prints to stdout
     logging.disable()
-    demo, view = ls.demo_scene_lit(), camera()
-    renderer, scene = ls.create_renderer(device="cpu"), demo
+    demo, view, device = ls.demo_scene_lit(), camera(), sys.argv[1]
+    renderer, scene = ls.create_renderer(device=device), demo
     for line in sys.stdin:
         if line.strip() != "frame":
             preset = next(preset for preset in LIGHT if preset.name == line.strip())
-            renderer, scene = ls.create_renderer(preset.config(), device="cpu"), preset.scene(demo)
+            renderer, scene = ls.create_renderer(preset.config(), device), preset.scene(demo)
             renderer.render(scene, view)
             renderer.render(scene, view)
         started = time.perf_counter()

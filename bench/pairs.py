@@ -1,4 +1,4 @@
-"""Times lit frames of two checkouts: ``python -m bench.pairs OTHER [PRESET ...]`` prints a table.
+"""Times lit frames of two checkouts: ``python -m bench.pairs OTHER [PRESET ...] [--device cuda]``.
 
 OTHER is a checkout of another revision. Each checkout renders in a process of its own, and their frames take turns, so
 that a machine that is busy for a while slows both. The column *ratio* is the median of the ratios of neighbouring
@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 from bench.light_presets import LIGHT
+from bench.timing import parser
 
 PAIRS = 40
 HERE = Path(__file__).resolve().parents[1]
@@ -22,10 +23,10 @@ HERE = Path(__file__).resolve().parents[1]
 class Checkout:
     """A process that renders with a checkout's package."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, device: str) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(path / "src"), str(HERE)])}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "bench.pair_worker"],
+            [sys.executable, "-m", "bench.pair_worker", device],
             cwd=HERE,
             env=environment,
             stdin=subprocess.PIPE,
@@ -53,11 +54,15 @@ def times_of(preset: str, checkouts: tuple[Checkout, Checkout]) -> list[tuple[fl
     return pairs
 
 
-def main(other: str, *presets: str) -> None:
-    """Prints a row a preset."""
-    checkouts = Checkout(Path(other).resolve()), Checkout(HERE)
+def main() -> None:
+    """Prints a table, a row a preset."""
+    given = parser("pairs", __doc__)
+    given.add_argument("other", type=Path)
+    given.add_argument("presets", nargs="*", metavar="preset")
+    options = given.parse_args()
+    checkouts = Checkout(options.other.resolve(), options.device), Checkout(HERE, options.device)
     print("| lit frames, ms | other | this | ratio (quartiles) |\n| --- | ---: | ---: | ---: |")
-    for preset in presets or [preset.name for preset in LIGHT]:
+    for preset in options.presets or [preset.name for preset in LIGHT]:
         pairs = times_of(preset, checkouts)
         before, now = (statistics.median(times) for times in zip(*pairs, strict=True))
         low, middle, high = statistics.quantiles([now / before for before, now in pairs], n=4)
@@ -65,4 +70,4 @@ def main(other: str, *presets: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -13,8 +13,8 @@ MARK = "<!-- table: written by make bench -->"
 
 def tables(rows: list[dict]) -> list[str]:
     """Markdown lines of the rasteriser's table and the ray tracer's."""
-    raster = [row for row in rows if "gaussians" not in row["stage_ms"]]
-    traced = [row for row in rows if "gaussians" in row["stage_ms"]]
+    raster = [row for row in rows if not row["preset"].startswith("trace")]
+    traced = [row for row in rows if row["preset"].startswith("trace")]
     lines = table(raster, RASTER_STAGES) if raster else []
     return [*lines, "", *table(traced, TRACE_STAGES)] if traced else lines
 

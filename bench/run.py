@@ -1,7 +1,9 @@
-"""Runs the benchmarks: ``python -m bench.run [NAME...]``, a NAME being a preset or a group: raster, trace, light.
+"""Runs the benchmarks: ``python -m bench.run [NAME...] [--device cuda]``.
+
+A NAME is a preset or a group: raster, trace, light.
 
 Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the
-tables of docs/benchmarks.md are written anew when all presets ran.
+tables of docs/benchmarks.md are written anew when all presets ran on the CPU; their peer runs nowhere else.
 """
 
 from __future__ import annotations
@@ -22,19 +24,24 @@ from bench.light_presets import HEIGHT, LIGHT, WIDTH, LitPreset, store_demo
 from bench.light_report import print_light_table
 from bench.presets import BIKER, PRESETS, RASTER, TRACE, Preset
 from bench.report import print_table, write_document
+from bench.timing import device_name, parser
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUPS = {"raster": RASTER, "trace": TRACE, "light": LIGHT}
 
 
-def main(names: list[str]) -> None:
+def main() -> None:
     """Times the named presets and groups, or all."""
+    given = parser("run", __doc__)
+    given.add_argument("names", nargs="*", metavar="NAME")
+    options = given.parse_args()
+    names, device = options.names, options.device
     everything = [preset.name for group in GROUPS.values() for preset in group]
     unknown = set(names) - set(everything) - set(GROUPS)
     if unknown:
         sys.exit(f"no preset {', '.join(sorted(unknown))}: use {', '.join([*GROUPS, *everything])}")
     wanted = {preset.name for name in names or GROUPS for preset in GROUPS.get(name, ())} | set(names)
-    subprocess.run([sys.executable, "-c", WARM_UP], check=True, cwd=ROOT)
+    subprocess.run([sys.executable, "-c", WARM_UP, device], check=True, cwd=ROOT)
     rows, peers = [], {}
     for preset in PRESETS:
         if preset.name not in wanted:
@@ -43,9 +50,9 @@ def main(names: list[str]) -> None:
             print(f"{preset.name}: skipped, no capture (set LUMISPLAT_DATA)", flush=True)
             continue
         print(f"{preset.name} ...", flush=True)
-        rows.append(run(preset, peers))
-    lit, shadows = run_light([preset for preset in LIGHT if preset.name in wanted])
-    machine = describe_machine() | {"command_ms": command_times()}
+        rows.append(run(preset, device, peers))
+    lit, shadows = run_light([preset for preset in LIGHT if preset.name in wanted], device)
+    machine = describe_machine(device) | {"command_ms": command_times()}
     results = ROOT / "bench" / "results"
     results.mkdir(exist_ok=True)
     with (results / f"{machine['revision']}.jsonl").open("a") as file:
@@ -56,12 +63,12 @@ def main(names: list[str]) -> None:
         print_table(rows)
     if lit:
         print_light_table(lit, shadows)
-    if len(rows) + len(lit) == len(everything):
-        quality = child("bench.trace_quality")
+    if device == "cpu" and len(rows) + len(lit) == len(everything):
+        quality = child("bench.trace_quality", device)
         write_document(ROOT / "docs" / "benchmarks.md", machine, rows, lit=lit, shadows=shadows, quality=quality)
 
 
-def run_light(presets: list[LitPreset]) -> tuple[list[dict], dict]:
+def run_light(presets: list[LitPreset], device: str) -> tuple[list[dict], dict]:
     """Rows of the lit presets, and if all of them run, the figures of stochastic shadows."""
     if not presets:
         return [], {}
@@ -73,23 +80,25 @@ def run_light(presets: list[LitPreset]) -> tuple[list[dict], dict]:
         for preset in presets:
             print(f"{preset.name} ...", flush=True)
             row = {"preset": preset.name, "width": WIDTH, "height": HEIGHT}
-            rows.append(row | child("bench.light_case", preset.name, str(path)))
+            rows.append(row | child("bench.light_case", device, preset.name, str(path)))
         if len(presets) < len(LIGHT):
             return rows, {}
         print("stochastic shadows ...", flush=True)
-        return rows, child("bench.shadow_quality", str(path))
+        return rows, child("bench.shadow_quality", device, str(path))
 
 
-WARM_UP = "import warp; warp.config.quiet = True; import lumisplat; lumisplat.create_renderer(device='cpu')"
+WARM_UP = "import sys, warp; warp.config.quiet = True; import lumisplat; lumisplat.create_renderer(device=sys.argv[1])"
 
 
-def run(preset: Preset, peers: dict) -> dict:
+def run(preset: Preset, device: str, peers: dict) -> dict:
     """One row: the preset's own figures and, where it has one, its peer's, which presets of one view share."""
-    row = {"preset": preset.name, "width": preset.width, "height": preset.height} | child("bench.case", preset.name)
-    if preset.peer:
+    row = {"preset": preset.name, "width": preset.width, "height": preset.height} | child(
+        "bench.case", device, preset.name
+    )
+    if preset.peer and device == "cpu":
         try:
             if preset.view not in peers:
-                peers[preset.view] = child("bench.mitsuba_peer", preset.name)
+                peers[preset.view] = last_object("bench.mitsuba_peer", preset.name)
             row["peer"] = peers[preset.view]
         except subprocess.CalledProcessError as error:
             reason = (error.stderr or "").strip().splitlines()
@@ -113,14 +122,19 @@ def process_ms(command: list[str]) -> float:
     return 1e3 * (time.perf_counter() - begun)
 
 
-def child(module: str, *arguments: str) -> dict:
+def child(module: str, device: str, *arguments: str) -> dict:
+    """The JSON object that a module of this folder prints last, run on a device."""
+    return last_object(module, *arguments, "--device", device)
+
+
+def last_object(module: str, *arguments: str) -> dict:
     """The JSON object that a module of this folder prints last."""
     command = [sys.executable, "-m", module, *arguments]
     done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def describe_machine() -> dict:
+def describe_machine(device: str) -> dict:
     """What the figures were measured with."""
     git = ["git", "-C", str(ROOT)]
     revision = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
@@ -129,6 +143,8 @@ def describe_machine() -> dict:
         "revision": (revision.stdout.strip() or "unknown") + ("-dirty" if changed.stdout.strip() else ""),
         "date": datetime.date.today().isoformat(),
         "cpu": cpu_name(),
+        "device": device,
+        "gpu": device_name(device),
         "cores": len(os.sched_getaffinity(0)),
         "python": platform.python_version(),
         "warp": metadata.version("warp-lang"),
@@ -144,4 +160,4 @@ def cpu_name() -> str:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

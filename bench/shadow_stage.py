@@ -54,6 +54,8 @@ class Stage:
     receivers: int = 400_000
     width: int = 1280
     height: int = 720
+    device: str = "cpu"
+    """Where its shadows and pictures are computed."""
 
     @cached_property
     def camera(self) -> ls.Camera:
@@ -118,7 +120,9 @@ class Stage:
         offset = lamp - points[seen]
         truth = np.zeros(len(points), np.float32)
         distance = np.linalg.norm(offset, axis=1)
-        truth[seen] = 1.0 - ls.transmittance(ls.Scene(meshes=[mesh]), points[seen], offset, distance, device="cpu")
+        truth[seen] = 1.0 - ls.transmittance(
+            ls.Scene(meshes=[mesh]), points[seen], offset, distance, device=self.device
+        )
         center = mesh.mesh.positions.mean(axis=0) @ world_from_figure[:3, :3].T + world_from_figure[:3, 3]
         near = np.abs(points - center)[:, [0, 2]].max(axis=1) <= RADIUS  # NaN is not.
         shape = (self.height, self.width)
@@ -131,7 +135,7 @@ class Stage:
         gray = ((0.5 - transmittance) * 2.0 * np.sqrt(np.pi))[:, None, None]  # Over Y_00, in degree 0.
         shaded = replace(scenery, sh=np.repeat(gray, 3, axis=2))
         config = ls.RenderConfig(pipeline=pipeline)
-        return ls.render(ls.Scene(splats=[shaded]), self.camera, config, device="cpu").color[..., 0]
+        return ls.render(ls.Scene(splats=[shaded]), self.camera, config, device=self.device).color[..., 0]
 
 
 def floor_and_wall(count: int) -> ls.Gaussians:

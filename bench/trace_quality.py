@@ -1,4 +1,4 @@
-"""What the ray tracer's noise and trees come to: ``python -m bench.trace_quality`` prints one JSON object.
+"""What the ray tracer's noise and trees come to: ``python -m bench.trace_quality [--device cuda]``.
 
 How the mean of stochastic frames nears the sorted one, and how long a tree of a million Gaussians takes.
 """
@@ -15,14 +15,15 @@ TREE_COUNT = 1_000_000
 
 
 def main() -> None:
-    """Prints decibels by number of samples, and seconds."""
-    import warp as wp
+    """Prints one JSON object: decibels by number of samples, and seconds."""
+    from bench.timing import parser, quiet_warp
 
-    wp.config.log_level = wp.LOG_ERROR
-    print(json.dumps(tree_seconds() | {"psnr_db": convergence()}))
+    device = parser("trace_quality", __doc__).parse_args().device
+    quiet_warp()
+    print(json.dumps(tree_seconds(device) | {"psnr_db": convergence(device)}))
 
 
-def convergence() -> dict[str, dict[str, float]]:
+def convergence(device: str) -> dict[str, dict[str, float]]:
     """PSNR against the sorted frame by strategy and number of samples, all through the pixel centres."""
     import lumisplat as ls
     from bench.presets import BIKER, TRACE, load_capture
@@ -31,7 +32,7 @@ def convergence() -> dict[str, dict[str, float]]:
         return {}
     scene, camera = ls.Scene(splats=[load_capture(BIKER)]), TRACE[0].camera()
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
-    exact = ls.render(scene, camera, config, device="cpu").color
+    exact = ls.render(scene, camera, config, device=device).color
     rows = {}
     for name, counts in SAMPLES.items():
         strategy = ls.TraceStrategy(name)
@@ -40,20 +41,20 @@ def convergence() -> dict[str, dict[str, float]]:
         for samples in counts:
             more = samples - (frame.samples if frame else 0)
             settings = replace(config, trace=ls.TraceConfig(strategy=strategy), samples=more)
-            renderer = ls.create_renderer(settings, device="cpu")
+            renderer = ls.create_renderer(settings, device)
             frame = renderer.render(scene, camera, resume=frame)
             row[str(samples)] = float(-10.0 * np.log10(np.mean((frame.color - exact) ** 2)))
     return rows
 
 
-def tree_seconds() -> dict[str, float]:
+def tree_seconds(device: str) -> dict[str, float]:
     """Seconds for the tree of a million Gaussians: built, refitted to all moved alike, and to each moved at random."""
     import lumisplat as ls
     from bench.presets import TRACE, stage_ms, synthetic
 
     gaussians = synthetic(TREE_COUNT)
     camera = TRACE[0].camera().scaled(width=16)
-    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device, profile=True)
     random = np.random.default_rng(3)
     built, refitted, strewn = [], [], []
     for turn in range(3):

@@ -19,7 +19,13 @@ GENERATED = {module.name.partition("__")[0]: module for module in generated_modu
 
 def test_kernel_modules_are_found() -> None:
     """The lists are not empty by accident."""
-    raster = {"splat_raster_kernels", "splat_pixel_kernels", "mesh_raster_kernels", "mesh_pixel_kernels"}
+    raster = {
+        "splat_raster_kernels",
+        "splat_block_kernels",
+        "splat_pixel_kernels",
+        "mesh_raster_kernels",
+        "mesh_pixel_kernels",
+    }
     assert {f"lumisplat.renderer.raster.{name}" for name in raster} <= {*MODULES}
     assert {*GENERATED} == {"gaussian_trace_kernel", "shadow_kernel", "first_hits_shadow_kernel"}
 

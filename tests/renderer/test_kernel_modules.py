@@ -36,6 +36,11 @@ class Recorder(Launcher):
             self.launched.add(name_of(kernel.module))
         super().run(kernel, count, *inputs)
 
+    def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
+        """Notes the kernel's module."""
+        self.launched.add(name_of(kernel.module))
+        super().run_blocks(kernel, blocks, *inputs)
+
 
 def name_of(module: Any) -> str:
     """Of a Python module, or of Warp's module of a single kernel."""

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -105,6 +106,16 @@ def test_stages_within_a_stage_are_not_counted_twice() -> None:
     passed = 1e3 * (time.perf_counter() - started)
     assert launcher.stage_ms["inner"] >= 20.0
     assert sum(launcher.stage_ms.values()) <= passed
+
+
+def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that cannot allocate while it captures runs the work each time: the third frame is as the first."""
+    launcher, runs = Launcher("cpu"), []
+    launcher.is_cuda = True
+    monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=False))
+    for number in range(4):
+        launcher.replay("frame", "same", lambda number=number: runs.append(number))
+    assert runs == [0, 1, 2, 3]
 
 
 # --- Loading kernels ---

@@ -22,6 +22,13 @@ def check_scene(scene: object) -> None:
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
     if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
         raise SceneError(f"a scene holds at most {ITEMS_MAX:,} Gaussians and as many triangles")
+    for instance in scene.splats:
+        count, coefficients = instance.gaussians.sh.shape[:2]
+        if count * coefficients > ITEMS_MAX:
+            raise SceneError(
+                f"a set of {count:,} Gaussians with {coefficients} spherical harmonics has more than {ITEMS_MAX:,} "
+                "coefficients: cut it in two, or lower its degree"
+            )
 
 
 def checked_config(config: RenderConfig | None) -> RenderConfig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
@@ -13,6 +13,7 @@ from lumisplat.renderer.raster import (
     mesh_raster_kernels,
     mesh_tile_kernels,
     relit_splat_kernels,
+    splat_block_kernels,
     splat_pixel_kernels,
     splat_raster_kernels,
     splat_tile_kernels,
@@ -43,7 +44,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.has_unshadowed:
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
-        modules += raster_modules(plan, launcher)
+        modules += raster_modules(plan, launcher, config)
     if plan.max_bounces:
         modules += [specular_wave_kernels]
     if plan.is_sampled:
@@ -53,9 +54,10 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     return modules
 
 
-def raster_modules(plan: FramePlan, launcher: Launcher) -> list[KernelModule]:
+def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
     """The kernel modules of rasterised primary hits."""
-    modules: list[KernelModule] = [splat_pixel_kernels if launcher.is_parallel else splat_tile_kernels]
+    blended = splat_block_kernels if config.raster.strategy is RasterStrategy.SORTED else splat_pixel_kernels
+    modules: list[KernelModule] = [blended if launcher.is_parallel else splat_tile_kernels]
     modules += [splat_raster_kernels, binning_kernels]
     if plan.mixes_sets:
         modules += [relit_splat_kernels]

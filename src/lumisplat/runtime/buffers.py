@@ -14,6 +14,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.errors import DeviceError
+from lumisplat.runtime.downloads import Downloads
 
 Noun = TypeVar("Noun")
 
@@ -101,6 +102,8 @@ class Buffers:
         self._device = device
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
+        self.downloads = Downloads()
+        """Copies arrays to the host."""
         self.allocations = 0
         """How often memory was allocated: captured graphs are stale after a change."""
 
@@ -155,6 +158,7 @@ class Buffers:
             arrays[field] = DeviceArray(
                 ptr=block.ptr + 4 * first, dtype=dtype, shape=count, device=self._device, copy=False
             )
+            arrays[field].kept = block
             first += count * words
         return block, arrays
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 import itertools
 import logging
 import os
+import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 import warp as wp
 
@@ -36,6 +38,10 @@ Kernel = wp.Kernel | Callable[..., None]
 
 KernelModule = ModuleType | wp.Module
 """A Python module of kernels, or the module that Warp has made of a single kernel."""
+
+
+_CPU_BLOCKS = threading.Lock()
+"""Held by who has changed a setting of Warp's, which is the process's."""
 
 
 def resolve_device(name: str = "auto") -> str:
@@ -67,6 +73,17 @@ def _joined(jobs: list[Future[None]]) -> Generator[None]:
         for job in jobs:
             job.cancel()
         wait(jobs)
+
+
+@contextmanager
+def _blocks_on_cpus() -> Generator[None]:
+    """Lets CPUs run blocks of threads, as fibers of one thread: slowly, for tests of what CUDA runs."""
+    with _CPU_BLOCKS:
+        before, wp.config.enable_cpu_blocks = wp.config.enable_cpu_blocks, True
+        try:
+            yield
+        finally:
+            wp.config.enable_cpu_blocks = before
 
 
 class Launcher:
@@ -105,9 +122,7 @@ class Launcher:
         label = "compiling kernels (once)"
         if progress:
             progress(label, 0.0)
-        jobs = [
-            self._pool.submit(wp.load_module, module, device=self.device, block_dim=BLOCK_THREADS) for module in modules
-        ]
+        jobs = [self._pool.submit(self._load, module) for module in modules]
         with _joined(jobs):
             loading = wait(jobs, COMPILING_ANNOUNCED_S, FIRST_EXCEPTION).not_done
             if loading:
@@ -121,8 +136,22 @@ class Launcher:
         """Runs ``count`` items of ``kernel`` in one launch."""
         if count:
             wp.launch(  # pyright: ignore[reportUnknownMemberType]
-                kernel, dim=count, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS
+                kernel, dim=count, inputs=inputs, device=self.device, block_dim=self._block_threads
             )
+
+    def run_blocks(self, kernel: Kernel, blocks: int, *inputs: object) -> None:
+        """Runs ``blocks`` blocks of `BLOCK_THREADS` threads, which share memory and wait for each other.
+
+        Args:
+            kernel: Of a module named ``*_block_kernels``; its ``wp.tid()`` is the block and the thread.
+            blocks: Number of blocks.
+            *inputs: The kernel's parameters.
+        """
+        if blocks:
+            with _blocks_on_cpus():
+                wp.launch(  # pyright: ignore[reportUnknownMemberType]
+                    kernel, dim=(blocks, BLOCK_THREADS), inputs=inputs, device=self.device, block_dim=BLOCK_THREADS
+                )
 
     def run_banded(self, kernel: Kernel, count: int, *inputs: object, bands: int | None = None) -> None:
         """Runs ``count`` items of ``kernel(start, *inputs)``, on the CPU in bands over all threads.
@@ -179,7 +208,7 @@ class Launcher:
         ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
         The first call with a key runs it directly, which allocates and compiles; the second captures.
         """
-        if not self.is_cuda or self.profile:
+        if not self.can_capture:
             work()
             return
         seen, graph = self._graphs.get(name, (None, None))
@@ -193,6 +222,30 @@ class Launcher:
             graph = capture.graph
             self._graphs[name] = (key, graph)
         wp.capture_launch(graph)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def can_capture(self) -> bool:
+        """Whether repeated work becomes graphs: on CUDA, unless stages are timed one by one.
+
+        Sums and sorts allocate scratch space while they are captured, for which the device needs memory pools: some
+        virtual GPUs, and Windows' subsystem for Linux, have none.
+        """
+        device: Any = wp.get_device(self.device)
+        return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
+
+    @property
+    def _block_threads(self) -> int:
+        """Threads of a block whose items do not know each other."""
+        return 1 if self.device == "cpu" else BLOCK_THREADS
+
+    def _load(self, module: KernelModule) -> None:
+        """Compiles and loads a module for blocks as large as those that it is launched in."""
+        name = module.__name__ if isinstance(module, ModuleType) else ""
+        if name.endswith("_block_kernels"):
+            with _blocks_on_cpus():
+                wp.load_module(module, device=self.device, block_dim=BLOCK_THREADS)
+        else:
+            wp.load_module(module, device=self.device, block_dim=self._block_threads)
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

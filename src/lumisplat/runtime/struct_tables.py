@@ -21,6 +21,7 @@ def table_dtype(struct: type[object]) -> np.dtype[np.void]:
 def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
     """An array of structs, some of whose fields may be arrays: these live at least as long as it does.
 
+    On a GPU, some of them are copies that nothing else holds, while the table has their bare addresses.
     Without rows it has one empty struct: an array without elements has no address.
     """
     instances: Any = list(rows) or [struct()]

@@ -19,10 +19,20 @@ class GraphLauncher(Launcher):
         self.is_cuda = True  # all that CUDA does differently from here on is graphs, and not to time stages
         self._used: list[tuple[Any, ...]] = []
 
+    @property
+    def can_capture(self) -> bool:
+        """As on a GPU with memory pools."""
+        return not self.profile
+
     def run(self, kernel: Any, count: int, *inputs: Any) -> None:
         """Keeps the inputs: a stale graph shows old data, where with freed memory it might end the process."""
         self._used.append(inputs)
         super().run(kernel, count, *inputs)
+
+    def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
+        """So does this."""
+        self._used.append(inputs)
+        super().run_blocks(kernel, blocks, *inputs)
 
     def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
         """As on CUDA; fails instead of drawing the same frame for ever."""

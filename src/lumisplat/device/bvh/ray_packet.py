@@ -12,6 +12,7 @@ import warp as wp
 from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS
 from lumisplat.device.bvh.node_stack import push_children
 from lumisplat.device.bvh.node_test import enter_children, larger, slabs_around
+from lumisplat.device.math.aligned_memory import aligned_load_of
 from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Node, SceneBvh
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.packet import PacketPlace, PacketRays, Slabs, WaitingNode
@@ -28,6 +29,8 @@ PACKET_OPTIONS = {
 """Of the modules that trace packets."""
 
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
+
+load_node = aligned_load_of(Node)
 
 
 class RayPacket(NamedTuple):
@@ -215,11 +218,11 @@ def packet_of(lanes: int) -> RayPacket:
             The number of leaves.
         """
         link = stack[top].link
+        nodes = scene.tlas_nodes
+        if place.number != WORLD:
+            nodes = scene.assets[place.instance.asset].nodes
         node = Node()
-        if place.number == WORLD:
-            node = scene.tlas_nodes[link]
-        else:
-            node = scene.assets[place.instance.asset].nodes[link]
+        load_node(nodes, link, node)
         entries = enter_children(node, place.slabs, begin)
         return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 

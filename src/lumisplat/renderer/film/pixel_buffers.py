@@ -11,6 +11,7 @@ import warp as wp
 
 from lumisplat.device.structs.film import LitPixels, PixelData
 from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.downloads import Downloads
 
 Pixels = TypeVar("Pixels", PixelData, LitPixels)
 
@@ -40,6 +41,8 @@ class PixelBuffers(Generic[Pixels]):
     """Width and height of the image."""
     fields: tuple[tuple[str, type[object], int], ...]
     """The arrays of the block, as in ``FIELDS``."""
+    downloads: Downloads
+    """Copies the block to the host."""
 
     @staticmethod
     def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
@@ -57,9 +60,7 @@ class PixelBuffers(Generic[Pixels]):
 
     def download(self) -> dict[str, npt.NDArray[Any]]:
         """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
-        words = self.block.numpy()
-        if self.block.device.is_cpu:
-            words = words.copy()  # on the CPU, Warp returns the buffer itself
+        words = self.downloads.numpy(self.block)
         width, height = self.size
         images: dict[str, npt.NDArray[Any]] = {}
         first = 0
@@ -83,4 +84,4 @@ def _split_block(
     block, arrays = buffers.split(name, fields, size[0] * size[1])
     for field, array in arrays.items():
         setattr(data, field, array)
-    return PixelBuffers(data, block, size, fields)
+    return PixelBuffers(data, block, size, fields, buffers.downloads)

@@ -1,4 +1,4 @@
-"""Compositing of splats on CUDA. One item is one pixel, tile after tile: one block is one tile.
+"""Compositing of splats, one item a pixel, tile after tile: samples on CUDA, and counts of blended splats on CPUs.
 
 The equations are in docs/method/rasterisation.md.
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,13 @@ from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits
-from lumisplat.renderer.raster import relit_splat_kernels, splat_pixel_kernels, splat_raster_kernels, splat_tile_kernels
+from lumisplat.renderer.raster import (
+    relit_splat_kernels,
+    splat_block_kernels,
+    splat_pixel_kernels,
+    splat_raster_kernels,
+    splat_tile_kernels,
+)
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
@@ -109,7 +116,7 @@ class SplatRaster:
     ) -> None:
         """Writes the blended splats before the mesh as the Gaussian hits of the pixels' rays.
 
-        The kernel of tiles does not count blended splats: if ``counts``, the kernel of pixels runs as well.
+        The kernel of tiles does not count blended splats: if ``counts``, the one that does, of pixels, runs as well.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
@@ -147,31 +154,35 @@ class SplatRaster:
     ) -> None:
         """Samples one splat a pixel, with its weight as probability; the lists need no order."""
         inputs = (scene.camera, scene.sample, tiles.splats, tiles.starts, tiles.items, meshes, hits)
-        self._run_tiles(scene, splat_tile_kernels.sample_tiles, splat_pixel_kernels.sample_pixels, inputs)
+        if self._launcher.is_parallel:
+            self._run_pixels(scene, splat_pixel_kernels.sample_pixels, inputs)
+        else:
+            self._run_tiles(scene, splat_tile_kernels.sample_tiles, inputs)
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
         """Moves surfaces from the means of the picked Gaussians to where these respond most on the pixels' rays."""
-        width, height = scene.image_size
         inputs = (scene.camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
-        self._launcher.run_banded(kernel, width * height, *inputs)
+        self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
     def _composite(self, scene: DeviceScene, arguments: tuple[object, ...], *, by_pixel: bool = False) -> None:
+        """Runs one of three kernels with the same result."""
         inputs = (scene.camera, self._settings, scene.splat_instances, *arguments)
-        self._run_tiles(
-            scene, splat_tile_kernels.composite_tiles, splat_pixel_kernels.composite_pixels, inputs, by_pixel=by_pixel
-        )
-
-    def _run_tiles(
-        self, scene: DeviceScene, tiles: Kernel, pixels: Kernel, inputs: tuple[object, ...], *, by_pixel: bool = False
-    ) -> None:
-        """Runs the kernel of ``tiles`` or, with the same result, that of ``pixels``; one block of pixels is a tile."""
-        tiles_x, tiles_y = scene.tile_grid
-        if self._launcher.is_parallel or by_pixel:
-            self._launcher.run_banded(pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, *inputs)
+        if by_pixel:
+            self._run_pixels(scene, splat_pixel_kernels.composite_pixels, inputs)
+        elif self._launcher.is_parallel:
+            self._launcher.run_blocks(splat_block_kernels.composite_blocks, math.prod(scene.tile_grid), *inputs)
         else:
-            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
-            self._launcher.run_banded(tiles, tiles_x * tiles_y, *inputs, bands=bands)
+            self._run_tiles(scene, splat_tile_kernels.composite_tiles, inputs)
+
+    def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
+        """An item a pixel, tile after tile."""
+        self._launcher.run_banded(kernel, math.prod(scene.tile_grid) * TILE_PX * TILE_PX, *inputs)
+
+    def _run_tiles(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
+        """An item a tile."""
+        bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+        self._launcher.run_banded(kernel, math.prod(scene.tile_grid), *inputs, bands=bands)
 
 
 def raster_table(config: RenderConfig) -> np.ndarray:

@@ -7,6 +7,7 @@ import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.camera.ray_blocks import ray_of_pixel
+from lumisplat.device.gaussian.aligned import store_splat
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.projection import project_gaussian
 from lumisplat.device.gaussian.splat_coverage import is_finite, tile_range
@@ -50,7 +51,7 @@ def project_splats(
         else:
             key = KEY_NONFINITE
     if key < KEY_NONFINITE:
-        splats_out[splat.index] = splat  # culled ones are never read
+        store_splat(splats_out, splat.index, splat)  # culled ones are never read
     keys_out[splat.index] = key
     rects_out[splat.index] = rect
 

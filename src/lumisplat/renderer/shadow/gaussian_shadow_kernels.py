@@ -18,6 +18,7 @@ import warp as wp
 from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, NodeStackStorage, node_stack, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.device.gaussian.aligned import load_particle
 from lumisplat.device.light.packet_shadow import (
     begin_absorption,
     begin_first_hits,
@@ -29,7 +30,7 @@ from lumisplat.device.light.packet_shadow import (
     shadow_of_list,
 )
 from lumisplat.device.light.shadow import passed_share, shadow_key, shadow_of
-from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, SceneBvh, ShadowData
+from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Particle, SceneBvh, ShadowData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import RayData
 
@@ -71,6 +72,7 @@ def shadow_kernel(lanes: int) -> Any:
         stack_storage = NodeStackStorage()
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
+        particle = Particle()
         place = PacketPlace()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
@@ -88,7 +90,7 @@ def shadow_kernel(lanes: int) -> Any:
                 leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST)
                 found = int(0)
                 for leaf in range(leaf_count):
-                    particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
+                    load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
                     found = found | absorb(absorption, packet, particle, place.instance, config, scene, key)
                 if found != 0 and largest(absorption.transmittance) <= 0.0:
                     top = int(0)
@@ -136,6 +138,7 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
         stack_storage = NodeStackStorage()
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
+        particle = Particle()
         place = PacketPlace()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
@@ -156,7 +159,7 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
                     leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST)
                     found = int(0)
                     for leaf in range(leaf_count):
-                        particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
+                        load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
                         found = found | keep_first_hits(first_hits, packet, particle, place.instance, config)
                     if found != 0:
                         reach = farthest_reach(first_hits, packet)

@@ -17,6 +17,7 @@ import warp as wp
 from lumisplat.device.bvh.node_stack import NEAR_FIRST, NodeStackStorage, node_stack, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
+from lumisplat.device.gaussian.aligned import load_particle
 from lumisplat.device.gaussian.compositing import empty_pixel
 from lumisplat.device.gaussian.packet_tracing import (
     begin_pass,
@@ -27,7 +28,7 @@ from lumisplat.device.gaussian.packet_tracing import (
     packet_tracing_of,
 )
 from lumisplat.device.gaussian.ray_compositing import begin_relit, store_pixel
-from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, SceneBvh, TraceData
+from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import GaussianHits, RayData
 
@@ -71,6 +72,7 @@ def gaussian_trace_kernel(lanes: int) -> Any:
         stack_storage = NodeStackStorage()
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
+        particle = Particle()
         place = PacketPlace()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
@@ -90,7 +92,7 @@ def gaussian_trace_kernel(lanes: int) -> Any:
                             enter_instance(place, packet, number, scene, rays, first)
                         leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, NEAR_FIRST)
                         for leaf in range(leaf_count):
-                            particle = scene.assets[place.instance.asset].particles[leaves[leaf]]
+                            load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
                             first_t = keep_hits(traced, packet, particle, place.instance, config, rays, first)
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)

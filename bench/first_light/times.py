@@ -1,0 +1,170 @@
+"""Steps of `bench.first_light` that say how long things take: stages of large frames, sorts, copies, beside gsplat."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import lumisplat as ls
+from bench.first_light.worker import Finding, Setting
+from bench.presets import Preset, synthetic
+from bench.timing import TimedRenderer
+from lumisplat.runtime.buffers import DeviceArray
+from lumisplat.runtime.primitives import sort_pairs
+
+WARM, REPEATS = 3, 10
+"""Frames before those that are timed: buffers grow, then a graph is captured."""
+LAMP = ls.LightPoint((1.0, -3.0, -3.0), intensity=30.0)
+
+
+def view(setting: Setting, count: int) -> ls.Camera:
+    """The camera of the benchmarks' synthetic sets."""
+    return Preset("first light", setting.width, setting.width * 9 // 16, "", count).camera()
+
+
+def raster_times(setting: Setting) -> Iterator[Finding]:
+    """Unlit frames, as they are used."""
+    for count in setting.sizes:
+        yield from frame_times(setting, count, ls.RenderConfig(), ls.Scene(splats=[synthetic(count)]), REPEATS)
+
+
+def trace_times(setting: Setting) -> Iterator[Finding]:
+    """Unlit traced frames, with the time of their trees."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+    for count in setting.sizes:
+        yield from frame_times(setting, count, config, ls.Scene(splats=[synthetic(count)]), 3)
+
+
+def lit_times(setting: Setting) -> Iterator[Finding]:
+    """Hybrid frames with one shadowed light."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
+    for count in setting.sizes:
+        yield from frame_times(setting, count, config, ls.Scene(splats=[synthetic(count)], lights=[LAMP]), 3)
+
+
+def frame_times(
+    setting: Setting, count: int, config: ls.RenderConfig, scene: ls.Scene, repeats: int
+) -> Iterator[Finding]:
+    """The first frame, the median of later ones, and the stages of one that waits after each."""
+    renderer, camera = TimedRenderer(config, setting.device), view(setting, count)
+    first = renderer.render(scene, camera)
+    yield Finding(f"{count:,}: first frame, ms", round(first.wall_ms, 1))
+    yield Finding(f"{count:,}: its stages, ms", rounded(first.stage_ms))
+    for _ in range(min(WARM, repeats)):
+        renderer.render(scene, camera)
+    frames = [renderer.render(scene, camera) for _ in range(repeats)]
+    walls = sorted(frame.wall_ms for frame in frames)
+    yield Finding(
+        f"{count:,}: frame, ms (least, most)", [round(ms, 2) for ms in (statistics.median(walls), walls[0], walls[-1])]
+    )
+    yield Finding(f"{count:,}: stages, ms", rounded(frames[-1].stage_ms))
+    stats = frames[-1].frame.stats
+    assert stats is not None
+    yield Finding(f"{count:,}: visible, pairs, MiB", [stats.visible_count, stats.pair_count, stats.memory_bytes >> 20])
+
+
+def rounded(stage_ms: dict[str, float]) -> dict[str, float]:
+    """Milliseconds to be read."""
+    return {name: round(ms, 2) for name, ms in stage_ms.items()}
+
+
+def sort_times(setting: Setting) -> Iterator[Finding]:
+    """Sorts as the rasteriser asks for them: of depths, and of pairs by tile."""
+    largest = max(setting.sizes)
+    for count, bits in ((largest, 32), (2 * largest, 13)):
+        values = np.random.default_rng(0).integers(0, 1 << min(bits, 30), 2 * count, dtype=np.int32)
+        keys = DeviceArray(values, dtype=wp.int32, device=setting.device)
+        items = DeviceArray(shape=2 * count, dtype=wp.int32, device=setting.device)
+        sort_pairs(keys, items, count, bits=bits)
+        found = keys.numpy()[:count].astype(np.int64) & ((1 << bits) - 1)
+        took = milliseconds(setting, partial(sort_pairs, keys, items, count, bits=bits))
+        is_sorted = bool((np.diff(found) >= 0).all())
+        yield Finding(f"{count:,} pairs by {bits} bits, ms", took, is_wrong=not is_sorted)
+
+
+def copy_times(setting: Setting) -> Iterator[Finding]:
+    """The images of a frame, 10 words a pixel: to the host, and within the device."""
+    words = 10 * setting.width * (setting.width * 9 // 16)
+    source, target = (DeviceArray(shape=words, dtype=wp.float32, device=setting.device) for _ in range(2))
+    yield Finding("MB", 4e-6 * words)
+    yield Finding("within the device, ms", milliseconds(setting, lambda: wp.copy(target, source)))
+    yield Finding("to new memory of the host, ms", milliseconds(setting, lambda: source.numpy().copy()))
+    if setting.device != "cpu":
+        pinned = DeviceArray(shape=words, dtype=wp.float32, device="cpu", pinned=True)
+        yield Finding("to pinned memory of the host, ms", milliseconds(setting, lambda: wp.copy(pinned, source)))
+
+
+def milliseconds(setting: Setting, work: Callable[[], object]) -> float:
+    """The median of some runs, waited for."""
+    spans = []
+    for _ in range(REPEATS + 1):
+        begun = time.perf_counter()
+        work()
+        wp.synchronize_device(setting.device)
+        spans.append(1e3 * (time.perf_counter() - begun))
+    return round(statistics.median(spans[1:]), 3)
+
+
+def beside_gsplat(setting: Setting) -> Iterator[Finding]:
+    """Frames of gsplat's rasteriser and ours in turns: milliseconds, and how alike they are."""
+    if setting.device == "cpu":
+        yield Finding("skipped", "gsplat rasterises on CUDA only")
+        return
+    try:
+        import torch  # pyright: ignore[reportMissingImports]
+        from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        yield Finding("skipped", f"gsplat is not installed here: {error}")
+        return
+    for count in setting.sizes:
+        gaussians, camera = synthetic(count), view(setting, count)
+        given = {name: torch.tensor(values, device=setting.device) for name, values in columns(gaussians).items()}
+        matrix: Any = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
+        lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+        draw = partial(
+            rasterization,
+            **given,
+            viewmats=matrix,
+            Ks=torch.tensor([lens], dtype=torch.float32, device=setting.device),
+            width=camera.width,
+            height=camera.height,
+            sh_degree=3,
+            packed=False,
+        )
+        ours = TimedRenderer(replace(ls.RenderConfig(), background=(0.0, 0.0, 0.0)), setting.device)
+        theirs: list[float] = []
+        walls: list[float] = []
+        scene = ls.Scene(splats=[gaussians])
+        image, timed = draw()[0], ours.render(scene, camera)
+        for _ in range(WARM + REPEATS):
+            torch.cuda.synchronize()
+            begun = time.perf_counter()
+            image = draw()[0]
+            torch.cuda.synchronize()
+            theirs.append(1e3 * (time.perf_counter() - begun))
+            timed = ours.render(scene, camera)
+            walls.append(timed.wall_ms)
+        error = np.mean((np.clip(image[0].cpu().numpy(), 0, 1) - np.clip(timed.frame.color, 0, 1)) ** 2)
+        drawing = sum(ms for stage, ms in timed.stage_ms.items() if stage not in ("sync", "download"))
+        yield Finding(f"{count:,}: gsplat on the device, ms", round(statistics.median(theirs[WARM:]), 2))
+        yield Finding(f"{count:,}: ours with download, ms", round(statistics.median(walls[WARM:]), 2))
+        yield Finding(f"{count:,}: our stages but sync and download, ms", round(drawing, 2))
+        yield Finding(f"{count:,}: PSNR, dB", round(float(-10.0 * np.log10(error)), 1))
+
+
+def columns(gaussians: ls.Gaussians) -> dict[str, np.ndarray]:
+    """A set as gsplat takes it."""
+    return {
+        "means": gaussians.means,
+        "quats": gaussians.rotations_wxyz,
+        "scales": gaussians.scales,
+        "opacities": gaussians.opacities,
+        "colors": gaussians.sh,
+    }

@@ -1,0 +1,49 @@
+"""Runs one step of `bench.first_light` in this process, and writes what it finds at once, a line each."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Finding(NamedTuple):
+    """Something that a step has found; one called ``skipped`` ends it, and says why."""
+
+    name: str
+    value: object
+    """For JSON."""
+    is_wrong: bool = False
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all steps are told."""
+
+    device: str
+    sizes: list[int]
+    """Gaussians of the sets that are timed."""
+    width: int
+    """Of the frames that are timed, pixels."""
+    every: int = 1
+    """Each n-th small frame is rendered."""
+
+
+def main(work: str, setting: str, found: str) -> None:
+    """Runs ``module:function``."""
+    from bench.timing import quiet_warp
+
+    quiet_warp()
+    module, _, function = work.partition(":")
+    step = getattr(importlib.import_module(module), function)
+    with Path(found).open("w") as file:
+        for finding in step(Setting(**json.loads(setting))):
+            file.write(json.dumps(Finding(*finding), default=str) + "\n")
+            file.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,62 @@
+"""The benchmarks run on any device, and time stages where a GPU does not time them by itself."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bench import timing
+
+import lumisplat as ls
+from lumisplat.cli import main
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes import raster_scenes
+
+BENCH = Path(timing.__file__).parent
+CPU_ONLY = {"mitsuba_peer.py"}
+"""Compares with a renderer that runs on the CPU."""
+
+
+def renderer_as_on_a_gpu(config: ls.RenderConfig | None = None, device: str = "auto", **options: Any) -> ls.Renderer:
+    """One that times its stages if it is told to, as on CUDA."""
+    launcher = GraphLauncher()
+    launcher.profile = bool(options.get("profile"))
+    return ls.Renderer(config or ls.RenderConfig(), launcher)
+
+
+@pytest.mark.parametrize("path", sorted(BENCH.glob("*.py")), ids=lambda path: path.name)
+def test_no_benchmark_is_bound_to_the_cpu(path: Path) -> None:
+    """Each takes its device from the command line."""
+    if path.name not in CPU_ONLY:
+        assert not re.search(r"device=\"cpu\"|_renderer\([^)]*\"cpu\"", path.read_text())
+
+
+def test_devices_that_are_not_there_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """In one line, with those that are."""
+    with pytest.raises(SystemExit):
+        timing.parser("run", None).parse_args(["--device", "cuda:99"])
+    assert "no device 'cuda:99' here: use auto or one of cpu" in capsys.readouterr().err
+    assert timing.parser("run", None).parse_args(["--device", "cpu"]).device == "cpu"
+
+
+def test_stages_are_timed_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame there has no stage times: those of one that waits are reported, and the frame's own time is not its."""
+    monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
+    case = raster_scenes.cases()[3]
+    timed = timing.TimedRenderer(case.config, "cuda").render(case.scene, case.camera)
+    assert timed.frame.stats is not None
+    assert not timed.frame.stats.stage_ms
+    assert {"project", "sort", "bin", "composite", "download"} <= timed.stage_ms.keys()
+    assert timed.wall_ms > 0.0
+
+
+def test_bench_command_lists_stages_of_a_gpu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So does the command."""
+    monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
+    ls.save(tmp_path / "capture.ply", raster_scenes.random_gaussians(1, 20))
+    assert main(["bench", str(tmp_path / "capture.ply"), "--width", "32", "--repeats", "2"]) == 0
+    assert "composite" in capsys.readouterr().out

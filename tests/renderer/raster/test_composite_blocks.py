@@ -1,0 +1,54 @@
+"""Blocks of threads that share a tile's splats, against one item a pixel: the same bits."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import BLOCK_THREADS
+from lumisplat.renderer.raster import splat_block_kernels, splat_pixel_kernels
+from lumisplat.runtime.launcher import Launcher
+from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda
+from support.scenes.raster_scenes import front_camera, quad, random_gaussians
+
+LAYERS = ("color", "alpha", "normal", "depth", "gaussian_index", "instance_index")
+
+
+class ByPixels(Launcher):
+    """Composites each pixel by itself."""
+
+    def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
+        """One item a pixel instead."""
+        assert kernel is splat_block_kernels.composite_blocks
+        self.run_banded(splat_pixel_kernels.composite_pixels, blocks * BLOCK_THREADS, *inputs)
+
+
+@pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
+@pytest.mark.parametrize("with_mesh", [False, True])
+def test_lists_of_several_batches(opacity: float, with_mesh: bool) -> None:
+    """Tiles with more splats than a block has threads; pixels end by opacity, at a mesh, or with the list."""
+    gaussians = random_gaussians(
+        8, 2200, extent=(1.0, 0.6, 1.5), scale_range=(0.1, 0.5), opacities=np.full(2200, opacity)
+    )
+    scene = ls.Scene([gaussians], [quad(4.0, half=0.5)] if with_mesh else [])
+    camera = front_camera(40, 24)
+    frames = [
+        ls.Renderer(ls.RenderConfig(), launcher).render(scene, camera)
+        for launcher in (ByPixels("cpu", parallel=True), Launcher("cpu", parallel=True))
+    ]
+    assert frames[0].stats is not None
+    assert frames[0].stats.pair_count > 3 * BLOCK_THREADS * 6, "the lists are short"
+    for name in LAYERS:
+        np.testing.assert_array_equal(getattr(frames[0], name), getattr(frames[1], name), name)
+
+
+def test_splats_are_read_from_shared_memory() -> None:
+    """Each by wide loads, and blocks ask for so few registers that four of them share a multiprocessor."""
+    for artifact, _ in zip(compile_for_cuda(splat_block_kernels), CUDA_ARCHITECTURES, strict=True):
+        code = artifact.read_text()
+        assert re.search(r"\.maxntid 256", code) and re.search(r"\.minnctapersm 4", code)
+        assert len(re.findall(r"ld\.shared\.v4", code)) >= 3
