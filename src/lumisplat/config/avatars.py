@@ -37,6 +37,9 @@ class LightEstimationConfig:
     lights, too."""
     weakest: float = 0.05
     """Gaussians whose score is below this share of the best are no lights, 0..1."""
+    evidence: float = 0.05
+    """Share of the light on surfaces around, beyond what smooth surroundings explain, that a light must explain, 0..1;
+    twice that for what is low or broad. At 0, what is bright counts as a light, whether it lights anything or not."""
     irradiance: float = math.pi
     """Irradiance that all lights together give a surface at the character's centre which faces each of them,
     1e-6..1e6: with pi, white paper is white."""
@@ -47,6 +50,7 @@ class LightEstimationConfig:
                 check_range(name, getattr(self, name), 1e-6, 1e9)
         check_range("compactness", self.compactness, 0.0, 1.0)
         check_range("weakest", self.weakest, 0.0, 1.0)
+        check_range("evidence", self.evidence, 0.0, 1.0)
         check_range("irradiance", self.irradiance, 1e-6, 1e6)
 
 
