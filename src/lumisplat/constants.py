@@ -313,6 +313,9 @@ SURFACES_MAX = 3000
 TRACE_DIRECTIONS = 128
 """Directions from which smooth surroundings light surfaces."""
 
+TRACE_SURFACES_MIN = 200
+"""Gaussians on surfaces below which there is nothing to see a light on."""
+
 TRACE_RIDGE = 1e-6
 """Ridge of the regression, in mean squares of its columns: in a closed room the sky lights nothing."""
 
@@ -364,6 +367,9 @@ SUN_APART = 0.7
 
 SUN_CONFIDENCE_MIN = 0.2
 """Confidence below which no sun is given."""
+
+SUN_WAYS = 256
+"""Ways from an actor to a sun that are looked along, at most."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 

@@ -72,6 +72,9 @@ class AvatarLightingConfig:
     shadows are as in Mir et al. (2026), black where no light passes."""
     relight: bool = True
     """Whether actors take on the light of the place where they are."""
+    sun_on_actors: bool = True
+    """Whether suns that are given light actors made of Gaussians, too, with the irradiance that they have (pi: white
+    paper that faces them is white), where the scene does not block them, and beyond what the probe holds of them."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
     """How a probe's light changes the colours of actors."""
     light_count: int = 3
@@ -84,6 +87,7 @@ class AvatarLightingConfig:
         check_kind("shadow_map", self.shadow_map, DeepShadowConfig)
         check_range("direct", self.direct, 0.0, 1.0)
         check_flag("relight", self.relight)
+        check_flag("sun_on_actors", self.sun_on_actors)
         check_kind("transfer", self.transfer, RelightConfig)
         check_whole("light_count", self.light_count, 1, 64)
         check_kind("estimation", self.estimation, LightEstimationConfig)

@@ -14,6 +14,7 @@ from lumisplat.constants import (
     TRACE_CASING,
     TRACE_GROUND_MIN,
     TRACE_NEAREST,
+    TRACE_SURFACES_MIN,
 )
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles
 from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
@@ -57,7 +58,7 @@ def lamps_among(
         evidence: Least share of what nothing else explains.
     """
     directions = even_directions()
-    if not len(places) or surfaces.luminance.size < 2 * len(directions):
+    if not len(places) or surfaces.luminance.size < TRACE_SURFACES_MIN:
         return Lamps(np.zeros(0, np.int64), np.zeros(0))
     cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
     shading = Shading.of(surfaces, directions, cosines)

@@ -7,7 +7,7 @@ docs/adr/0014-light-estimation.md says why.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from lumisplat.constants import (
 )
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import FloatArray, three_numbers
-from lumisplat.relighting.captured_surfaces import captured_surfaces
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
 from lumisplat.relighting.lamp_evidence import lamps_among
 from lumisplat.relighting.light_evidence import Doubles, Evidence, gathered_evidence
 from lumisplat.relighting.local_contrast import surroundings
@@ -144,9 +144,10 @@ def estimate_lights(
     evidence = gathered_evidence(splats, worlds, middle, sizes.viewpoints, sizes.radius)
     candidates = _candidates(evidence, settings, sizes.emitter)
     if settings.evidence > 0.0:
-        chosen, shares = _lamps(splats, worlds, middle, evidence, candidates, count, settings, sizes)
+        surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * sizes.extent)
+        chosen, shares = _lamps(evidence, candidates, surfaces, sizes, center=middle, count=count, settings=settings)
     else:
-        chosen = _choose(evidence, candidates, candidates.is_compact, count, settings.weakest, sizes.separation)
+        chosen = _choose(evidence, candidates, count, settings.weakest, sizes.separation)
         shares = np.zeros(chosen.size)
     if chosen.size == 0:
         raise SceneError(_nothing_found(middle, sizes.radius, bool(candidates.is_compact.any())))
@@ -165,25 +166,23 @@ def estimate_lights(
 
 
 def _lamps(
-    splats: tuple[SplatInstance, ...],
-    worlds: list[Doubles],
-    center: Doubles,
     evidence: Evidence,
     candidates: _Candidates,
+    surfaces: CapturedSurfaces,
+    sizes: _Sizes,
+    *,
+    center: Doubles,
     count: int,
     settings: LightEstimationConfig,
-    sizes: _Sizes,
 ) -> tuple[_Rows, Doubles]:
     """Which candidates light their surroundings, the brightest first, and how much of the light there they explain."""
     # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
-    everything = np.ones(candidates.rows.size, np.bool_)
-    bright = _choose(evidence, candidates, everything, LAMP_CANDIDATES, settings.weakest, sizes.emitter)
-    if bright.size == 0:
-        return bright, np.zeros(0)
+    everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
+    bright = _choose(evidence, everything, LAMP_CANDIDATES, settings.weakest, sizes.emitter)
     lamps = lamps_among(
         evidence.means[candidates.rows[bright]],
         candidates.is_compact[bright],
-        captured_surfaces(splats, worlds, center, SURFACE_REACH * sizes.extent),
+        surfaces,
         center=center,
         emitter=sizes.emitter,
         separation=sizes.separation,
@@ -250,17 +249,10 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
     return _Candidates(rows, around, weights, compact)
 
 
-def _choose(
-    evidence: Evidence,
-    candidates: _Candidates,
-    allowed: npt.NDArray[np.bool_],
-    count: int,
-    weakest: float,
-    separation: float,
-) -> _Rows:
+def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> _Rows:
     """Greedy non-maximum suppression: the best candidate, then the best that is not near it, and so on."""
     means = evidence.means[candidates.rows]
-    left = np.where(allowed, candidates.weights, 0.0)
+    left = np.where(candidates.is_compact, candidates.weights, 0.0)
     least = weakest * left.max(initial=0.0)
     chosen: list[int] = []
     while len(chosen) < count and left.size and left.max() > 0.0 and left.max() >= least:

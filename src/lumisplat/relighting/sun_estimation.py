@@ -17,6 +17,7 @@ from lumisplat.constants import (
     SUN_SIGNIFICANCE,
     SURFACE_REACH,
     TRACE_GROUND_MIN,
+    TRACE_SURFACES_MIN,
 )
 from lumisplat.math.arrays import three_numbers
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles, captured_surfaces
@@ -63,7 +64,7 @@ def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike
     worlds = [instance.world_means for instance in splats]
     middle = np.median(np.concatenate(worlds), axis=0) if center is None else three_numbers("center", center)
     surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * capture_extent(worlds, middle))
-    if surfaces.luminance.size < SUN_DIRECTIONS:
+    if surfaces.luminance.size < TRACE_SURFACES_MIN:
         return None
     directions = even_directions(SUN_DIRECTIONS)
     cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import lumisplat as ls
-from lumisplat.cli.output.console import Report, light_positions, print_table
+from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.stats import print_stats
 
@@ -94,9 +94,9 @@ class AnimationFrames:
 
     def _light_remarks(self, scene: ls.Scene) -> Iterable[str]:
         """Lines about the light of the first frame: which lights were found, and whether it is noisy."""
-        estimate = self._lighter.estimate if self._lighter is not None else None
-        if estimate is not None:
-            yield f"no lights are given, shadows fall from what was found: {light_positions(estimate.lights)}"
+        found = found_light(self._lighter) if self._lighter is not None else None
+        if found is not None:
+            yield f"no lights are given, shadows fall from what was found: {found}"
         environment = any(isinstance(light, ls.LightEnvironment) and light.enabled for light in scene.lights)
         if environment and scene.meshes and self._renderer.config.samples == 1:
             yield "meshes are lit from random directions all around: --samples 16 or more average the noise"
