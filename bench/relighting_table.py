@@ -1,8 +1,8 @@
 """Lighting consistency of a relit figure, as in table 1 of Mir et al. 2026, on our data.
 
-``python -m bench.relighting_table`` prints how well a figure's light fits that of the demo room and of two real captures.
+``python -m bench.relighting_table`` prints how well a figure's light fits the demo room and two real captures.
 
-It walks there, as captured and relit. It carries the light of a studio, baked into its colours, as a captured figure does:
+The figure walks there, as captured and relit. It carries the light of a studio in its colours, as captured figures do:
 an even light, and a key from its front left. ``--write`` puts the table into docs/benchmarks.md, ``--pictures FOLDER``
 keeps a picture of each moment, as captured and relit.
 """
@@ -134,7 +134,7 @@ def in_studio(figure: ls.Gaussians) -> ls.Gaussians:
     """A figure at rest, coloured and lit: head and hands, clothes, shoes, in even light and a key light."""
     assert figure.normals is not None
     height = (figure.means[:, 1] - figure.means[:, 1].min()) / np.ptp(figure.means[:, 1])
-    albedo = np.where(height[:, None] > 0.86, SKIN, np.where(height[:, None] > 0.06, CLOTH, SHOES))
+    albedo = np.where(height[:, None] > 0.7, SKIN, np.where(height[:, None] > 0.06, CLOTH, SHOES))
     key = np.maximum(figure.normals @ (np.array(KEY) / np.linalg.norm(KEY)), 0.0)
     display = encode_srgb(albedo * (0.65 + 0.7 * key)[:, None])
     return replace(figure, sh=((display - 0.5) / SH_C0)[:, None].astype(np.float32))
