@@ -475,7 +475,7 @@ def test_a_sun_that_the_probe_holds_does_not_count_twice() -> None:
     """What a probe gives beyond even light towards the sun is taken from it: all of a weak one, none where dark."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    spot = np.where(directions[:, 1:] > 0.9, 5.0, 0.2) * np.ones(3)
+    spot = np.where(directions[:, 1:2] > 0.9, 5.0, 0.2) * np.ones(3)
     probe = ls.EnvironmentProbe.fit(directions, spot)
     held = (probe.irradiance((0.0, 1.0, 0.0)) - np.pi * probe.coefficients[0] * SH_C0)[0]
     assert held > 0.5

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants import LUMINANCE, SH_C0, SUN_WAYS
 from lumisplat.math.arrays import FloatArray
 from lumisplat.relighting.probe import EnvironmentProbe
@@ -53,7 +53,9 @@ class SunOnActors:
     def _visibility(self, actor: SplatInstance, sun: LightDirectional) -> float:
         """Share of the ways from the actor to a sun that nothing of the scene blocks, 0..1."""
         if self._renderer is None:
-            self._renderer = create_renderer(RenderConfig(), self._device, progress=self._progress)
+            self._renderer = create_renderer(
+                RenderConfig(pipeline=Pipeline.TRACE), self._device, progress=self._progress
+            )
         means = actor.world_means
         # Evenly over the set: the same ones for an actor that only moves.
         starts = means[np.linspace(0, len(means) - 1, min(SUN_WAYS, len(means))).astype(np.int64)]
