@@ -235,7 +235,7 @@ class AvatarLighter:
         probe = self._probes.at(centroid([actor]))
         self._warn_of_dark_place(probe)
         transfer = self.config.transfer
-        normals = self._normals[key][1] @ actor.transform[:3, :3].T / actor.scale
+        normals = (self._normals[key][1] @ actor.transform[:3, :3].T / actor.scale).astype(np.float32)
         scales = light_scales(probe, normals, transfer)
         if self._suns is not None:
             scales = np.minimum(scales + self._suns.scales(actor, probe, normals), np.float32(transfer.scale_max))

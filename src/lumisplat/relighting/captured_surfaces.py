@@ -153,7 +153,7 @@ class _Grid:
     def keys(self, points: Doubles) -> tuple[Rows, npt.NDArray[np.bool_]]:
         """The cell of each point, as a number, and whether it is in the grid: 0 where it is not."""
         cells = np.floor((points - self.corner) / self.cell).astype(np.int64)
-        inside = ((cells >= 0) & (cells < SURFACE_CELLS)).all(axis=1)
+        inside = np.asarray(((cells >= 0) & (cells < SURFACE_CELLS)).all(axis=1))
         cells[~inside] = 0
         return (cells[:, 0] * SURFACE_CELLS + cells[:, 1]) * SURFACE_CELLS + cells[:, 2], inside
 
@@ -199,7 +199,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
         second=axes[rows, order[:, 1]] * flat[:, 1:],
         normals=axes[rows, order[:, 2]],
         area=2.0 * np.pi * gaussians.opacities * scales[:, 0] * scales[:, 1],
-        luminance=decode_srgb(display) @ np.array(LUMINANCE),
+        luminance=(decode_srgb(display) @ np.array(LUMINANCE)).astype(np.float64),
         is_flat=scales[:, 2] < SURFACE_THIN * scales[:, 1],
     )
 

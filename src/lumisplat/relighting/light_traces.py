@@ -74,12 +74,8 @@ class Shading:
             counted: Which surfaces count, shape (M,); None: all.
         """
         weights = self.weights if counted is None else self.weights * counted
-        weighted = self.known * weights[:, None]
-        gram = weighted.T @ self.known
-        gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-        luminance = self.surfaces.luminance
-        both = np.column_stack([luminance, irradiances])
-        left = both - self.known @ np.linalg.solve(gram, weighted.T @ both)
+        both = np.column_stack([self.surfaces.luminance, irradiances])
+        left = both - _explained(self.known, both, weights)
         dark, light = left[:, 0], left[:, 1:]
         power = np.maximum(weights @ light**2, 1e-30)
         factors = (weights * dark) @ light / power
@@ -120,12 +116,17 @@ def _robust_weights(known: Doubles, luminance: Doubles) -> Doubles:
         return weights
     floor = max(TRACE_FLOOR * float(np.median(luminance)), 1e-12)
     for _ in range(TRACE_STEPS):
-        weighted = known * weights[:, None]
-        gram = weighted.T @ known
-        gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-        explained = known @ np.linalg.solve(gram, weighted.T @ luminance)
+        explained = _explained(known, luminance, weights)
         scale = 1.0 / np.maximum(explained, floor)
         relative = np.abs(luminance - explained) * scale
         width = max(HUBER_WIDTH / MAD_PER_DEVIATION * float(np.median(relative)), 1e-6)
         weights = scale**2 * np.minimum(1.0, width / np.maximum(relative, 1e-12))
     return weights
+
+
+def _explained(known: Doubles, values: Doubles, weights: Doubles) -> Doubles:
+    """The part of values, shape (M,) or (M, L), that the columns of ``known`` explain: weighted least squares."""
+    weighted = known * weights[:, None]
+    gram = weighted.T @ known
+    gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return np.asarray(known @ np.linalg.solve(gram, weighted.T @ values), np.float64)

@@ -33,7 +33,7 @@ class SunEstimate:
     """A sun that was found, and on what evidence."""
 
     light: LightDirectional
-    """Named ``estimated-sun``, white, of 1 lux per lux of all other light: how bright it was is not to be told."""
+    """Named ``estimated-sun``, white, of 1 lux: how bright it was is not to be told."""
     confidence: float
     """0..1: 1 if no direction 45 degrees away or more explains anything, 0 if one explains as much."""
     share: float

@@ -24,7 +24,7 @@ Point = tuple[float, float, float]
 def box(center: Point, size: Point) -> ls.Mesh:
     """A box seen from outside."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    return ls.Mesh(corners * size + center, np.array(_BOX_FACES).reshape(-1, 3))
+    return ls.Mesh(corners * np.array(size) + center, np.array(_BOX_FACES).reshape(-1, 3))
 
 
 def ball(center: Point, radius: float) -> ls.Mesh:
