@@ -18,7 +18,6 @@ from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.relighting.probe_cache import ProbeCache
 from lumisplat.relighting.probe_transfer import light_scales
-from lumisplat.relighting.scaled_light import scale_light_of
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
 from lumisplat.relighting.sun_on_actors import SunOnActors
 from lumisplat.renderer.scene.materials import emits_capture_only
@@ -27,6 +26,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 
 _log = logging.getLogger("lumisplat")
