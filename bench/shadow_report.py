@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-MARK = "<!-- {name}: written by python -m bench.ablations -->"
+MARK = "<!-- {name}: written by python -m {command} -->"
 
 PAPER = {
     "sampling": {
@@ -82,8 +82,10 @@ def timing_lines(rows: dict[str, dict]) -> list[str]:
     ]
 
 
-def write_section(path: Path, name: str, section: list[str]) -> None:
+def write_section(path: Path, name: str, section: list[str], *, command: str = "bench.ablations") -> None:
     """Replaces the text between the two marks of a table in the document."""
-    mark = MARK.format(name=name)
-    before, _, after = path.read_text().split(mark)
-    path.write_text(before + mark + "\n" + "\n".join(section) + "\n" + mark + after)
+    mark = MARK.format(name=name, command=command)
+    parts = path.read_text().split(mark)
+    if len(parts) != 3:
+        raise SystemExit(f"{path}: expected two lines '{mark}', between which the table goes, found {len(parts) - 1}")
+    path.write_text(parts[0] + mark + "\n" + "\n".join(section) + "\n" + mark + parts[2])

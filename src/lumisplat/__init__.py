@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
+    from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
     from lumisplat.renderer.one_shot import render, trace_rays, transmittance
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
@@ -150,6 +151,7 @@ _MODULE_OF = {
     "ShadowMethod": "config",
     "Shadows": "config",
     "SplatInstance": "scene.scene",
+    "SunEstimate": "relighting.sun_estimation",
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",
@@ -164,6 +166,7 @@ _MODULE_OF = {
     "demo_scene": "demo.scene",
     "demo_scene_lit": "demo.scene_lit",
     "estimate_lights": "relighting.light_estimation",
+    "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
     "frame_camera": "scene.ops.framing",
@@ -262,6 +265,7 @@ __all__ = [
     "ShadowMethod",
     "Shadows",
     "SplatInstance",
+    "SunEstimate",
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",
@@ -277,6 +281,7 @@ __all__ = [
     "demo_scene_lit",
     "estimate_lights",
     "estimate_normals",
+    "estimate_sun",
     "flip",
     "frame_camera",
     "gaussians_from_mesh",

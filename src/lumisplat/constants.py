@@ -292,6 +292,105 @@ LIGHT_SEARCH_PRIOR = 4.0
 LIGHT_SEARCH_BROAD = 0.05
 """Factor on the score of a light that does not stand out from its surroundings at all."""
 
+# --- Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light) ---
+
+SURFACE_CELLS = 64
+"""Cells along each side of the cube that holds a capture: in a room of 5 m, 8 cm."""
+
+SURFACE_REACH = 1.1
+"""Half the side of that cube, in sizes of the scene."""
+
+SURFACE_COVERAGE = 0.3
+"""Area of the Gaussians in a cell, times their opacity, in faces of the cell, from which it is solid: haze is not."""
+
+SURFACE_FLATNESS = 0.25
+"""Largest ratio of the smallest variance of what is in a cell to the second one: foliage has no normal."""
+
+SURFACE_THIN = 0.5
+"""Largest ratio of the smallest scale of a Gaussian to the second one for it to have a normal of its own."""
+
+SURFACE_DISC = 1.2
+"""Radius of the circle on which a Gaussian's area is put, standard deviations: about its root mean square."""
+
+SURFACE_PER_CELL = 3
+"""Gaussians of a cell that are looked at, at most: fine objects must not outvote the room."""
+
+SURFACE_CLIP = 0.98
+"""Quantile of the luminance of surfaces that none exceeds: lamps are not what they light."""
+
+SURFACE_OFFSET = 1.8
+"""Distance from a surface at which ways to the light start, cells: beyond the diagonal of its own."""
+
+SURFACE_STEP = 0.7
+"""Steps along ways to the light, cells."""
+
+SURFACE_BLOCK = 4
+"""Side of a block, cells: what texture makes brighter is brighter over a block, and counts once."""
+
+SURFACES_MAX = 3000
+"""Gaussians on surfaces that are looked at, a random choice if there are more."""
+
+TRACE_DIRECTIONS = 128
+"""Directions from which smooth surroundings light surfaces."""
+
+TRACE_SURFACES_MIN = 200
+"""Gaussians on surfaces below which there is nothing to see a light on."""
+
+TRACE_RIDGE = 1e-6
+"""Ridge of the regression, in mean squares of its columns: in a closed room the sky lights nothing."""
+
+TRACE_FLOOR = 0.25
+"""Residuals are relative to the explained luminance, at least to this share of the median."""
+
+TRACE_STEPS = 4
+"""Steps of the robust weights."""
+
+TRACE_NEAREST = 2.0
+"""Surfaces nearer to a lamp than this, in sizes of an emitter, do not count: a bright patch is bright around itself. As
+far are the places with which a lamp's own is compared."""
+
+TRACE_CASING = 1.5
+"""What is nearer to a lamp than this, in sizes of an emitter, does not shadow it: it hangs in its own shade."""
+
+TRACE_GROUND_MIN = 0.3
+"""Length of the mean blocked direction from which the ground is known, 1 over an endless plane."""
+
+LAMP_SIGNIFICANCE = 4.0
+"""Least ratio of a lamp's factor to its standard error: of 64 candidates, chance gives one of 400 such a value."""
+
+LAMP_DOUBT = 2.0
+"""Factor on the evidence that is asked of what is low, or broad."""
+
+LAMP_ELSEWHERE = 0.6
+"""Least share of what a lamp beside the candidate explains: the light of a lamp is brightest around itself."""
+
+LAMP_CANDIDATES = 64
+"""Bright things that are looked at."""
+
+SUN_DIRECTIONS = 320
+"""Directions in which a sun is looked for first: 13 degrees apart."""
+
+SUN_REFINED = 24
+"""Directions around the best in each of two finer steps."""
+
+SUN_SHARE = 0.05
+"""Least share of what smooth surroundings do not explain that a sun does."""
+
+SUN_SIGNIFICANCE = 6.0
+"""Least ratio of a sun's factor to its standard error."""
+
+SUN_LIT = 0.05
+"""Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
+
+SUN_APART = 0.7
+"""Cosine of the angle beyond which a direction is another one."""
+
+SUN_CONFIDENCE_MIN = 0.2
+"""Confidence below which no sun is given."""
+
+SUN_WAYS = 256
+"""Ways from an actor to a sun that are looked along, at most."""
+
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 DILATION_PX2 = 0.3

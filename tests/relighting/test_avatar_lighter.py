@@ -16,11 +16,13 @@ from lumisplat.constants import SH_C0
 from lumisplat.demo.shapes import icosphere
 from lumisplat.math.color import decode_srgb
 from lumisplat.relighting import avatar_lighter
+from lumisplat.relighting.sun_on_actors import sun_beyond
 from lumisplat.scene.lights import Light
 from lumisplat.scene.sampling.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp
+from support.scenes.lit_places import meadow
 
 SHADOW = ls.DeepShadowConfig(resolution=128, bins=32)
 LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
@@ -291,7 +293,9 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
 def test_lights_are_found_about_the_first_actors() -> None:
     """Without any given: the planted lamp, once, and as bright as the direct part of the place's light."""
     scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
-    stage = lighter(scene, None, light_count=1, direct=0.8)
+    # The floor is not lit by it: by its looks alone.
+    looks = ls.LightEstimationConfig(evidence=0.0)
+    stage = lighter(scene, None, light_count=1, direct=0.8, estimation=looks)
     assert stage.lights is None
     first = stage.light([puppet()])
     assert stage.lights is not None and stage.estimate is not None
@@ -431,3 +435,66 @@ def test_a_light_that_reaches_next_to_nothing_is_told_once(caplog: pytest.LogCap
         for x in (0.0, 0.1):
             stage.light([puppet(x)])
     assert caplog.text.count("light 'torch' hardly reaches the capture") == 1
+
+
+def sunny(direction: tuple[float, float, float], intensity: float = 0.5 * np.pi) -> ls.LightDirectional:
+    """A sun that shines along a direction."""
+    return ls.LightDirectional(direction, intensity=intensity, name="sun")
+
+
+def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarray:
+    """Light on the puppet's Gaussians in units of white surroundings, relit in a scene, shape (N,)."""
+    actor = puppet()
+    actor = replace(actor, gaussians=replace(actor.gaussians, normals=actor.gaussians.means / np.float32(0.4)))
+    white = ls.AvatarLighter(scene, lights, config(relight=True, **changes), background=(0.5, 0.5, 0.5), device="cpu")
+    return light_left(actor.gaussians, white.light([actor]).splats[-1].gaussians)
+
+
+def test_a_given_sun_lights_actors() -> None:
+    """Half of white's irradiance, by the cosine, on top of the grey light around; off, or of lamps, nothing."""
+    scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
+    sun = sunny((0.0, -1.0, 0.0))
+    upwards = puppet().gaussians.means[:, 1] / 0.4
+    around = decode_srgb(np.array(0.5))
+    lit = ball_in(scene, [sun])
+    np.testing.assert_allclose(lit, around + 0.5 * np.maximum(upwards, 0.0), atol=5e-3)
+    np.testing.assert_allclose(ball_in(scene, [sun], sun_on_actors=False), around, atol=5e-3)
+    np.testing.assert_allclose(ball_in(scene, [LIGHT]), around, atol=5e-3)
+
+
+def test_what_the_scene_blocks_of_a_sun_does_not_arrive() -> None:
+    """Under a roof there is no sun; a roof that is elsewhere blocks none."""
+    roof = captured(np.array([0.0, 3.0, 0.0]) + floor(cells=41).means, np.zeros(3), opacity=1.0, scale=0.1)
+    sun = sunny((0.0, -1.0, 0.0))
+    under, without = (ball_in(ls.Scene(splats=[roof]), [sun], sun_on_actors=on) for on in (True, False))
+    np.testing.assert_allclose(under, without, atol=5e-3)
+    slanted = sunny((0.0, -0.3, 1.0))
+    assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
+
+
+def test_a_sun_that_the_probe_holds_does_not_count_twice() -> None:
+    """What a probe gives beyond even light towards the sun is taken from it: all of a weak one, none where dark."""
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    spot = np.where(directions[:, 1:2] > 0.9, 5.0, 0.2) * np.ones(3)
+    probe = ls.EnvironmentProbe.fit(directions, spot)
+    held = (probe.irradiance((0.0, 1.0, 0.0)) - np.pi * probe.coefficients[0] * SH_C0)[0]
+    assert held > 0.5
+    for intensity, left in ((0.5 * held, 0.0), (3.0 * held, 2.0 * held)):
+        np.testing.assert_allclose(sun_beyond(probe, sunny((0, -1, 0), intensity)), left, atol=2e-3)
+    np.testing.assert_allclose(sun_beyond(probe, sunny((0, 1, 0), 1.0)), 1.0)
+
+
+def test_without_lamps_the_sun_casts(caplog: pytest.LogCaptureFixture) -> None:
+    """A capture in the sun: no lamp is guessed, its sun casts the shadow, as bright as the direct part of the light."""
+    towards = np.array([0.5, 0.7, 0.4])
+    scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
+    stage = lighter(scene, None, direct=0.8)
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        frame = stage.light([puppet()])
+    assert stage.estimate is None and stage.sun is not None and stage.lights is not None
+    assert "no lamp found" in caplog.text
+    (sun,) = stage.lights
+    assert isinstance(sun, ls.LightDirectional) and sun.intensity > 0.1
+    assert -np.dot(sun.direction, towards) / np.linalg.norm(towards) > np.cos(np.radians(10.0))
+    assert frame.splats[0].gaussians is not scene.splats[0].gaussians

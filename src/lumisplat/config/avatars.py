@@ -37,6 +37,9 @@ class LightEstimationConfig:
     lights, too."""
     weakest: float = 0.05
     """Gaussians whose score is below this share of the best are no lights, 0..1."""
+    evidence: float = 0.05
+    """Share of the light on surfaces around, beyond what smooth surroundings explain, that a light must explain, 0..1;
+    twice that for what is low or broad. At 0, what is bright counts as a light, whether it lights anything or not."""
     irradiance: float = math.pi
     """Irradiance that all lights together give a surface at the character's centre which faces each of them,
     1e-6..1e6: with pi, white paper is white."""
@@ -47,6 +50,7 @@ class LightEstimationConfig:
                 check_range(name, getattr(self, name), 1e-6, 1e9)
         check_range("compactness", self.compactness, 0.0, 1.0)
         check_range("weakest", self.weakest, 0.0, 1.0)
+        check_range("evidence", self.evidence, 0.0, 1.0)
         check_range("irradiance", self.irradiance, 1e-6, 1e6)
 
 
@@ -68,6 +72,9 @@ class AvatarLightingConfig:
     shadows are as in Mir et al. (2026), black where no light passes."""
     relight: bool = True
     """Whether actors take on the light of the place where they are."""
+    sun_on_actors: bool = True
+    """Whether suns that are given light actors made of Gaussians, too, with the irradiance that they have (pi: white
+    paper that faces them is white), where the scene does not block them, and beyond what the probe holds of them."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
     """How a probe's light changes the colours of actors."""
     light_count: int = 3
@@ -80,6 +87,7 @@ class AvatarLightingConfig:
         check_kind("shadow_map", self.shadow_map, DeepShadowConfig)
         check_range("direct", self.direct, 0.0, 1.0)
         check_flag("relight", self.relight)
+        check_flag("sun_on_actors", self.sun_on_actors)
         check_kind("transfer", self.transfer, RelightConfig)
         check_whole("light_count", self.light_count, 1, 64)
         check_kind("estimation", self.estimation, LightEstimationConfig)

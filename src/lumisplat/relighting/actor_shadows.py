@@ -15,10 +15,10 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.relighting.actors import PlacedActor
 from lumisplat.relighting.captured_shadow import light_factors, light_shares
-from lumisplat.relighting.scaled_light import scale_light_of
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
+from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.ops.world_gaussians import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import MeshInstance, SplatInstance
 from lumisplat.shadow_maps.casters import Content, MeshesAsGaussians

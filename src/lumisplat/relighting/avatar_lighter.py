@@ -17,13 +17,16 @@ from lumisplat.relighting.actors import PlacedActor, actor_flags, centroid, plac
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.relighting.probe_cache import ProbeCache
-from lumisplat.relighting.probe_transfer import relight
+from lumisplat.relighting.probe_transfer import light_scales
+from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
+from lumisplat.relighting.sun_on_actors import SunOnActors
 from lumisplat.renderer.scene.materials import emits_capture_only
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.recolor import scale_light_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 
 _log = logging.getLogger("lumisplat")
@@ -67,7 +70,8 @@ class AvatarLighter:
 
     The captured sets of the scene receive shadows from all actors, through a deep shadow map for each light that is
     rebuilt every frame, and from the scene's own meshes, which count as put there after the capture. Actors made of
-    Gaussians are relit by a probe of the scene at their place. They shadow neither each other nor themselves.
+    Gaussians are relit by a probe of the scene at their place, and by the suns that are given, as far as the scene does
+    not block them and the probe does not hold them. They shadow neither each other nor themselves.
 
     Actors that are meshes stay meshes, and make the frame a lit one: the lights, and a probe at the meshes' place for
     the rest of the light, light all meshes of the scene, without shadows on these; captured sets are shown as captured.
@@ -80,7 +84,7 @@ class AvatarLighter:
         scene: What does not move, as captured.
         lights: The lights that the captured colours come from; those that cast no shadows, and an environment, only
             light meshes. None: the scene's own, or if none of them casts shadows, those that `estimate_lights` finds
-            around the actors of the first frame.
+            around the actors of the first frame, or if it finds none, the sun of `estimate_sun`.
         config: Settings; None: the defaults.
         background: Display-referred sRGB behind everything in the probes, 0..1 each.
         device: As for `create_renderer`.
@@ -114,8 +118,12 @@ class AvatarLighter:
         """Those that cast the shadows of actors; None: not estimated yet."""
         self.estimate: LightEstimate | None = None
         """The lights that were estimated, if none were given."""
+        self.sun: SunEstimate | None = None
+        """The sun that was estimated, if no lights were given or found."""
         self._device, self._progress = device, progress
         self._probes = ProbeCache(scene, background, device, progress)
+        suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
+        self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
         self._receivers = _receivers(scene, self._roles.are_kept)
         self._shadows: ActorShadows | None = None
         """Of the receivers, once shadows were needed."""
@@ -198,12 +206,23 @@ class AvatarLighter:
         """The lights that cast shadows, estimated around the actors if there are none yet."""
         if self.lights is None:
             place = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
-            self.estimate = estimate_lights(self.scene, place, self.config.light_count, config=self.config.estimation)
             # The lights give ``direct`` of the irradiance at the place, its surroundings the rest.
-            share = self.config.direct * np.pi * _mean_luminance(self._probes.at(place))
-            scale = share / self.config.estimation.irradiance
-            self.lights = tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
+            irradiance = self.config.direct * np.pi * _mean_luminance(self._probes.at(place))
+            self.lights = self._found_lights(place, irradiance)
         return self.lights
+
+    def _found_lights(self, place: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
+        """The lamps of the capture, or its sun; together they give a place an irradiance."""
+        try:
+            self.estimate = estimate_lights(self.scene, place, self.config.light_count, config=self.config.estimation)
+        except SceneError as nothing_found:
+            self.sun = estimate_sun(self.scene, place)
+            if self.sun is None:
+                raise
+            _log.warning("%s", nothing_found)
+            return (replace(self.sun.light, intensity=irradiance),)
+        scale = irradiance / self.config.estimation.irradiance
+        return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
     def _relight(self, actor: SplatInstance) -> SplatInstance:
         """An actor in the light of its place."""
@@ -215,7 +234,12 @@ class AvatarLighter:
             self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
         probe = self._probes.at(centroid([actor]))
         self._warn_of_dark_place(probe)
-        return relight(actor, probe, self.config.transfer, self._normals[key][1])
+        transfer = self.config.transfer
+        normals = (self._normals[key][1] @ actor.transform[:3, :3].T / actor.scale).astype(np.float32)
+        scales = light_scales(probe, normals, transfer)
+        if self._suns is not None:
+            scales = np.minimum(scales + self._suns.scales(actor, probe, normals), np.float32(transfer.scale_max))
+        return scale_light_of(actor, transfer.gamma * scales)
 
     def _forget_normals(self, actors: list[PlacedActor]) -> None:
         """Drops the normals of Gaussians that are not in the frame."""

@@ -7,22 +7,26 @@ docs/adr/0014-light-estimation.md says why.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import LightEstimationConfig, check_kind
 from lumisplat.constants import (
+    LAMP_CANDIDATES,
     LIGHT_SEARCH_BROAD,
     LIGHT_SEARCH_EMITTER,
     LIGHT_SEARCH_REACH,
     LIGHT_SEARCH_SEPARATION,
     LIGHT_SEARCH_STRAYS,
     LIGHT_SEARCH_VIEWPOINTS,
+    SURFACE_REACH,
 )
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import FloatArray, three_numbers
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
+from lumisplat.relighting.lamp_evidence import lamps_among
 from lumisplat.relighting.light_evidence import Doubles, Evidence, gathered_evidence
 from lumisplat.relighting.local_contrast import surroundings
 from lumisplat.scene.gaussians import Gaussians
@@ -48,12 +52,17 @@ class LightEstimate:
     """Splat instance of the scene that each was found in, shape (k,)."""
     indices: npt.NDArray[np.int64]
     """Gaussian of that instance, shape (k,)."""
+    evidence: FloatArray
+    """Share that each light explains of what nothing else explains about the luminance of surfaces around, shape (k,);
+    0 if ``config.evidence`` is 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sizes:
     """Distances of the search, scene units: as set, or in proportion to the scene."""
 
+    extent: float
+    """Of the scene, from the character's centre."""
     radius: float
     """Gaussians farther from the character's centre are ignored."""
     viewpoints: float
@@ -66,9 +75,10 @@ class _Sizes:
     @classmethod
     def of(cls, settings: LightEstimationConfig, worlds: list[Doubles], center: Doubles) -> _Sizes:
         """The sizes for Gaussians at ``worlds``, the means of each instance in the world."""
-        extent = settings.radius or _extent(worlds, center)
+        extent = settings.radius or capture_extent(worlds, center)
         emitter = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
         return cls(
+            extent=extent,
             radius=settings.radius or LIGHT_SEARCH_REACH * extent,
             viewpoints=settings.viewpoint_distance or LIGHT_SEARCH_VIEWPOINTS * extent,
             emitter=emitter,
@@ -102,8 +112,10 @@ def estimate_lights(
     Each Gaussian around the character is evaluated from five viewpoints near it. Its base score is its opacity, times
     the mean of mean and maximum luminance (linear; outliers by their logarithm), times how little that luminance
     depends on the viewpoint, times the share that the constant harmonic has in its colour; its size does not count.
-    Bright Gaussians are weighted by their contrast to the brightest side of their surroundings, and the best are taken,
-    one at a place.
+    Bright Gaussians are weighted by their contrast to the brightest side of their surroundings. Of the best, one at a
+    place, those are lights that light their surroundings: a regression says whether surfaces that face a candidate,
+    unshadowed, are brighter than others, the nearer the more, and about it rather than about somewhere else. What is
+    low, on the ground outdoors, or does not stand out, needs twice the evidence. Flowers and white paper give none.
 
     A light's position is its Gaussian's mean, its colour that Gaussian's towards the character, linear, the brightest
     channel 1. Intensities, candela, are proportional to the base scores and scaled together: the irradiances that the
@@ -126,18 +138,19 @@ def estimate_lights(
     check_kind("config", settings, LightEstimationConfig)
     _check_count(count)
     middle = three_numbers("center", center)
-    splats = _splats_of(scene)
+    splats = splats_of(scene)
     worlds = [instance.world_means for instance in splats]
     sizes = _Sizes.of(settings, worlds, middle)
     evidence = gathered_evidence(splats, worlds, middle, sizes.viewpoints, sizes.radius)
     candidates = _candidates(evidence, settings, sizes.emitter)
-    chosen = _choose(evidence, candidates, count, settings.weakest, sizes.separation)
+    if settings.evidence > 0.0:
+        surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * sizes.extent)
+        chosen, shares = _lamps(evidence, candidates, surfaces, sizes, center=middle, count=count, settings=settings)
+    else:
+        chosen = _choose(evidence, candidates, count, settings.weakest, sizes.separation)
+        shares = np.zeros(chosen.size)
     if chosen.size == 0:
-        place = ", ".join(f"{x:.3g}" for x in middle)
-        raise SceneError(
-            f"no light found within {sizes.radius:.3g} of ({place}): nothing bright stands out from its "
-            "surroundings; give lights yourself, or lower compactness to take bright walls and windows"
-        )
+        raise SceneError(_nothing_found(middle, sizes.radius, bool(candidates.is_compact.any())))
     if chosen.size < count:
         lights = "light" if chosen.size == 1 else "lights"
         _log.warning("%d %s found of the %d asked for: nothing else stands out", chosen.size, lights, count)
@@ -148,6 +161,49 @@ def estimate_lights(
         peakness=(evidence.scores[rows] / np.maximum(candidates.surroundings[chosen], 1e-12)).astype(np.float32),
         instances=evidence.instances[rows],
         indices=evidence.indices[rows],
+        evidence=shares.astype(np.float32),
+    )
+
+
+def _lamps(
+    evidence: Evidence,
+    candidates: _Candidates,
+    surfaces: CapturedSurfaces,
+    sizes: _Sizes,
+    *,
+    center: Doubles,
+    count: int,
+    settings: LightEstimationConfig,
+) -> tuple[_Rows, Doubles]:
+    """Which candidates light their surroundings, the brightest first, and how much of the light there they explain."""
+    # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
+    everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
+    bright = _choose(evidence, everything, LAMP_CANDIDATES, settings.weakest, sizes.emitter)
+    lamps = lamps_among(
+        evidence.means[candidates.rows[bright]],
+        candidates.is_compact[bright],
+        surfaces,
+        center=center,
+        emitter=sizes.emitter,
+        separation=sizes.separation,
+        count=count,
+        evidence=settings.evidence,
+    )
+    order = np.argsort(-candidates.weights[bright[lamps.rows]], kind="stable")
+    return bright[lamps.rows[order]], lamps.shares[order]
+
+
+def _nothing_found(center: Doubles, radius: float, stands_out: bool) -> str:
+    place = ", ".join(f"{x:.3g}" for x in center)
+    where = f"within {radius:.3g} of ({place})"
+    if stands_out:
+        return (
+            f"no lamp found {where}: bright things stand out, but none lights what is around it; give a sun "
+            "(estimate_sun may find it) or lights yourself, or evidence=0 to take what is bright for a lamp"
+        )
+    return (
+        f"no light found {where}: nothing bright stands out from its surroundings; give a sun or lights yourself, or "
+        "lower compactness to take bright walls and windows"
     )
 
 
@@ -156,7 +212,12 @@ def _check_count(count: object) -> None:
         raise ConfigError(f"count is {count}, expected a whole number of at least 1")
 
 
-def _splats_of(scene: object) -> tuple[SplatInstance, ...]:
+def splats_of(scene: object) -> tuple[SplatInstance, ...]:
+    """The captured sets of a scene, or of what stands for one.
+
+    Raises:
+        SceneError: There are none.
+    """
     if isinstance(scene, Gaussians):
         return (SplatInstance(scene),)
     if isinstance(scene, SplatInstance):
@@ -168,7 +229,7 @@ def _splats_of(scene: object) -> tuple[SplatInstance, ...]:
     return scene.splats
 
 
-def _extent(worlds: list[Doubles], center: Doubles) -> float:
+def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
     """Distance from the centre within which most of the capture is."""
     distances = np.concatenate([np.linalg.norm(world - center, axis=1) for world in worlds])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)

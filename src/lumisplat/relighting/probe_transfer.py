@@ -14,9 +14,9 @@ from lumisplat.math.arrays import FloatArray, float_array, normalise_rows
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
-from lumisplat.relighting.scaled_light import Subject, scale_light_of
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.estimate_normals import estimate_normals
+from lumisplat.scene.ops.recolor import Subject, scale_light_of
 from lumisplat.scene.scene import SplatInstance
 
 _Doubles = npt.NDArray[np.float64]

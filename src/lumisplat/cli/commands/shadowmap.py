@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import setting, without_none
-from lumisplat.cli.output.console import byte_size, light_positions, progress_bars
+from lumisplat.cli.output.console import byte_size, found_light, progress_bars
 
 if TYPE_CHECKING:
     from lumisplat.scene.lights import Light
@@ -33,7 +33,7 @@ class ShadowMap(LoadingCommand, DeviceCommand):
     ls.DeepShadowMap.load."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
     """Position of a light; several lights count as equally strong. Without: the lights of the casters' files, else
-    those that are found in the capture."""
+    those that are found in the capture: its lamps, or its sun."""
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Direction in which the light of a sun travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
@@ -81,8 +81,8 @@ class ShadowMap(LoadingCommand, DeviceCommand):
         ls.save(self.output, shadowed)
         changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
         summary = f"{self.output}: {changed:,} of {capture.count:,} Gaussians are in shadow"
-        if lighter.estimate is not None:
-            found = light_positions(lighter.estimate.lights)
+        found = found_light(lighter)
+        if found is not None:
             summary += f"\nno lights were given, shadows fall from those that were found: {found}"
         return summary
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import lumisplat as ls
-from lumisplat.cli.output.console import Report, light_positions, print_table
+from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.stats import print_stats
 
@@ -94,9 +94,9 @@ class AnimationFrames:
 
     def _light_remarks(self) -> Iterable[str]:
         """Lines about the light of the first frame: which lights were found."""
-        estimate = self._lighter.estimate if self._lighter is not None else None
-        if estimate is not None:
-            yield f"no lights are given, shadows fall from what was found: {light_positions(estimate.lights)}"
+        found = found_light(self._lighter) if self._lighter is not None else None
+        if found is not None:
+            yield f"no lights are given, shadows fall from what was found: {found}"
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:

@@ -95,6 +95,16 @@ def light_positions(lights: Iterable[ls.LightPoint]) -> str:
     return ", ".join("({:.3g}, {:.3g}, {:.3g})".format(*light.position) for light in lights)
 
 
+def found_light(lighter: ls.AvatarLighter) -> str | None:
+    """What was found to cast shadows where no lights are given, in a line; None: nothing had to be found."""
+    if lighter.estimate is not None:
+        return light_positions(lighter.estimate.lights)
+    if lighter.sun is not None:
+        direction = ",".join(f"{x:.3g}" for x in lighter.sun.light.direction)
+        return f"a sun that shines along {direction}, with a confidence of {lighter.sun.confidence:.2f}"
+    return None
+
+
 def byte_size(count: float) -> str:
     """A number of bytes: ``3.6 MB`` (powers of 1000)."""
     for unit in ("B", "kB", "MB"):

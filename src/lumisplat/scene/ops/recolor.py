@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,10 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, float_array, read_only_view, refuse_rows
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import SplatInstance
+
+Subject = TypeVar("Subject", Gaussians, SplatInstance)
+"""What is relit or shadowed: a function returns the kind that it was given."""
 
 
 def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
@@ -44,6 +49,14 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
     sh = gaussians.sh.copy()
     sh[rows] = _scale_sh(gaussians.sh[rows], per_channel[rows])
     return replace(gaussians, sh=read_only_view(sh))
+
+
+def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subject:
+    """A subject under ``factors`` of its light, shape (N, 3), see `scale_light`; the same object if all are 1."""
+    if isinstance(subject, Gaussians):
+        return scale_light(subject, factors)
+    scaled = scale_light(subject.gaussians, factors)
+    return subject if scaled is subject.gaussians else replace(subject, gaussians=scaled)
 
 
 def _scale_sh(sh: FloatArray, factors: FloatArray) -> FloatArray:

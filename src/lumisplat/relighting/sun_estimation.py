@@ -1,0 +1,103 @@
+"""The sun of an outdoor capture, by what it lights and shadows (docs/method/relighting.md#traces-of-light)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import (
+    SUN_APART,
+    SUN_CONFIDENCE_MIN,
+    SUN_DIRECTIONS,
+    SUN_LIT,
+    SUN_REFINED,
+    SUN_SHARE,
+    SUN_SIGNIFICANCE,
+    SURFACE_REACH,
+    TRACE_GROUND_MIN,
+    TRACE_SURFACES_MIN,
+)
+from lumisplat.math.arrays import three_numbers
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles, captured_surfaces
+from lumisplat.relighting.light_estimation import capture_extent, splats_of
+from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.lights import LightDirectional
+from lumisplat.scene.scene import Scene, SplatInstance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SunEstimate:
+    """A sun that was found, and on what evidence."""
+
+    light: LightDirectional
+    """Named ``estimated-sun``, white, of 1 lux: how bright it was is not to be told."""
+    confidence: float
+    """0..1: 1 if no direction 45 degrees away or more explains anything, 0 if one explains as much."""
+    share: float
+    """Of the variance of luminance that smooth surroundings do not explain, 0..1."""
+    significance: float
+    """Luminance in the sun over the standard error of that."""
+
+
+def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None) -> SunEstimate | None:
+    """Finds the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
+
+    The capture becomes cells, and for each of some hundred directions the cosines of its surfaces are computed, 0 where
+    cells are in the way. A regression says what such a sun explains of their luminance that a smooth sky does not. The
+    best direction is refined, and returned if it explains enough, significantly, and is alone. Directions from below
+    the ground are left out where the ground is to be told.
+
+    Args:
+        scene: The capture, by its captured colours; meshes are ignored.
+        center: Where it is looked at from, world space, shape (3,); None: the median of its means.
+
+    Returns:
+        The sun, or None if there is none, or it is not to be told: an overcast day, a room, a single object.
+
+    Raises:
+        SceneError: There are no Gaussians.
+    """
+    splats = splats_of(scene)
+    worlds = [instance.world_means for instance in splats]
+    middle = np.median(np.concatenate(worlds), axis=0) if center is None else three_numbers("center", center)
+    surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * capture_extent(worlds, middle))
+    if surfaces.luminance.size < TRACE_SURFACES_MIN:
+        return None
+    directions = even_directions(SUN_DIRECTIONS)
+    cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
+    shading = Shading.of(surfaces, directions, cosines)
+    traces = shading.traces(cosines)
+    allowed = _is_sky(directions, surfaces, middle) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
+    shares = np.array([trace.share for trace in traces])
+    if not allowed.any():
+        return None
+    best = int(np.where(allowed, shares, -np.inf).argmax())
+    others = shares[allowed & (directions @ directions[best] < SUN_APART)]
+    direction, trace = _refined(shading, directions[best], traces[best])
+    confidence = 1.0 - max(float(others.max(initial=0.0)), 0.0) / max(trace.share, 1e-12)
+    if trace.share < SUN_SHARE or trace.significance < SUN_SIGNIFICANCE or confidence < SUN_CONFIDENCE_MIN:
+        return None
+    light = LightDirectional(tuple((-direction).tolist()), name="estimated-sun")
+    return SunEstimate(light, confidence, trace.share, trace.significance)
+
+
+def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> npt.NDArray[np.bool_]:
+    """Which directions do not come from below the ground, shape (D,); all if there is none to be told."""
+    down = ground_direction(surfaces, center)
+    length = float(np.linalg.norm(down))
+    return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)
+
+
+def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Doubles, Trace]:
+    """The best direction near one, in two steps, each finer than the one before."""
+    for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
+        around = direction + width * even_directions(SUN_REFINED)
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        traces = shading.traces(np.stack([shading.surfaces.cosines(one) for one in around], axis=1))
+        best = max(range(len(traces)), key=lambda row: (traces[row].share, -row))
+        if traces[best].share > trace.share:
+            direction, trace = around[best], traces[best]
+    return direction, trace

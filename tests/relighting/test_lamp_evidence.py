@@ -1,0 +1,113 @@
+"""Lamps are what lights its surroundings; flowers and paper are not; a sun is found by what it lights and shadows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import LAMP_SIGNIFICANCE
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
+from lumisplat.relighting.light_traces import Shading, even_directions
+from support.scenes.lit_places import Point, meadow, room
+
+CENTER = np.array([0.0, 0.9, 0.0])
+LAMPS: tuple[Point, ...] = ((1.1, 2.4, 1.3), (-1.2, 2.2, -1.4))
+SUN: Point = (0.5, 0.7, 0.4)
+
+
+def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
+    """Two lamps among white balls and a sheet of paper: both, and nothing else, whatever number is asked for."""
+    found = ls.estimate_lights(room(LAMPS), CENTER, 4)
+    places = np.array([light.position for light in found.lights])
+    assert len(places) == 2
+    gaps = np.linalg.norm(places[:, None] - np.array(LAMPS), axis=-1)
+    assert gaps.min(axis=0).max() < 0.1
+    assert found.evidence.min() > 0.1
+
+
+def test_what_lights_nothing_is_no_lamp() -> None:
+    """Flowers in even light are bright and small: an error says what to do; by their looks alone they are taken."""
+    capture = meadow(None, ambient=1.0)
+    with pytest.raises(ls.SceneError, match=r"no lamp found within .* none lights what is around it; give a sun"):
+        ls.estimate_lights(capture, CENTER, 3)
+    by_looks = ls.estimate_lights(capture, CENTER, 3, config=ls.LightEstimationConfig(evidence=0.0))
+    assert len(by_looks.lights) and (by_looks.evidence == 0.0).all()
+
+
+def test_a_lamp_over_a_dark_ground_is_found() -> None:
+    """Outdoors at night, too, where the ground is known and flowers on it are doubted."""
+    found = ls.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
+    assert np.linalg.norm(np.subtract(found.lights[0].position, (1.2, 2.2, 0.6))) < 0.1
+    assert len(found.lights) == 1
+
+
+@pytest.mark.parametrize("sun", [SUN, (-0.6, 0.5, 0.2)])
+def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
+    """From where surfaces that face it are brighter; no flower in its light is a lamp."""
+    capture = meadow(sun)
+    found = ls.estimate_sun(capture, CENTER)
+    assert found is not None
+    cosine = -np.dot(found.light.direction, sun) / np.linalg.norm(sun)
+    assert math.degrees(math.acos(min(float(cosine), 1.0))) < 10.0
+    assert 0.2 < found.confidence <= 1.0 and found.significance > 6.0
+    with pytest.raises(ls.SceneError, match="no lamp found"):
+        ls.estimate_lights(capture, CENTER, 3)
+
+
+def test_without_a_sun_there_is_none() -> None:
+    """An even light, a room of lamps, a handful of Gaussians: None rather than a guess."""
+    assert ls.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
+    assert ls.estimate_sun(room(LAMPS), CENTER) is None
+    few = room(LAMPS)
+    assert ls.estimate_sun(few.subset(np.arange(50))) is None
+    with pytest.raises(ls.SceneError, match="the scene has none"):
+        ls.estimate_sun(ls.Scene())
+
+
+def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> CapturedSurfaces:
+    """Surfaces without anything in the way."""
+    cells = SolidCells(np.zeros((4, 4, 4), np.bool_), np.full(3, -2.0), 1.0)
+    return CapturedSurfaces(np.zeros((len(luminance), 3)), normals, luminance, blocks, cells)
+
+
+def test_the_regression_recovers_factor_and_share() -> None:
+    """Luminance made of smooth surroundings and one light: its factor, and all of what is left is its share."""
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(3000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    directions = even_directions(64)
+    light = np.maximum(rng.normal(size=3000), 0.0)
+    luminance = 0.4 + 0.1 * normals[:, 2] ** 2 + 0.07 * light
+    scene = surfaces(luminance, normals, rng.integers(0, 100, 3000))
+    shading = Shading.of(scene, directions, np.stack([scene.cosines(way) for way in directions], axis=1))
+    (trace,) = shading.traces(light[:, None])
+    assert trace.factor == pytest.approx(0.07, rel=1e-3) and trace.share == pytest.approx(1.0, abs=1e-3)
+    (again,) = shading.with_light(light).traces(light[:, None])
+    assert abs(again.share) < 1e-3
+
+
+def test_texture_larger_than_a_block_is_seldom_a_light() -> None:
+    """Random brightness by blocks, random light by blocks: standard errors by blocks keep the promise of chance."""
+    rng = np.random.default_rng(1)
+    normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
+    blocks = rng.integers(0, 150, 2000)
+    scene = surfaces(np.exp(0.3 * rng.normal(size=150))[blocks], normals, blocks)
+    ways = even_directions(16)
+    shading = Shading.of(scene, ways, np.stack([scene.cosines(way) for way in ways], axis=1))
+    traces = shading.traces(rng.uniform(size=(150, 400))[blocks])
+    significances = np.array([trace.significance for trace in traces])
+    assert 0.8 < significances.std() < 1.25
+    assert (significances < LAMP_SIGNIFICANCE).all()
+
+
+def test_ways_end_at_solid_cells() -> None:
+    """A wall of cells: through it no way is free, up to it and beside it all are."""
+    solid = np.zeros((8, 8, 8), np.bool_)
+    solid[4, 2:6, 2:6] = True
+    cells = SolidCells(solid, np.zeros(3), 1.0)
+    origins = np.array([[1.5, 3.5, 3.5], [1.5, 3.5, 3.5], [1.5, 7.5, 3.5], [6.5, 3.5, 3.5]])
+    ways = np.tile([1.0, 0.0, 0.0], (4, 1))
+    assert cells.is_free(origins, ways, np.array([np.inf, 2.0, np.inf, np.inf])).tolist() == [False, True, True, True]

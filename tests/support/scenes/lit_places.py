@@ -1,0 +1,134 @@
+"""Captures whose light is known: a room lit by lamps, a ground in the sun, with bright things that light nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.demo.shapes import icosphere
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.gaussians import merge_gaussians
+
+_BOX_FACES = (
+    ((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+    ((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+)
+
+Point = tuple[float, float, float]
+
+
+def box(center: Point, size: Point) -> ls.Mesh:
+    """A box seen from outside."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    return ls.Mesh(corners * np.array(size) + center, np.array(_BOX_FACES).reshape(-1, 3))
+
+
+def ball(center: Point, radius: float) -> ls.Mesh:
+    """A sphere."""
+    mesh = icosphere(radius)
+    return replace(mesh, positions=mesh.positions + np.float32(center))
+
+
+def painted(mesh: ls.Mesh, count: int, linear: np.ndarray | float) -> ls.Gaussians:
+    """Gaussians on a mesh, of linear colours, one or one each, without the properties that captures do not have."""
+    gaussians = ls.gaussians_from_mesh(mesh, count)
+    display = encode_srgb(np.broadcast_to(np.asarray(linear, np.float64), (gaussians.count, 3)))
+    bare = replace(gaussians, normals=None, albedo=None, roughness=None, metallic=None)
+    return replace(bare, sh=((display - 0.5) / SH_C0)[:, None].astype(np.float32))
+
+
+def lit(
+    parts: list[tuple[ls.Mesh, int, float]],
+    *,
+    lamps: tuple[Point, ...] = (),
+    sun: Point | None = None,
+    ambient: float = 0.3,
+    level: float = 0.15,
+) -> ls.Gaussians:
+    """A capture of parts, each a mesh, a number of Gaussians and an albedo, in a known light with its shadows.
+
+    Args:
+        parts: What there is.
+        lamps: Where lamps shine, each as strong as the others and shown as a white ball.
+        sun: Direction towards a sun.
+        ambient: Light from everywhere, over the mean of the other light.
+        level: Median luminance that the capture is exposed for.
+    """
+    world = ls.Scene(meshes=[ls.MeshInstance(mesh) for mesh, *_ in parts])
+    sets = [ls.gaussians_from_mesh(mesh, count) for mesh, count, _ in parts]
+    rng = np.random.default_rng(3)
+    arriving, albedo = [], []
+    for gaussians, (_, _, paint) in zip(sets, parts, strict=True):
+        points, normals = gaussians.means.astype(np.float64), np.asarray(gaussians.normals, np.float64)
+        light = np.zeros(len(points))
+        for lamp in lamps:
+            way = lamp - points
+            distance = np.linalg.norm(way, axis=1)
+            light += _cosine(world, points, normals, way, distance) / np.maximum(distance, 0.1) ** 2
+        if sun is not None:
+            light += 3.0 * _cosine(world, points, normals, np.broadcast_to(sun, points.shape), 50.0)
+        arriving.append(light)
+        # Texture: patches of some tenths of a metre, and grain.
+        patches = np.sin(points @ rng.normal(0.0, 5.0, (3, 3))).prod(axis=1)
+        albedo.append(paint * np.exp(0.3 * patches + 0.1 * rng.normal(size=len(points))))
+    total, mean = np.concatenate(arriving), float(np.concatenate(arriving).mean())
+    linear = np.minimum(np.concatenate(albedo), 0.95) * (total + ambient * (mean or 1.0))
+    linear = np.minimum(linear * level / np.median(linear), 1.0)
+    starts = np.cumsum([0, *(gaussians.count for gaussians in sets)])
+    shown = [
+        painted(mesh, count, linear[start : start + gaussians.count, None])
+        for (mesh, count, _), gaussians, start in zip(parts, sets, starts, strict=False)
+    ]
+    return merge_gaussians([*shown, *(painted(ball(lamp, 0.08), 100, 1.2) for lamp in lamps)])
+
+
+@cache
+def room(lamps: tuple[Point, ...]) -> ls.Gaussians:
+    """A room of 4 x 3 x 5 m about (0, 1.5, 0) with two boxes, three white balls on the floor and a white sheet."""
+    walls = box((0.0, 1.5, 0.0), (4.0, 3.0, 5.0))
+    parts = [
+        (replace(walls, indices=walls.indices[:, ::-1]), 14_000, 0.5),
+        (box((1.2, 0.4, -1.0), (0.8, 0.8, 0.8)), 1_500, 0.4),
+        (box((-1.3, 0.5, 1.2), (0.6, 1.0, 0.6)), 1_500, 0.3),
+        *distractors(),
+    ]
+    return lit(parts, lamps=lamps)
+
+
+@cache
+def meadow(sun: Point | None, lamps: tuple[Point, ...] = (), ambient: float = 0.4) -> ls.Gaussians:
+    """A ground of 8 x 8 m with boxes and balls on it, white flowers and a white sheet; y is up."""
+    ground = ls.Mesh(
+        np.array([(-4.0, 0.0, -4.0), (-4.0, 0.0, 4.0), (4.0, 0.0, 4.0), (4.0, 0.0, -4.0)]),
+        np.array([(0, 1, 2), (0, 2, 3)]),
+    )
+    parts = [
+        (ground, 12_000, 0.3),
+        (box((1.8, 0.6, -1.2), (0.8, 1.2, 0.8)), 1_500, 0.4),
+        (box((-1.6, 0.4, 1.6), (1.2, 0.8, 0.6)), 1_500, 0.3),
+        (ball((-2.0, 1.2, -1.8), 0.6), 1_500, 0.25),
+        (ball((2.2, 0.9, 2.0), 0.5), 1_500, 0.25),
+        *distractors(),
+    ]
+    return lit(parts, lamps=lamps, sun=sun, ambient=ambient)
+
+
+def distractors() -> list[tuple[ls.Mesh, int, float]]:
+    """Bright things that light nothing."""
+    flowers = [(1.4, 0.2, 1.3), (-1.5, 0.15, -0.4), (0.3, 0.25, -1.6)]
+    return [(ball(place, 0.07), 80, 0.95) for place in flowers] + [
+        (box((0.9, 0.006, 0.8), (0.3, 0.012, 0.25)), 200, 0.95)
+    ]
+
+
+def _cosine(
+    world: ls.Scene, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
+) -> np.ndarray:
+    """Cosine to a light, 0 in shadow, shape (N,)."""
+    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+    cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
+    return cosine * ls.transmittance(world, points + 0.004 * normals, unit, distance, device="cpu")
