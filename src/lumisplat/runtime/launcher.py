@@ -13,21 +13,18 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager
-from types import ModuleType
 
 import warp as wp
 
 from lumisplat.constants import BLOCK_THREADS
 from lumisplat.errors import ConfigError, DeviceError
+from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
 Progress = Callable[[str, float], None]
 """Called with a label of the work and the fraction done, 0..1."""
 
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""
-
-KernelModule = ModuleType | wp.Module
-"""A Python module of kernels, or the module that Warp has made of a single kernel."""
 
 
 def resolve_device(name: str = "auto") -> str:
@@ -96,9 +93,7 @@ class Launcher:
         label = "compiling kernels (once)"
         if progress:
             progress(label, 0.0)
-        jobs = [
-            self._pool.submit(wp.load_module, module, device=self.device, block_dim=BLOCK_THREADS) for module in modules
-        ]
+        jobs = [self._pool.submit(load_module, module, self.device) for module in modules]
         with _joined(jobs):
             for done, job in enumerate(as_completed(jobs), start=1):
                 job.result()

@@ -143,7 +143,7 @@ class Animate(FrameCommand):
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
         if not cameras:
-            cameras = [self.front_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
+            cameras = [self.front_camera(with_actors(animation.scene, animation.actors_at(0.0)), self.scene)]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "

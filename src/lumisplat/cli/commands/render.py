@@ -73,7 +73,7 @@ class Render(FrameCommand):
             scene = self.light.lit_scene(scene, environment, resolved_up(scene, self.up))
             for line in unused_options(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
-            shots = shots or self._shots([self.front_camera(scene)])
+            shots = shots or self._shots([self.front_camera(scene, *self.scene)])
             self._render(shots, renderer, scene, writer, report)
         print(_summary(shots))
         if writer.legend:

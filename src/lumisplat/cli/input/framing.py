@@ -21,6 +21,8 @@ TAIL = 0.02
 """Share of the opacity left out at each end of each axis: stray Gaussians must not set the frame."""
 MARGIN = 1.05
 """Room around the box, as a factor of the distance."""
+FARTHEST = 1e17
+"""How far a scene may reach, in its units: a camera may stand at up to 1e18."""
 
 _UP_AND_FRONT: dict[UpAxis, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "y-down": ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
@@ -40,13 +42,19 @@ def framing_camera(scene: ls.Scene, up: UpOption = "auto", width: int = 1280, he
         height: Image height, pixels.
 
     Raises:
-        SceneError: The scene is empty.
+        SceneError: The scene is empty, or too large.
     """
     low, high = bulk_bounds(scene)
     upward, front = (np.array(axis) for axis in _UP_AND_FRONT[resolved_up(scene, up)])
     backward = np.cos(ELEVATION) * front + np.sin(ELEVATION) * upward
     center = 0.5 * (low + high)
     size = max(float(np.linalg.norm(high - low)), 1e-6)
+    farthest = float(np.abs([low, high]).max())
+    if farthest > FARTHEST:
+        raise ls.SceneError(
+            f"reaches {farthest:.3g} units away from the origin, and no camera shows all of it: give --cameras, or "
+            "leave out what is far away"
+        )
     # Any distance gives the orientation; the corners seen in it then give the distance at which all of them fit.
     rotation = ls.Camera.look_at(center + size * backward, center, upward).camera_from_world[:3, :3]
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center

@@ -74,12 +74,19 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             raise ls.FormatError(path, "has no cameras")
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in cameras]
 
-    def front_camera(self, scene: ls.Scene) -> ls.Camera:
-        """A camera that shows all of a scene from the front."""
+    def front_camera(self, scene: ls.Scene, *files: Path) -> ls.Camera:
+        """A camera that shows all of a scene, loaded from ``files``, from the front.
+
+        Raises:
+            SceneError: The scene is empty, or too large; names the files.
+        """
         from lumisplat.cli.input.framing import framing_camera
 
-        if self.width is not None and self.height is not None:
-            camera = framing_camera(scene, self.up, self.width, self.height)
-        else:
-            camera = framing_camera(scene, self.up).scaled(self.width, self.height)
+        try:
+            if self.width is not None and self.height is not None:
+                camera = framing_camera(scene, self.up, self.width, self.height)
+            else:
+                camera = framing_camera(scene, self.up).scaled(self.width, self.height)
+        except ls.SceneError as error:
+            raise ls.SceneError(f"{', '.join(map(str, files))}: {error}") from None
         return self.light.exposed(camera)

@@ -13,8 +13,8 @@ import lumisplat as ls
 
 FORMATS = ("png", "exr", "npz")
 _UNSAFE = re.compile(r"[^\w.-]+")
-_STEM_MAX = 150
-"""Longest file stem, characters: room for layer names and suffixes below the usual limit of 255 bytes."""
+_STEM_BYTES = 150
+"""Longest file stem, UTF-8: room for layer names and suffixes below the usual limit of 255 bytes."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     taken: set[str] = set()
     stems: list[str] = []
     for index, name in enumerate(names):
-        safe = _UNSAFE.sub("_", name).strip("._")[:_STEM_MAX] or f"frame_{index:04d}"
+        safe = _UNSAFE.sub("_", name).strip("._").encode()[:_STEM_BYTES].decode(errors="ignore")
+        safe = safe or f"frame_{index:04d}"
         stem, number = safe, 2
         while stem.casefold() in taken:
             stem, number = f"{safe}_{number}", number + 1
