@@ -488,6 +488,13 @@ DECODED_BYTES_FREE = 256 * 2**20
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
 
+FILE_BYTES_MAX = 4 * 2**30
+"""Size, bytes, of the largest file that is read as a whole. Captures in PLY are read in blocks, and may be larger."""
+
+TEXTURE_BYTES_FREE = 2**30
+"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
+applies to their sum."""
+
 # --- Rigs ---
 
 RIG_BLACK_COLOR = 0.5 / 255.0

@@ -52,7 +52,9 @@ def _folder(module: KernelModule, device: str) -> Path:
     """Where Warp keeps what it has compiled of a module."""
     name = module.__name__ if isinstance(module, ModuleType) else module
     warp_module = wp.get_module(name) if isinstance(name, str) else name
-    return Path(wp.config.kernel_cache_dir, warp_module.get_module_identifier(1 if device == "cpu" else BLOCK_THREADS))
+    return Path(
+        wp.config.kernel_cache_dir or "", warp_module.get_module_identifier(1 if device == "cpu" else BLOCK_THREADS)
+    )
 
 
 def _is_damaged(file: Path) -> bool:

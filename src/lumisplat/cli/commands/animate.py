@@ -113,7 +113,7 @@ class Animate(FrameCommand):
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
         """The animation of the scene file, with what was given in place of its own."""
         report(f"loading {self.scene.name}", 0.0)
-        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid)
+        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
         changes: Changes = {}
         if self.no_shadows:
             changes["shadows"] = False

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import check_expansion
+from lumisplat.io.files.references import read_reference
 from lumisplat.io.files.source import read_bytes
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class GltfFile:
                 raise FormatError(self.path, f"{referrer} has damaged base64 data: {error}") from None
         if "://" in uri:
             raise FormatError(self.path, f"{referrer} is on the network ({uri[:60]}): download it beside the file")
-        return read_bytes(self.path.parent / unquote(uri), wanted_by=self.path)
+        return read_reference(self.path, unquote(uri))
 
     def _buffer(self, index: object, referrer: str) -> bytes:
         buffer = self.item("buffers", index, referrer)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.source import read_bytes
 from lumisplat.io.ply.header import ENCODINGS, PlyElement, PlyHeader, PlyProperty, refuse_truncated
 
 
@@ -47,7 +47,7 @@ def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]
         OSError: The file cannot be read.
     """
     start, rows_before = header.start(element)
-    data = Path(header.path).read_bytes()
+    data = read_bytes(header.path)
     if header.encoding == "ascii":
         stored = _with_types(element, "<", "f8")
         data = _ascii_as_doubles(header, element, data, rows_before)
