@@ -495,6 +495,9 @@ TEXTURE_BYTES_FREE = 2**30
 """Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
 applies to their sum."""
 
+TOML_KEY_PARTS_MAX = 32
+"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
+
 # --- Rigs ---
 
 RIG_BLACK_COLOR = 0.5 / 255.0

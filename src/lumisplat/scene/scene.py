@@ -142,8 +142,10 @@ class Scene:
         clouds += [(i.mesh.positions, i.transform) for i in self.meshes]
         if not clouds:
             raise SceneError("an empty scene has no bounds")
-        worlds = [transform_points(matrix, points) for points, matrix in clouds]
-        return np.min([w.min(axis=0) for w in worlds], axis=0), np.max([w.max(axis=0) for w in worlds], axis=0)
+        # One after the other: together, the world points of many instances fill the memory.
+        worlds = (transform_points(matrix, points) for points, matrix in clouds)
+        lows, highs = zip(*((world.min(axis=0), world.max(axis=0)) for world in worlds), strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 def check_similarity(linear: npt.NDArray[np.float64]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.output.console import byte_size, progress_bars
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +22,14 @@ class Convert(LoadingCommand):
     source: Positional[Annotated[Path, arg(metavar="IN")]]
     """.ply, .compressed.ply, .spz, .sog, or a SOG folder."""
     target: Positional[Annotated[Path, arg(metavar="OUT")]]
-    """.ply, .compressed.ply or .spz."""
+    """.ply, .compressed.ply or .spz. - is standard output, in PLY."""
 
     def run(self) -> None:
         """Converts, and prints the sizes."""
+        if self.target == STANDARD_OUTPUT:
+            with standard_output(".ply") as file:
+                replace(self, target=file).run()
+            return
         with progress_bars() as report:
             gaussians = self.load_asset(self.source, report)
             if not isinstance(gaussians, ls.Gaussians):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from tyro.conf import Positional, arg
 
@@ -12,6 +13,8 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.options.command import LoadingCommand
 from lumisplat.cli.output.console import byte_size, print_table, progress_bars
+
+_Instance = TypeVar("_Instance", ls.SplatInstance, ls.MeshInstance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +64,25 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
         rows.append(("bounds", box(*scene.bounds())))
     settings = changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
     print_table(str(path), rows + [("settings", settings)] * bool(settings))
-    for index, splat in enumerate(scene.splats):
-        print_table(f"  capture {index}   {splat.name}", splat_rows(splat))
-    for index, mesh in enumerate(scene.meshes):
+    for index, splat, count in _distinct(scene.splats, lambda one: (id(one.gaussians), id(one.material), one.name)):
+        print_table(f"  capture {index}   {splat.name}{_times(count)}", splat_rows(splat))
+    for index, mesh, count in _distinct(scene.meshes, lambda one: (id(one.mesh), one.name)):
         names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
-        print_table(f"  mesh {index}   {' / '.join(names)}", mesh_rows(mesh.mesh))
+        print_table(f"  mesh {index}   {' / '.join(names)}{_times(count)}", mesh_rows(mesh.mesh))
     if scene.lights:
         print_table("  lights", [light_row(light) for light in scene.lights])
     if cameras:
         print_table("  cameras", camera_rows(cameras)[1:])
+
+
+def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
+    """The first instance of each kind, with its number and how many of the kind there are."""
+    groups: dict[object, list[int]] = {}
+    for index, instance in enumerate(instances):
+        groups.setdefault(kind(instance), []).append(index)
+    return [(group[0], instances[group[0]], len(group)) for group in groups.values()]
+
+
+def _times(count: int) -> str:
+    """How often something is there, if more than once."""
+    return f"   ({count:,} times)" if count > 1 else ""

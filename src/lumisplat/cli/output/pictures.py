@@ -62,13 +62,15 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
 def file_stems(names: Sequence[str]) -> list[str]:
     """A safe file stem for each frame name, with a number where two would be equal, ignoring case."""
     taken: set[str] = set()
+    copies: dict[str, int] = {}
     stems: list[str] = []
     for index, name in enumerate(names):
         safe = _UNSAFE.sub("_", name).strip("._").encode()[:_STEM_BYTES].decode(errors="ignore")
         safe = safe or f"frame_{index:04d}"
-        stem, number = safe, 2
+        stem = safe
         while stem.casefold() in taken:
-            stem, number = f"{safe}_{number}", number + 1
+            copies[safe] = copies.get(safe, 1) + 1
+            stem = f"{safe}_{copies[safe]}"
         taken.add(stem.casefold())
         stems.append(stem)
     return stems

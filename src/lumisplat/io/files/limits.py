@@ -53,8 +53,8 @@ class TextureBytes:
         if self.decoded > max(TEXTURE_BYTES_FREE, EXPANSION_MAX * self.stored):
             raise FormatError(
                 self.path,
-                f"textures up to {what} would take {self.decoded:,} bytes of memory, but only {self.stored:,} bytes are "
-                "stored: the file is damaged, or made to exhaust memory",
+                f"textures up to {what} would take {self.decoded:,} bytes of memory, but only {self.stored:,} bytes "
+                "are stored: the file is damaged, or made to exhaust memory",
             )
 
 

@@ -135,7 +135,9 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
     """A value of a node, shape (count,); the value at rest if the node has none."""
     stored = getattr(file.model.nodes[index], name)
-    numbers = finite_numbers(_REST[name] if stored is None else stored, (count,))
+    if stored is None:
+        return np.array(_REST[name])
+    numbers = finite_numbers(stored, (count,))
     if numbers is None:
         shown = " ".join(repr(stored).split())[:60]
         raise FormatError(file.path, f"{node_label(file, index)} has {name} {shown}, expected {count} finite numbers")

@@ -83,7 +83,7 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
     """White under a texture or vertex colours, else the default material."""
     names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
     if names:
-        texels = decode_texture(read_reference(header.path, names[0]), header.path, names[0])
+        texels = decode_texture(read_reference(header.path, names[0]), Path(header.path).parent / names[0])
         return MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texels)
     return MaterialPbr(base_color=(1.0, 1.0, 1.0)) if colored else MaterialPbr()
 

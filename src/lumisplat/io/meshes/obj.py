@@ -225,7 +225,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
             elif keyword == "map_Kd":
                 name = _without_options(argument).replace("\\", "/")
                 data = read_reference(path, name, folder=obj.parent)
-                current["base_color_texture"] = decode_texture(data, path, name, textures)
+                current["base_color_texture"] = decode_texture(data, path.parent / name, total=textures)
             elif keyword == "Ni":
                 current["ior"] = max(_numbers(argument, 1)[0], 1.0)
             elif keyword in ("Pr", "Pm"):
