@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import warnings
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
@@ -48,7 +49,9 @@ class GltfFile:
         try:
             document: dict[str, Any] = json.loads(text.decode("utf-8"))
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
-            self.model: pygltflib.GLTF2 = cast(Any, pygltflib.GLTF2).from_dict(document, infer_missing=True)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # about values that are missing: they are checked here
+                self.model: pygltflib.GLTF2 = cast(Any, pygltflib.GLTF2).from_dict(document, infer_missing=True)
             # Directly: the conversion takes a millisecond a node, and files have up to 100,000 of them.
             known = {field.name for field in fields(pygltflib.Node)}
             self.model.nodes = [
