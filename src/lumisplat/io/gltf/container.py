@@ -11,7 +11,7 @@ import json
 import warnings
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, TypeGuard
 from urllib.parse import unquote
 
 import numpy as np
@@ -51,7 +51,7 @@ class GltfFile:
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # about values that are missing: they are checked here
-                self.model: pygltflib.GLTF2 = cast(Any, pygltflib.GLTF2).from_dict(document, infer_missing=True)
+                self.model: pygltflib.GLTF2 = pygltflib.GLTF2.gltf_from_json(json.dumps(document))
             # Directly: the conversion takes a millisecond a node, and files have up to 100,000 of them.
             known = {field.name for field in fields(pygltflib.Node)}
             self.model.nodes = [

@@ -127,7 +127,8 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
         return stored
     translation, rotation, scale = node_columns(file, index)
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_matrix(rotation) * scale
+    is_turned = file.model.nodes[index].rotation is not None
+    matrix[:3, :3] = rotation_matrix(rotation) * scale if is_turned else np.diag(scale)
     matrix[:3, 3] = translation
     return matrix
 
