@@ -94,7 +94,7 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
     spans: dict[str, list[_Span]] = {name: [] for name, counter, _ in fields if counter}
     position, row = 0, 0
     empty_row = b"\0" * sum(counter.size for _, counter, _ in fields if counter)
-    has_lists_only = all(counter for _, counter, _ in fields)
+    has_lists_only = bool(fields) and all(counter for _, counter, _ in fields)
     while row < count:
         if has_lists_only and data.startswith(empty_row, position):
             zeros = _ZEROS.match(data, position)
