@@ -140,6 +140,7 @@ def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
         return np.array(_REST[name])
     numbers = finite_numbers(stored, (count,))
     if numbers is None:
-        shown = " ".join(repr(stored).split())[:60]
+        values = [float(one) if isinstance(one, int) else one for one in stored] if isinstance(stored, list) else stored
+        shown = " ".join(repr(values).split())[:60]
         raise FormatError(file.path, f"{node_label(file, index)} has {name} {shown}, expected {count} finite numbers")
     return numbers
