@@ -38,7 +38,7 @@ def test_a_picture(run, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"mesh.obj", "capture.ply"}
     run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "file.png")
     pixels = [np.asarray(Image.open(source)) for source in (io.BytesIO(piped.stdout), tmp_path / "file.png")]
-    np.testing.assert_array_equal(*pixels)
+    np.testing.assert_array_equal(pixels[0], pixels[1])
 
 
 def test_a_capture(run, tmp_path: Path) -> None:
