@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError
+from lumisplat.io.cameras.json_values import is_list
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.rotations import rotation_matrix
@@ -140,7 +142,7 @@ def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
         return np.array(_REST[name])
     numbers = finite_numbers(stored, (count,))
     if numbers is None:
-        values = [float(one) if isinstance(one, int) else one for one in stored] if isinstance(stored, list) else stored
+        values = [float(one) if is_number(one) else one for one in stored] if is_list(stored) else stored
         shown = " ".join(repr(values).split())[:60]
         raise FormatError(file.path, f"{node_label(file, index)} has {name} {shown}, expected {count} finite numbers")
     return numbers
