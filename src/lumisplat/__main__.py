@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
+from typing import TextIO
 
 
 def main() -> int:
     """Runs one command. An interrupt or a closed pipe (``| head``) ends it silently, at any time.
 
     Returns:
-        Exit status: the command's, 130 when interrupted, 141 when the pipe is closed, as a shell counts signals.
+        Exit status: the command's, 2 if standard output cannot be written, 130 when interrupted, 141 when the pipe is
+        closed, as a shell counts signals.
     """
+    _open_standard_streams()
+    status = 0
     try:
         from lumisplat.cli import main as run_command  # takes a while, and may be interrupted
 
@@ -21,8 +28,57 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes the rest at exit
+        _discard(sys.stdout)
         return 141
+    except OSError as error:  # of the help, or of what was still buffered: a full disk
+        _discard(sys.stdout)
+        with suppress(OSError):
+            if status == 0:  # else the command has said what is wrong
+                print(f"error: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
+        _discard(sys.stderr)
+        return 2
+
+
+def _open_standard_streams() -> None:
+    """Opens the standard streams that the caller has closed (``>&-``): else files would get their descriptors."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(descriptor, "w" if descriptor else "r", closefd=False))
+    if type(sys.stdout) is TextIOWrapper:
+        out = sys.stdout
+        sys.stdout = _StandardOutput(
+            out.detach(), out.encoding, out.errors, line_buffering=out.line_buffering, write_through=out.write_through
+        )
+
+
+class _StandardOutput(TextIOWrapper):
+    """Standard output, whose errors say that they are its own."""
+
+    def write(self, text: str, /) -> int:
+        with _named_errors():
+            return super().write(text)
+
+    def flush(self) -> None:
+        with _named_errors():
+            super().flush()
+
+
+@contextmanager
+def _named_errors() -> Generator[None]:
+    try:
+        yield
+    except OSError as error:
+        error.filename = "standard output"
+        raise
+
+
+def _discard(stream: TextIO) -> None:
+    """Lets a stream lead nowhere: Python flushes what is left in it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 if __name__ == "__main__":

@@ -685,9 +685,21 @@ FRAMING_ELEVATION = 0.2
 FRAMING_MARGIN = 1.05
 """Room around the scene's box, as a factor of the distance."""
 
+FRAMING_FARTHEST = 1e17
+"""How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""
+
 BULK_TAIL = 0.02
 """Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
 an object above the ground."""
+FILE_BYTES_MAX = 4 * 2**30
+"""Size, bytes, of the largest file that is read as a whole. Captures in PLY are read in blocks, and may be larger."""
+
+TEXTURE_BYTES_FREE = 2**30
+"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
+applies to their sum."""
+
+TOML_KEY_PARTS_MAX = 32
+"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
 
 # --- Rigs ---
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.cli import main
 from lumisplat.cli.output.pictures import file_stems, plan_shots
 from lumisplat.frame.views import layer_pictures
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
@@ -68,9 +69,21 @@ def test_empty_scene_has_no_view():
         ls.frame_camera(ls.Scene())
 
 
+@pytest.mark.parametrize("far", ["1e18", "1e38", "3.4e38"])
+def test_scenes_too_large_to_show(tmp_path, capsys, far):
+    """A corner beyond any camera's reach is one line that names the file, not the camera's matrix."""
+    (tmp_path / "huge.obj").write_text(f"v 0 0 0\nv {far} 0 0\nv 0 {far} 0\nf 1 2 3\n")
+    assert main(["render", str(tmp_path / "huge.obj"), "-o", str(tmp_path / "out.png"), "--device", "cpu"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {tmp_path}/huge.obj: reaches {float(far):.3g} units away from the origin")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out.png").exists()
+
+
 def test_file_stems_are_safe_and_unique():
     """No stem leaves its folder, is hidden, empty or too long, and no two meet even without regard to case."""
     names = ["a", "A", "a", "../../etc/passwd", "", "..", "über/öl 1", "x" * 400, "a_2", "."]
+    names += ["\N{CJK UNIFIED IDEOGRAPH-68EE}" * 84 + end for end in ("", "b")]  # 252 bytes
     stems = file_stems(names)
     assert stems[0] == "a"
     assert len({stem.casefold() for stem in stems}) == len(names)

@@ -75,6 +75,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
     Raises:
         BrokenPipeError: The reader of standard output has closed it.
+        OSError: Standard output or standard error cannot be written.
     """
     args = list(sys.argv[1:] if args is None else args)
     for stream in (sys.stdout, sys.stderr):

@@ -103,12 +103,14 @@ def light_layers(frame: FrameData) -> list[LightLayers]:
 def light_labels(names: Sequence[str]) -> list[str]:
     """A label for each light, fit for channels and file names: its name, else its number; no two are equal."""
     taken: set[str] = set()
+    copies: dict[str, int] = {}
     labels: list[str] = []
     for index, name in enumerate(names):
         safe = _UNSAFE.sub("_", name)[:_LABEL_MAX].strip("_") or str(index)
-        label, number = safe, 2
+        label = safe
         while label.casefold() in taken:
-            label, number = f"{safe}_{number}", number + 1
+            copies[safe] = copies.get(safe, 1) + 1
+            label = f"{safe}_{copies[safe]}"
         taken.add(label.casefold())
         labels.append(label)
     return labels

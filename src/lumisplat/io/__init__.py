@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumisplat.errors import FormatError
-from lumisplat.io.files.source import PathLike
+from lumisplat.io.files.references import references_outside
+from lumisplat.io.files.source import PathLike, check_regular
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -75,6 +76,7 @@ def load(
     *,
     drop_invalid: bool = False,
     crease_angle: float | None = None,
+    allow_outside: bool = False,
     progress: Progress | None = None,
 ) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
@@ -86,6 +88,8 @@ def load(
             number, instead of refusing the file.
         crease_angle: Of an OBJ without normals: faces that meet at less are shaded smoothly, radians, 0 to pi, see
             `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
+        allow_outside: Whether a mesh file may name buffers, materials and textures outside of its own folder, as files
+            that you trust do. A ``scene.toml`` may always name any file.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -100,7 +104,8 @@ def load(
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
     try:
-        loaded = _read(Path(path), drop_invalid, crease_angle, progress)
+        with references_outside(allow_outside):
+            loaded = _read(Path(path), drop_invalid, crease_angle, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except OSError as error:
@@ -142,6 +147,7 @@ def _extension(path: Path) -> str:
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{_inner_sog(path)}")
     if not path.exists():
         raise FormatError(path, "no such file")
+    check_regular(path, path.stat())
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
     return ".sog" if path.name == "meta.json" else path.suffix.lower()
@@ -316,7 +322,7 @@ def load_radiance(path: PathLike) -> FloatArray:
     return read_radiance(path)
 
 
-def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
+def load_rig(path: PathLike, *, vertex_colors: bool = True, allow_outside: bool = False) -> Rig:
     """Loads a rigged glTF: its meshes, the joints that move them, and its animations.
 
     Translation, rotation, scale and weights of morph targets are animated, linearly, in steps or by cubic splines;
@@ -326,6 +332,7 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
         path: A ``.glb`` or ``.gltf`` file.
         vertex_colors: Multiply the base colour by COLOR_0, as the format demands. False for files that store something
             else there, such as masks, which would make meshes nearly black (a log line warns).
+        allow_outside: As in `load`.
 
     Raises:
         FormatError: The file is malformed, has neither a skin nor an animation, is skinned without weights or with
@@ -333,7 +340,8 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True) -> Rig:
     """
     from lumisplat.io.gltf.rigs import read_rig
 
-    return read_rig(path, vertex_colors)
+    with references_outside(allow_outside):
+        return read_rig(path, vertex_colors)
 
 
 def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -> GaussianSequence:
@@ -355,12 +363,13 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
     return read_sequence(folder, fps, lambda frame: load(frame, drop_invalid=drop_invalid))
 
 
-def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
+def load_animation(path: PathLike, *, drop_invalid: bool = False, allow_outside: bool = False) -> Animation:
     """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``.
 
     Args:
         path: The scene file.
         drop_invalid: As in `load`, for each capture.
+        allow_outside: As in `load`, for each mesh and rig.
 
     Raises:
         FormatError: The file, or a file that it names, cannot be read, or an entry is invalid; names the line and the
@@ -368,7 +377,8 @@ def load_animation(path: PathLike, *, drop_invalid: bool = False) -> Animation:
     """
     from lumisplat.io.scene_toml.animation import read_animation
 
-    return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_cameras)
+    with references_outside(allow_outside):
+        return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_cameras)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

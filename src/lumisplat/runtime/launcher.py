@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +22,7 @@ import warp as wp
 
 from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S
 from lumisplat.errors import ConfigError, DeviceError
+from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
 _log = logging.getLogger("lumisplat")
 
@@ -35,9 +36,6 @@ Progress = Callable[[str, float], None]
 
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""
-
-KernelModule = ModuleType | wp.Module
-"""A Python module of kernels, or the module that Warp has made of a single kernel."""
 
 
 _CPU_BLOCKS = threading.Lock()
@@ -241,11 +239,9 @@ class Launcher:
     def _load(self, module: KernelModule) -> None:
         """Compiles and loads a module for blocks as large as those that it is launched in."""
         name = module.__name__ if isinstance(module, ModuleType) else ""
-        if name.endswith("_block_kernels"):
-            with _blocks_on_cpus():
-                wp.load_module(module, device=self.device, block_dim=BLOCK_THREADS)
-        else:
-            wp.load_module(module, device=self.device, block_dim=self._block_threads)
+        has_blocks = name.endswith("_block_kernels")
+        with _blocks_on_cpus() if has_blocks else nullcontext():
+            load_module(module, self.device, BLOCK_THREADS if has_blocks else self._block_threads)
 
     def synchronize(self) -> None:
         """Waits until the device is idle."""

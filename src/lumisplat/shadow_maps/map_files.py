@@ -19,6 +19,7 @@ from lumisplat.constants import SHADOW_TILE
 from lumisplat.device.structs.shadow_map import Atlas
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.source import check_regular
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.shadow_maps.atlas import Source
@@ -86,6 +87,7 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
         FormatError: The file is missing, or is not a deep shadow map.
     """
     try:
+        check_regular(path, os.stat(path))
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             header = json.loads(file["header"].tobytes())
             if header["version"] != _VERSION:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -64,3 +68,57 @@ def test_only_gaussians_are_saved(tmp_path: Path) -> None:
     """The error for anything else names its type."""
     with pytest.raises(FormatError, match="only Gaussians can be saved, got Scene"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))
+
+
+def test_symbolic_links_stay(tmp_path: Path) -> None:
+    """The file that a link leads to is written, in its own folder, whether it is there or not."""
+    shelf, link = tmp_path / "shelf", tmp_path / "link.ply"
+    shelf.mkdir()
+    link.symlink_to(shelf / "real.ply")
+    for content in ("first", "second"):
+        with atomic_write(link) as temporary:
+            assert temporary.parent == shelf
+            temporary.write_text(content)
+        assert link.is_symlink()
+        assert (shelf / "real.ply").read_text() == content
+    link.unlink()
+    link.symlink_to(link)
+    with pytest.raises(FormatError, match="link that leads to itself"), atomic_write(link):
+        pass
+
+
+def test_pipes_are_refused(tmp_path: Path) -> None:
+    """What is no regular file is neither replaced nor written to."""
+    os.mkfifo(tmp_path / "pipe.ply")
+    with pytest.raises(FormatError, match=r"pipe\.ply: is a device, a pipe or a socket"):
+        ls.save(tmp_path / "pipe.ply", capture(3))
+    assert (tmp_path / "pipe.ply").is_fifo()
+
+
+def test_leftovers_of_killed_processes_go(tmp_path: Path) -> None:
+    """The next process that writes into the folder removes them, but no file that is still being written."""
+    program = """
+import os, signal, sys, time
+from lumisplat.io.files.atomic import atomic_write
+with atomic_write(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    print("written", flush=True)
+    sys.stdin.read()
+"""
+    writer = [sys.executable, "-c", program]
+    popen = partial(subprocess.Popen, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    with popen([*writer, str(tmp_path / "killed.ply")]) as killed, popen([*writer, str(tmp_path / "slow.ply")]) as slow:
+        for process in (killed, slow):
+            assert process.stdout is not None
+            process.stdout.readline()
+        killed.kill()
+        killed.wait()
+        own = tmp_path / ".notes.0123456789ab.txt"
+        own.write_text("a hidden file of the user")
+        assert len(list(tmp_path.iterdir())) == 3
+        save = [sys.executable, "-c", program, str(tmp_path / "next.ply")]
+        subprocess.run(save, stdin=subprocess.DEVNULL, capture_output=True, check=True)
+        left = {path.name.split(".")[1] for path in tmp_path.iterdir() if path.name.startswith(".")}
+        assert left == {"slow", "notes"}
+        slow.communicate("")
+    assert {path.name for path in tmp_path.iterdir()} == {own.name, "slow.ply", "next.ply"}

@@ -110,7 +110,7 @@ class Animate(FrameCommand):
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
         """The animation of the scene file, with what was given in place of its own."""
         report(f"loading {self.scene.name}", 0.0)
-        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid)
+        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
         changes: Changes = {}
         if self.no_shadows:
             changes["shadows"] = False
@@ -145,7 +145,7 @@ class Animate(FrameCommand):
             along = (animation.camera_path.at(float(time)) for time in animation.times)
             return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
         if not cameras:
-            cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)))]
+            cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)), self.scene)]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
@@ -183,5 +183,3 @@ def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
     if length == math.inf:
         raise ls.ConfigError(f"--fps is {fps}, of an animation of {animation.duration:g} s: too many frames")
     return replace(animation, fps=fps, frame_count=max(1, round(length)))
-
-

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ from lumisplat.cli.input.loading import size_on_disk
 from lumisplat.cli.options.captures import count_of, value_ranges
 from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 _Edit = Callable[[ls.Gaussians], ls.Gaussians]
 
@@ -39,7 +40,7 @@ class Convert(LoadingCommand):
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
     """.ply, .compressed.ply, .spz, .sog, or a SOG folder. Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """.ply, .compressed.ply or .spz. Needed to join captures."""
+    """.ply, .compressed.ply or .spz; - is standard output, in PLY. Needed to join captures."""
     box: Annotated[
         tuple[float, float, float, float, float, float] | None, arg(metavar="X Y Z X Y Z", help_behavior_hint="")
     ] = None
@@ -68,6 +69,11 @@ class Convert(LoadingCommand):
 
     def run(self) -> None:
         """Loads, edits, writes, and prints what became of it."""
+        if STANDARD_OUTPUT in (self.output, *self.files[1:]):
+            sources = self.files if self.output == STANDARD_OUTPUT else self.files[:-1]
+            with standard_output(".ply") as file:
+                replace(self, files=sources, output=file).run()
+            return
         sources, target = self._sources_and_target()
         with progress_bars() as report:
             captures = [self._loaded(source, report) for source in sources]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from tyro.conf import Positional, arg
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
     Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
+
+_Instance = TypeVar("_Instance", ls.SplatInstance, ls.MeshInstance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +120,27 @@ def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
         rows.append(("animation", length))
     settings = describe.changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
     print_table(str(path), rows + [("settings", settings)] * bool(settings))
-    for index, splat in enumerate(scene.splats):
-        print_table(f"  capture {index}   {splat.name}", describe.splat_rows(splat))
-    for index, mesh in enumerate(scene.meshes):
+    for index, splat, count in _distinct(scene.splats, lambda one: (id(one.gaussians), id(one.material), one.name)):
+        print_table(f"  capture {index}   {splat.name}{_times(count)}", describe.splat_rows(splat))
+    for index, mesh, count in _distinct(scene.meshes, lambda one: (id(one.mesh), one.name)):
         names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
-        print_table(f"  mesh {index}   {' / '.join(names)}", describe.placed_mesh_rows(mesh))
+        print_table(f"  mesh {index}   {' / '.join(names)}{_times(count)}", describe.placed_mesh_rows(mesh))
     for index, actor in enumerate(animation.actors if animation else ()):
         print_table(f"  actor {index}   {actor.name}", describe.actor_rows(actor))
     if scene.lights:
         print_table("  lights", [describe.light_row(light) for light in scene.lights])
     if cameras:
         print_table("  cameras", describe.camera_rows(cameras)[1:])
+
+
+def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
+    """The first instance of each kind, with its number and how many of the kind there are."""
+    groups: dict[object, list[int]] = {}
+    for index, instance in enumerate(instances):
+        groups.setdefault(kind(instance), []).append(index)
+    return [(group[0], instances[group[0]], len(group)) for group in groups.values()]
+
+
+def _times(count: int) -> str:
+    """How often something is there, if more than once."""
+    return f"   ({count:,} times)" if count > 1 else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,6 +17,7 @@ from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
@@ -32,7 +33,7 @@ class Render(FrameCommand):
     """Captures (.ply, .compressed.ply, .spz, .sog), meshes (.obj, .ply, .stl, .glb, .gltf) or a scene.toml, which has
     lights, cameras and settings, too. Several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
-    """A folder, or for one frame a file: .png, .exr or .npz."""
+    """A folder, or for one frame a file: .png, .exr or .npz. - is standard output, in PNG or as --format says."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """transforms.json (nerfstudio), cameras.json (INRIA), or a glTF or scene.toml with cameras. Without: those of the
     scene.toml that is rendered, else one that shows all of the scene from the front."""
@@ -67,6 +68,13 @@ class Render(FrameCommand):
 
     def run(self) -> None:
         """Renders and writes the pictures."""
+        if self.output == STANDARD_OUTPUT:
+            format_name = "png" if self.format == "auto" else self.format
+            if self.aov and format_name == "png":
+                raise ls.ConfigError("-o - is one picture, --aov writes more beside a PNG: give --format exr or npz")
+            with standard_output(f".{format_name}") as file:
+                replace(self, output=file).run()
+            return
         writer = FrameWriter(self.aov, self.view)
         file = scene_file(self.scene)
         base = scene_settings(file)
@@ -82,7 +90,7 @@ class Render(FrameCommand):
             scene = self.light.lit_scene(scene, environment)
             for line in unused_options(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
-            shots = shots or self._shots([self.own_camera(scene)])
+            shots = shots or self._shots([self.own_camera(scene, *self.scene)])
             self._render(shots, renderer, scene, writer, report)
         print(_summary(shots))
         if writer.legend:

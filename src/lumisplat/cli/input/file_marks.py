@@ -35,6 +35,8 @@ def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
         if path.is_dir():
             waiting += [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
             continue
+        if not path.is_file():
+            continue
         status = path.stat()
         found[path] = f"{status.st_size} bytes, {status.st_mtime_ns} ns"
         with suppress(ValueError):  # a file that does not parse refers to nothing here; its reader reports it

@@ -10,16 +10,19 @@ import lumisplat as ls
 from lumisplat.cli.output.console import Report
 
 
-def load_asset(path: Path, *, drop_invalid: bool, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
+def load_asset(
+    path: Path, *, drop_invalid: bool, allow_outside: bool, report: Report
+) -> ls.Gaussians | ls.Mesh | ls.Scene:
     """Loads one file, and reports the progress under its name.
 
     Raises:
         FormatError: The file cannot be read.
     """
-    return ls.load(path, drop_invalid=drop_invalid, progress=partial(report, f"loading {path.name}"))
+    progress = partial(report, f"loading {path.name}")
+    return ls.load(path, drop_invalid=drop_invalid, allow_outside=allow_outside, progress=progress)
 
 
-def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> ls.Scene:
+def load_scene(paths: Sequence[Path], *, drop_invalid: bool, allow_outside: bool, report: Report) -> ls.Scene:
     """Loads files of any kind into one scene, each in its own coordinates.
 
     Raises:
@@ -28,7 +31,10 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, report: Report) -> 
     """
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
-    scenes = [as_scene(load_asset(path, drop_invalid=drop_invalid, report=report)) for path in paths]
+    scenes = [
+        as_scene(load_asset(path, drop_invalid=drop_invalid, allow_outside=allow_outside, report=report))
+        for path in paths
+    ]
     return ls.Scene(
         up=next((scene.up for scene in scenes if scene.up is not None), None),
         splats=tuple(splat for scene in scenes for splat in scene.splats),

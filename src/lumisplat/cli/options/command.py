@@ -66,6 +66,8 @@ class LoadingCommand(Command):
 
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values instead of refusing the file."""
+    allow_outside: Flag = False
+    """Let meshes that you trust name buffers, materials and textures outside of their own folders."""
 
     def load_asset(self, path: Path, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
         """Loads one file.
@@ -73,7 +75,7 @@ class LoadingCommand(Command):
         Raises:
             FormatError: The file cannot be read.
         """
-        return load_asset(path, drop_invalid=self.drop_invalid, report=report)
+        return load_asset(path, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside, report=report)
 
     def load_scene(self, paths: Sequence[Path], report: Report) -> ls.Scene:
         """Loads files of any kind into one scene.
@@ -82,4 +84,4 @@ class LoadingCommand(Command):
             ConfigError: No file was given.
             FormatError: A file cannot be read.
         """
-        return load_scene(paths, drop_invalid=self.drop_invalid, report=report)
+        return load_scene(paths, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside, report=report)

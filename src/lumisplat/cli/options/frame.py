@@ -106,11 +106,19 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         along = (stretched.at(float(time)) for time in times)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
-    def own_camera(self, scene: ls.Scene, *, all_around: bool = False) -> ls.Camera:
+    def own_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
         """The camera of the viewpoint; without its options, one that shows all of the scene from the front.
 
         Args:
             scene: What it looks at.
+            *files: Where it was loaded from.
             all_around: As of `lumisplat.frame_camera`.
+
+        Raises:
+            SceneError: The scene is empty, or too large; names the files.
         """
-        return self.light.exposed(self.viewpoint.camera(scene, self.width, self.height, all_around=all_around))
+        try:
+            camera = self.viewpoint.camera(scene, self.width, self.height, all_around=all_around)
+        except ls.SceneError as error:
+            raise ls.SceneError(f"{', '.join(map(str, files))}: {error}" if files else str(error)) from None
+        return self.light.exposed(camera)

@@ -38,9 +38,7 @@ def parse_up(text: str) -> str | tuple[float, float, float] | None:
         direction = vector("--up", text)
     except ls.ConfigError:
         axes = ", ".join(ls.Scene.UP_NAMES)
-        raise ls.ConfigError(
-            f"--up is '{text}', expected auto, {axes}, or a direction such as 0,-1,0.2"
-        ) from None
+        raise ls.ConfigError(f"--up is '{text}', expected auto, {axes}, or a direction such as 0,-1,0.2") from None
     if not any(direction):
         raise ls.ConfigError(f"--up is '{text}', expected a direction")
     return direction

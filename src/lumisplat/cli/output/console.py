@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
+    from rich.table import Table
 
     import lumisplat as ls
 
@@ -61,7 +62,6 @@ def quiet_warp() -> None:
 
 def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     """Prints name and value pairs. Text of files is shown as it is: no markup, no control characters."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
@@ -69,12 +69,11 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, "".join(char if char.isprintable() or char == "\n" else "?" for char in value))
-    Console(highlight=False, markup=False, emoji=False).print(table)
+    _print(table)
 
 
 def print_columns(header: list[str], rows: list[list[str]]) -> None:
     """Prints a table whose first column holds names, and the others figures, aligned to the right."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -82,7 +81,18 @@ def print_columns(header: list[str], rows: list[list[str]]) -> None:
         table.add_column(name, justify="right" if number else "left", style=None if number else "cyan", no_wrap=True)
     for row in rows:
         table.add_row(*("".join(char if char.isprintable() else "?" for char in cell) for cell in row))
-    Console(highlight=False, markup=False, emoji=False).print(table)
+    _print(table)
+
+
+def _print(table: Table) -> None:
+    """Prints a table; a closed pipe is left to the process around the command line."""
+    from rich.console import Console
+
+    class PipedConsole(Console):
+        def on_broken_pipe(self) -> None:
+            raise  # noqa: PLE0704 # called while a BrokenPipeError is handled
+
+    PipedConsole(highlight=False, markup=False, emoji=False).print(table)
 
 
 def counted(count: int, noun: str) -> str:

@@ -13,8 +13,8 @@ import lumisplat as ls
 
 FORMATS = ("png", "exr", "npz")
 _UNSAFE = re.compile(r"[^\w.-]+")
-_STEM_MAX = 150
-"""Longest file stem, characters: room for layer names and suffixes below the usual limit of 255 bytes."""
+_STEM_BYTES = 150
+"""Longest file stem, UTF-8: room for layer names and suffixes below the usual limit of 255 bytes."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,15 @@ def plan_shots(cameras: Sequence[ls.Camera], wanted: Sequence[str], output: Path
 def file_stems(names: Sequence[str]) -> list[str]:
     """A safe file stem for each frame name, with a number where two would be equal, ignoring case."""
     taken: set[str] = set()
+    copies: dict[str, int] = {}
     stems: list[str] = []
     for index, name in enumerate(names):
-        safe = _UNSAFE.sub("_", name).strip("._")[:_STEM_MAX] or f"frame_{index:04d}"
-        stem, number = safe, 2
+        safe = _UNSAFE.sub("_", name).strip("._").encode()[:_STEM_BYTES].decode(errors="ignore")
+        safe = safe or f"frame_{index:04d}"
+        stem = safe
         while stem.casefold() in taken:
-            stem, number = f"{safe}_{number}", number + 1
+            copies[safe] = copies.get(safe, 1) + 1
+            stem = f"{safe}_{copies[safe]}"
         taken.add(stem.casefold())
         stems.append(stem)
     return stems

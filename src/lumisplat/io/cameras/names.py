@@ -19,13 +19,14 @@ def name_from_image(image: object) -> str:
 def unique_names(cameras: list[Camera]) -> list[Camera]:
     """The cameras with distinct names: an empty name becomes `frame_00000`, a repeated one gets a number."""
     used: set[str] = set()
+    copies: dict[str, int] = {}  # the last number that each name was given, so that many equal ones take no longer
     named: list[Camera] = []
     for index, camera in enumerate(cameras):
         base = camera.name or f"frame_{index:05d}"
-        name, copy = base, 1
+        name = base
         while name in used:
-            copy += 1
-            name = f"{base}_{copy}"
+            copies[base] = copies.get(base, 1) + 1
+            name = f"{base}_{copies[base]}"
         used.add(name)
         named.append(replace(camera, name=name))
     return named

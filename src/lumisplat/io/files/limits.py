@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX
+from dataclasses import dataclass
+
+from lumisplat.constants import DECODED_BYTES_FREE, EXPANSION_MAX, TEXTURE_BYTES_FREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 
@@ -25,6 +27,35 @@ def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes:
             f"{what} would take {decoded_bytes:,} bytes of memory, but only {stored_bytes:,} bytes are stored: "
             "the file is damaged, or made to exhaust memory",
         )
+
+
+@dataclass(slots=True)
+class TextureBytes:
+    """The bytes of all textures of a file: many small images may hold as much as a large one."""
+
+    path: PathLike
+    decoded: int = 0
+    stored: int = 0
+
+    def add(self, what: str, decoded: int, stored: int) -> None:
+        """Counts a texture before it is decoded.
+
+        Args:
+            what: The texture, for the message.
+            decoded: Bytes of its texels.
+            stored: Bytes of the encoded image.
+
+        Raises:
+            FormatError: The textures so far are large, and more than images of their size hold.
+        """
+        self.decoded += decoded
+        self.stored += stored
+        if self.decoded > max(TEXTURE_BYTES_FREE, EXPANSION_MAX * self.stored):
+            raise FormatError(
+                self.path,
+                f"textures up to {what} would take {self.decoded:,} bytes of memory, but only {self.stored:,} bytes "
+                "are stored: the file is damaged, or made to exhaust memory",
+            )
 
 
 def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, stored_bytes: int) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
+from lumisplat.constants import FILE_BYTES_MAX
 from lumisplat.errors import FormatError, LumisplatError, SceneError
 
 PathLike = str | os.PathLike[str]
@@ -24,20 +25,45 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
         wanted_by: The file that refers to this one, named in errors.
 
     Raises:
-        FormatError: The file is missing, a folder, empty or not readable.
+        FormatError: The file is missing, a folder, a device or a pipe, empty, too large or not readable.
     """
     because = f" (needed by {os.fspath(wanted_by)})" if wanted_by is not None else ""
     try:
-        data = Path(path).read_bytes()
+        # Opening a pipe would wait for its writer, opening a device may have effects.
+        status = os.stat(path)
+        check_regular(path, status, because)
+        if status.st_size > FILE_BYTES_MAX:
+            raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {FILE_BYTES_MAX:,}{because}")
+        with open(path, "rb") as file:
+            data = file.read(status.st_size)
+    except FormatError:
+        raise
+    except MemoryError:
+        raise FormatError(path, f"does not fit into memory{because}") from None
     except FileNotFoundError:
         raise FormatError(path, f"no such file{because}") from None
-    except IsADirectoryError:
-        raise FormatError(path, f"is a folder, expected a file{because}") from None
     except (OSError, ValueError) as error:
         raise FormatError(path, f"cannot be read{because}: {getattr(error, 'strerror', None) or error}") from None
     if not data:
         raise FormatError(path, f"is empty: zero bytes{because}")
     return data
+
+
+def check_regular(path: PathLike, status: os.stat_result, because: str = "") -> None:
+    """Refuses what would be read without end, or wait for somebody to write.
+
+    Args:
+        path: The file.
+        status: What the system says about it.
+        because: The end of the message.
+
+    Raises:
+        FormatError: It is a folder, a device, a pipe or a socket.
+    """
+    if stat.S_ISDIR(status.st_mode):
+        raise FormatError(path, f"is a folder, expected a file{because}")
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError(path, f"is a device, a pipe or a socket, expected a file{because}")
 
 
 @contextmanager

@@ -28,13 +28,13 @@ def read_clips(file: GltfFile) -> tuple[Clip, ...]:
     Raises:
         FormatError: A channel or a sampler is malformed, or its keys are not finite or not in order.
     """
-    clips: list[Clip] = []
+    clips: dict[str, Clip] = {}
     for index, animation in enumerate(file.model.animations or []):
         name = animation.name or str(index)
-        while any(clip.name == name for clip in clips):
+        while name in clips:
             name += f"_{index}"
-        clips.append(Clip(name, _tracks(file, animation, f"animations[{index}]")))
-    return tuple(clips)
+        clips[name] = Clip(name, _tracks(file, animation, f"animations[{index}]"))
+    return tuple(clips.values())
 
 
 def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple[Track, ...]:

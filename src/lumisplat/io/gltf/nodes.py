@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError
+from lumisplat.io.cameras.json_values import is_list
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.rotations import rotation_matrix
@@ -127,7 +129,8 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
         return stored
     translation, rotation, scale = node_columns(file, index)
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation_matrix(rotation) * scale
+    is_turned = file.model.nodes[index].rotation is not None
+    matrix[:3, :3] = rotation_matrix(rotation) * scale if is_turned else np.diag(scale)
     matrix[:3, 3] = translation
     return matrix
 
@@ -135,8 +138,11 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
     """A value of a node, shape (count,); the value at rest if the node has none."""
     stored = getattr(file.model.nodes[index], name)
-    numbers = finite_numbers(_REST[name] if stored is None else stored, (count,))
+    if stored is None:
+        return np.array(_REST[name])
+    numbers = finite_numbers(stored, (count,))
     if numbers is None:
-        shown = " ".join(repr(stored).split())[:60]
+        values = [float(one) if is_number(one) else one for one in stored] if is_list(stored) else stored
+        shown = " ".join(repr(values).split())[:60]
         raise FormatError(file.path, f"{node_label(file, index)} has {name} {shown}, expected {count} finite numbers")
     return numbers

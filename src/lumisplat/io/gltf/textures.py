@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.images.texture import decode_texture
 
@@ -92,6 +93,7 @@ class GltfTexels:
     def __init__(self, file: GltfFile) -> None:
         self._file = file
         self._images: dict[int, npt.NDArray[np.uint8]] = {}
+        self._total = TextureBytes(file.path)
 
     def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8]:
         """Texels as stored, without alpha, shape (H, W, 3).
@@ -111,5 +113,5 @@ class GltfTexels:
             else:
                 data = file.resource(image.uri, label)
                 label = image.uri if not image.uri.startswith("data:") else label
-            self._images[source] = decode_texture(data, file.path, label)[:, :, :3]
+            self._images[source] = decode_texture(data, file.path, label, self._total)[:, :, :3]
         return self._images[source]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.limits import check_expansion
+from lumisplat.io.files.native import silent_natives, utf8_path
 from lumisplat.io.files.source import PathLike, read_bytes
 
 Channel = npt.NDArray[Any]
@@ -40,12 +40,12 @@ def write_exr(path: PathLike, channels: Mapping[str, Channel], metadata: Mapping
     # One array per channel: given an array of shape (H, W, 3), OpenEXR would name its channels .R .G .B.
     planes = {name: _stored_pixels(np.asarray(pixels)) for name, pixels in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(metadata or {})}
-    with atomic_write(path) as temporary, OpenEXR.File(header, planes) as file:
-        Path(temporary).touch()  # raises an OSError with a reason if the folder cannot be written, unlike OpenEXR
+    with atomic_write(path) as temporary, utf8_path(temporary) as text, OpenEXR.File(header, planes) as file:
         try:
-            file.write(os.fspath(temporary))
+            file.write(text)
         except RuntimeError as error:
-            raise FormatError(path, f"cannot be written: {error}") from None
+            reason = str(error).replace(text, os.fspath(path))
+            raise FormatError(path, f"cannot be written: {' '.join(reason.split())}") from None
 
 
 def _stored_pixels(pixels: Channel) -> Channel:
@@ -63,17 +63,18 @@ def read_exr(path: PathLike) -> dict[str, Channel]:
     import OpenEXR
 
     stored_bytes = len(read_bytes(path))
-    try:
-        with OpenEXR.File(os.fspath(path), header_only=True) as file:
-            low, high = file.header()["dataWindow"]
-            count = len(file.header()["channels"])
-        width, height = (int(size) for size in np.subtract(high, low) + 1)
-        check_expansion(
-            path, f"{width} x {height} pixels of {count} channels", 4 * width * height * count, stored_bytes
-        )
-        with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
-            return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except FormatError:
-        raise
-    except Exception as error:  # the binding raises RuntimeError, TypeError or its own errors
-        raise FormatError(path, f"damaged, or not an EXR file: {' '.join(str(error).split())}") from error
+    with utf8_path(path) as text, silent_natives():  # OpenEXR writes lines of its own about damaged files
+        try:
+            with OpenEXR.File(text, header_only=True) as file:
+                low, high = file.header()["dataWindow"]
+                count = len(file.header()["channels"])
+            width, height = (int(size) for size in np.subtract(high, low) + 1)
+            check_expansion(
+                path, f"{width} x {height} pixels of {count} channels", 4 * width * height * count, stored_bytes
+            )
+            with OpenEXR.File(text, separate_channels=True) as file:
+                return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+        except FormatError:
+            raise
+        except Exception as error:  # the binding raises RuntimeError, TypeError or its own errors
+            raise FormatError(path, "damaged, or not an EXR file") from error

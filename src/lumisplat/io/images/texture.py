@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 import io
+import os
 import warnings
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.files.source import PathLike, read_bytes
 
 
-def read_texture(path: PathLike, *, wanted_by: PathLike | None = None) -> npt.NDArray[np.uint8]:
+def read_texture(path: PathLike) -> npt.NDArray[np.uint8]:
     """Reads an image file; see `decode_texture`.
-
-    Args:
-        path: The image file.
-        wanted_by: The file that refers to it, named in errors.
 
     Raises:
         FormatError: The image is missing, corrupt or too large.
     """
-    return decode_texture(read_bytes(path, wanted_by=wanted_by), path)
+    return decode_texture(read_bytes(path), path)
 
 
-def decode_texture(data: bytes, path: PathLike, label: str | None = None) -> npt.NDArray[np.uint8]:
+def decode_texture(
+    data: bytes, path: PathLike, label: str | None = None, total: TextureBytes | None = None
+) -> npt.NDArray[np.uint8]:
     """Decodes an image in any format that Pillow reads.
 
     Args:
         data: The encoded image.
         path: The file to name in errors.
         label: The image inside of that file, to name in errors; None: the file is the image.
+        total: The textures of the file that this one belongs to, which are bounded together.
 
     Returns:
         sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) if the image has transparency; row 0 at the top.
@@ -47,11 +48,15 @@ def decode_texture(data: bytes, path: PathLike, label: str | None = None) -> npt
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as image:
+                if total is not None:
+                    total.add(label or os.fspath(path), 3 * image.width * image.height, len(data))
                 if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clamp at 255
                     grey = (np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8)
                     return np.repeat(grey[:, :, None], 3, axis=2)
                 opaque = not image.has_transparency_data
                 return np.asarray(image.convert("RGB" if opaque else "RGBA"))
+    except FormatError:
+        raise
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise FormatError(path, f"{where}is too large to decode: {error}") from None
     except Exception as error:  # Pillow's decoders raise many kinds of errors

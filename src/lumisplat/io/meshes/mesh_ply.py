@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.references import read_reference
 from lumisplat.io.files.source import parsing
-from lumisplat.io.images.texture import read_texture
+from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.io.ply.header import PlyHeader
 from lumisplat.io.ply.lists import read_ply_lists
@@ -82,7 +83,7 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
     """White under a texture or vertex colours, else the default material."""
     names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
     if names:
-        texels = read_texture(Path(header.path).parent / names[0], wanted_by=header.path)
+        texels = decode_texture(read_reference(header.path, names[0]), Path(header.path).parent / names[0])
         return MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texels)
     return MaterialPbr(base_color=(1.0, 1.0, 1.0)) if colored else MaterialPbr()
 

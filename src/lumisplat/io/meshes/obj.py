@@ -11,8 +11,10 @@ import numpy as np
 
 from lumisplat.constants import CREASE_ANGLE
 from lumisplat.errors import FormatError
+from lumisplat.io.files.limits import TextureBytes
+from lumisplat.io.files.references import read_reference, referenced_file
 from lumisplat.io.files.source import parsing, read_bytes
-from lumisplat.io.images.texture import read_texture
+from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v, unit_normals
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import MaterialPbr
@@ -80,9 +82,11 @@ def _read(path: Path) -> list[Mesh]:
         kind = "points only" if listing.positions else "no vertex and no face"
         raise FormatError(path, f"holds {kind}, expected an OBJ file with faces ('f' lines)")
     materials: dict[str, MaterialPbr] = {}
+    textures = TextureBytes(path)
     for library in listing.libraries:
-        if (path.parent / library).exists():
-            materials |= _read_mtl(path.parent / library)
+        file = referenced_file(path, library)
+        if file.exists():
+            materials |= _read_mtl(file, path, textures)
         else:
             _log.warning("%s: material library %s is missing, the default material is used", path, library)
     sieve = TriangleSieve(path, out_of_range=listing.out_of_range)
@@ -203,11 +207,17 @@ def _mesh(
     )
 
 
-def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
-    """The materials of a library by name."""
+def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, MaterialPbr]:
+    """The materials of a library by name.
+
+    Args:
+        path: The library.
+        obj: The file that names it, whose folder its textures must not leave.
+        textures: All textures of that file.
+    """
     settings: dict[str, dict[str, Any]] = {}
     current: dict[str, Any] = {}
-    for number, line in enumerate(read_bytes(path).decode("utf-8", errors="replace").splitlines(), 1):
+    for number, line in enumerate(read_bytes(path, wanted_by=obj).decode(errors="replace").splitlines(), 1):
         keyword, *rest = line.split(None, 1) or [""]
         argument = rest[0].strip() if rest else ""
         try:
@@ -216,8 +226,9 @@ def _read_mtl(path: Path) -> dict[str, MaterialPbr]:
             elif keyword == "Kd" and not argument.startswith(("spectral", "xyz")):
                 current["base_color"] = tuple(np.clip((_numbers(argument, 1) * 3)[:3], 0.0, 1.0))
             elif keyword == "map_Kd":
-                texture = path.parent / _without_options(argument).replace("\\", "/")
-                current["base_color_texture"] = read_texture(texture, wanted_by=path)
+                name = _without_options(argument).replace("\\", "/")
+                data = read_reference(path, name, folder=obj.parent)
+                current["base_color_texture"] = decode_texture(data, path.parent / name, total=textures)
             elif keyword == "Ni":
                 current["ior"] = max(_numbers(argument, 1)[0], 1.0)
             elif keyword in ("Pr", "Pm"):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.source import read_bytes
 from lumisplat.io.ply.header import ENCODINGS, PlyElement, PlyHeader, PlyProperty, refuse_truncated
+
+_ZEROS = re.compile(rb"\0+")
 
 
 class PlyList(NamedTuple):
@@ -47,7 +50,7 @@ def read_ply_lists(header: PlyHeader, element: PlyElement) -> dict[str, PlyList]
         OSError: The file cannot be read.
     """
     start, rows_before = header.start(element)
-    data = Path(header.path).read_bytes()
+    data = read_bytes(header.path)
     if header.encoding == "ascii":
         stored = _with_types(element, "<", "f8")
         data = _ascii_as_doubles(header, element, data, rows_before)
@@ -89,8 +92,18 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
     sizes = [np.dtype(p.code).itemsize for p in element.properties]
     fields = list(zip(element.names, counters, sizes, strict=True))
     spans: dict[str, list[_Span]] = {name: [] for name, counter, _ in fields if counter}
-    position = 0
-    for row in range(count):
+    position, row = 0, 0
+    empty_row = b"\0" * sum(counter.size for _, counter, _ in fields if counter)
+    has_lists_only = bool(fields) and all(counter for _, counter, _ in fields)
+    while row < count:
+        if has_lists_only and data.startswith(empty_row, position):
+            zeros = _ZEROS.match(data, position)
+            assert zeros is not None
+            empty = min(count - row, len(zeros[0]) // len(empty_row))
+            for name in spans:
+                spans[name] += [_Span(position, 0)] * empty
+            position, row = position + empty * len(empty_row), row + empty
+            continue
         for name, counter, size in fields:
             length = 1
             if counter:
@@ -104,6 +117,7 @@ def _walk(header: PlyHeader, element: PlyElement, data: bytes, count: int) -> di
             position += length * size
         if position > len(data):
             refuse_truncated(header, element, f"{row:,}")
+        row += 1
     return spans
 
 

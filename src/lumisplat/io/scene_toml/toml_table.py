@@ -11,6 +11,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, TypeGuard
 
+from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
@@ -81,6 +82,12 @@ class _Text(NamedTuple):
     text: str
 
 
+_LONG_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{TOML_KEY_PARTS_MAX}}}""", re.ASCII
+)
+"""The first parts of a dotted key that is too long."""
+
+
 class TomlTable:
     """A table of a TOML file, with its place in the file."""
 
@@ -102,6 +109,9 @@ class TomlTable:
         """
         try:
             text = read_bytes(path).decode("utf-8-sig")
+            if long := _LONG_KEY.search(text):
+                line = text.count("\n", 0, long.start()) + 1
+                raise FormatError(path, f"line {line}: a dotted key has more than {TOML_KEY_PARTS_MAX} parts")
             return cls(tomllib.loads(text), _Text(Path(path), text))
         except tomllib.TOMLDecodeError as error:
             raise FormatError(path, f"is not valid TOML: {error}") from None

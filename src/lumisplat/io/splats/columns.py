@@ -82,6 +82,7 @@ def sh_property_names(coefficients: int) -> list[str]:
     return names + [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
 
 
+@np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
     """Applies exp and sigmoids, and refuses or drops Gaussians that cannot be rendered.
 
@@ -97,9 +98,8 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     """
     if columns.count == 0:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")
-    with np.errstate(over="ignore", under="ignore"):
-        scales = np.maximum(np.exp(columns.log_scales), np.float32(SCALE_MIN))
-        opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
+    scales = np.maximum(np.exp(columns.log_scales), np.float32(SCALE_MIN))
+    opacities = 1.0 / (1.0 + np.exp(-columns.opacities)) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
         columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
     rows = _rows_to_keep(path, columns, scales, drop_invalid)

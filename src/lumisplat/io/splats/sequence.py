@@ -38,9 +38,9 @@ def frame_paths(folder: Path) -> list[Path]:
     Raises:
         FormatError: The folder does not exist, holds no frame, or holds frames with different extensions.
     """
-    if not folder.is_dir():
-        raise FormatError(folder, "is a file, expected a folder of frames" if folder.exists() else "no such folder")
     try:
+        if not folder.is_dir():
+            raise FormatError(folder, "is a file, expected a folder of frames" if folder.exists() else "no such folder")
         files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     except OSError as error:
         raise FormatError(folder, f"cannot be read: {error.strerror or error}") from None

@@ -105,8 +105,10 @@ def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]
             with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
                 check_expansion(path, name, 4 * image.width * image.height, len(data))
                 return np.asarray(image.convert("RGBA"))
-        except (OSError, SyntaxError, EOFError, Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-            raise FormatError(path, f"{name} is damaged: {str(error).splitlines()[0]}") from None
+        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+            raise FormatError(path, f"{name} is too large to decode: {error}") from None
+        except (OSError, SyntaxError, EOFError) as error:
+            raise FormatError(path, f"{name} is damaged, or no image: expected WebP") from error
 
     with warnings.catch_warnings(), ThreadPoolExecutor(DECODER_THREADS) as threads:
         warnings.simplefilter("error", Image.DecompressionBombWarning)

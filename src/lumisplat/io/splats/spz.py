@@ -20,6 +20,7 @@ import numpy as np
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import FormatError
 from lumisplat.io.files.atomic import atomic_write
+from lumisplat.io.files.native import utf8_path
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.splats.axes import mirror_axes
 from lumisplat.io.splats.columns import SplatColumns, columns_from_gaussians, warn_lost_materials
@@ -85,7 +86,8 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
     if toc_end + sum(packed for packed, _ in toc) > len(data):
         raise FormatError(path, f"truncated: {len(data):,} bytes are fewer than its table of contents promises")
     try:
-        values = _gsply(path).read_spz(os.fspath(path))
+        with utf8_path(path) as text:
+            values = _gsply(path).read_spz(text)
     except RuntimeError as error:
         raise FormatError(path, f"damaged: {str(error).split(':')[0]}") from None
     sh = values["sh0"][:, None, :]
@@ -152,9 +154,9 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     arrays = (columns.means, columns.log_scales, columns.rotations_wxyz, columns.opacities, columns.sh[:, 0])
     rest = np.ascontiguousarray(columns.sh[:, 1:]) if columns.sh.shape[1] > 1 else None
     gsply = _gsply(path)
-    with atomic_write(path) as temporary:
+    with atomic_write(path) as temporary, utf8_path(temporary) as text:
         try:
-            gsply.write_spz(str(temporary), *map(np.ascontiguousarray, arrays), rest, fractional_bits=bits, version=4)
+            gsply.write_spz(text, *map(np.ascontiguousarray, arrays), rest, fractional_bits=bits, version=4)
         except RuntimeError as error:
             raise FormatError(path, f"cannot be written: {str(error).split(':')[0]}") from None
         if gaussians.antialiased:  # gsply writes no flags

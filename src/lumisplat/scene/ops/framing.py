@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
-from lumisplat.constants import FRAMING_ELEVATION, FRAMING_FOV_Y, FRAMING_MARGIN
+from lumisplat.constants import FRAMING_ELEVATION, FRAMING_FARTHEST, FRAMING_FOV_Y, FRAMING_MARGIN
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.scene.camera import Camera
@@ -110,6 +110,12 @@ def _fitting_distance(
     tan_y = math.tan(0.5 * fov_y)
     tan_x = tan_y * aspect
     low, high = scene.bulk_bounds()
+    farthest = float(np.abs([low, high]).max())
+    if farthest > FRAMING_FARTHEST:
+        raise SceneError(
+            f"reaches {farthest:.3g} units away from the origin, and no camera shows all of it: give a camera, or "
+            "leave out what is far away"
+        )
     size = max(float(np.linalg.norm(high - low)), 1e-6)
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center
     needed = 0.5 * size

@@ -1,0 +1,74 @@
+"""``-o -``: the file goes to standard output, whole or not at all, and messages to standard error."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.cli import main
+from support.files.splat_files import capture
+
+
+@pytest.fixture
+def run(tmp_path: Path):
+    """Runs a command in a folder with a mesh and a capture; its streams are bytes."""
+    (tmp_path / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
+    ls.save(tmp_path / "capture.ply", capture(5))
+
+    def of(*args: str) -> subprocess.CompletedProcess[bytes]:
+        command = [sys.executable, "-m", "lumisplat", *args]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+
+    return of
+
+
+def test_a_picture(run, tmp_path: Path) -> None:
+    """A PNG of the same pixels as in a file; what is printed goes to standard error; no file is left."""
+    piped = run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "-", "--stats")
+    assert piped.returncode == 0
+    assert piped.stderr.startswith(b"last frame")
+    assert piped.stderr.endswith(b"standard output (32 x 18)\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"mesh.obj", "capture.ply"}
+    run("render", "mesh.obj", "--width", "32", "--device", "cpu", "-o", "file.png")
+    pixels = [np.asarray(Image.open(source)) for source in (io.BytesIO(piped.stdout), tmp_path / "file.png")]
+    np.testing.assert_array_equal(pixels[0], pixels[1])
+
+
+def test_a_capture(run, tmp_path: Path) -> None:
+    """Convert writes a PLY."""
+    piped = run("convert", "capture.ply", "-")
+    assert piped.returncode == 0
+    assert piped.stderr.startswith(b"standard output: 5 Gaussians")
+    (tmp_path / "piped.ply").write_bytes(piped.stdout)
+    again = ls.load(tmp_path / "piped.ply")
+    assert isinstance(again, ls.Gaussians)
+    assert again.count == 5
+
+
+def test_mistakes_write_nothing(run) -> None:
+    """One line, and no byte of a picture."""
+    for args, named in ((("missing.ply",), b"missing.ply"), (("mesh.obj", "--aov", "depth"), b"-o - is one picture")):
+        done = run("render", *args, "-o", "-")
+        assert (done.returncode, done.stdout) == (2, b"")
+        assert named in done.stderr
+        assert done.stderr.count(b"\n") == 1
+
+
+def test_info_shows_what_is_used_often_once(tmp_path: Path, capsys) -> None:
+    """3,000 instances of a mesh are one table, and their bounds take no memory of their own."""
+    (tmp_path / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
+    entry = '[[meshes]]\npath = "mesh.obj"\nposition = [{}, 0, 0]\n'
+    (tmp_path / "many.toml").write_text("".join(entry.format(k) for k in range(500)))
+    assert main(["info", str(tmp_path / "many.toml")]) == 0
+    shown = capsys.readouterr().out
+    assert "500 meshes" in shown
+    assert "mesh 0   (500 times)" in " ".join(shown.split("\n")).replace("mesh 0      (", "mesh 0   (")
+    assert shown.count("vertices") == 1
+    assert "(-1, -1, 4) to (500, 1, 4)" in shown

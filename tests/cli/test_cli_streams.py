@@ -1,0 +1,70 @@
+"""Standard streams that are closed, full or no longer read: no traceback, and the pictures are written all the same."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+INFO, WRONG, HELP = "info mesh.obj", "info missing.ply", "--help"
+
+
+@pytest.fixture
+def shell(tmp_path: Path):
+    """Runs a command line of lumisplat in bash, in a folder with a mesh."""
+    (tmp_path / "mesh.obj").write_text("v -1 -1 4\nv 1 -1 4\nv 0 1 4\nf 1 2 3\n")
+
+    def run(line: str) -> subprocess.CompletedProcess[str]:
+        command = f'set -o pipefail; "{sys.executable}" -m lumisplat {line}'
+        return subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    return run
+
+
+@pytest.mark.parametrize("command", [INFO, HELP])
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", "<&- >&- 2>&-"])
+def test_closed_streams(shell, command: str, closed: str) -> None:
+    """The caller does not want to hear: what is said there is lost, and nothing else."""
+    done = shell(f"{command} {closed}")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert bool(done.stdout) == (">&-" not in closed.split())
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-"])
+def test_closed_streams_keep_the_status(shell, closed: str) -> None:
+    """A mistake is one line and status 2, if there is somebody to read the line."""
+    done = shell(f"{WRONG} {closed}")
+    assert done.returncode == 2
+    assert done.stderr == ("" if "2" in closed else "error: missing.ply: no such file\n")
+
+
+@pytest.mark.parametrize("command", [INFO, HELP])
+@pytest.mark.parametrize("pipe", ["| head -0", "2>&1 | head -0"])
+def test_pipes_that_are_not_read(shell, command: str, pipe: str) -> None:
+    """Ends silently with the status of a broken pipe, tables as well as lines."""
+    done = shell(f"{command} {pipe}")
+    assert (done.returncode, done.stdout, done.stderr) == (141, "", "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("command", [INFO, HELP])
+def test_a_full_disk_is_named(shell, monkeypatch, command: str, unbuffered: str) -> None:
+    """One line that says that it is standard output that is full."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    done = shell(f"{command} > /dev/full")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: standard output: cannot be ")
+    assert done.stderr.endswith("written: No space left on device\n")
+    assert done.stderr.count("\n") == 1
+    assert shell(f"{WRONG} 2> /dev/full").returncode == 2
+
+
+def test_a_render_without_standard_error(shell, tmp_path: Path) -> None:
+    """Kernels are loaded, which once duplicated the descriptor, and the picture is written."""
+    done = shell("render mesh.obj --width 32 --device cpu -o seen.png 2>&-")
+    assert (done.returncode, done.stdout) == (0, "seen.png (32 x 18)\n")
+    assert (tmp_path / "seen.png").stat().st_size > 0

@@ -1,0 +1,205 @@
+"""Files that files name: regular ones of bounded size, in the folder of the file that names them unless allowed."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumisplat as ls
+from lumisplat.cli import main
+from lumisplat.errors import FormatError
+from lumisplat.io.files import source
+from support.files.mesh_files import ply_text, png_bytes, quad_gltf
+
+OBJ = "mtllib {}\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+
+
+def _gltf_buffer(folder: Path, name: str) -> Path:
+    gltf = quad_gltf()
+    (folder / "quad.gltf").write_text(
+        json.dumps(gltf.json | {"buffers": [{"uri": name, "byteLength": len(gltf.data)}]})
+    )
+    return folder / "quad.gltf"
+
+
+def _gltf_image(folder: Path, name: str) -> Path:
+    gltf = quad_gltf()
+    (folder / "quad.bin").write_bytes(gltf.data)
+    buffers = [{"uri": "quad.bin", "byteLength": len(gltf.data)}]
+    (folder / "quad.gltf").write_text(json.dumps(gltf.json | {"buffers": buffers, "images": [{"uri": name}]}))
+    return folder / "quad.gltf"
+
+
+def _obj_library(folder: Path, name: str) -> Path:
+    (folder / "tri.obj").write_text(OBJ.format(name))
+    return folder / "tri.obj"
+
+
+def _mtl_texture(folder: Path, name: str) -> Path:
+    (folder / "paint.mtl").write_text(f"newmtl paint\nmap_Kd {name}\n")
+    return _obj_library(folder, "paint.mtl")
+
+
+def _ply_texture(folder: Path, name: str) -> Path:
+    comment = f"format ascii 1.0\ncomment TextureFile {name}\n".encode()
+    (folder / "mesh.ply").write_bytes(ply_text().replace(b"format ascii 1.0\n", comment))
+    return folder / "mesh.ply"
+
+
+NAMERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
+    "buffer": (_gltf_buffer, quad_gltf().data),
+    "image": (_gltf_image, png_bytes()),
+    "library": (_obj_library, b"newmtl paint\nKd 1 0 0\n"),
+    "map": (_mtl_texture, png_bytes()),
+    "ply texture": (_ply_texture, png_bytes()),
+}
+"""Writers of a file that names another one, and what that one holds."""
+
+
+@pytest.fixture(params=NAMERS)
+def namer(request) -> tuple[Callable[[Path, str], Path], bytes]:
+    """One of `NAMERS`."""
+    return NAMERS[request.param]
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_names_stay_in_their_folder(tmp_path: Path, namer, absolute: bool) -> None:
+    """A name that leads out of the folder is refused, before it is read, unless the caller allows it."""
+    write, content = namer
+    (tmp_path / "model" / "sub").mkdir(parents=True)
+    (tmp_path / "secret").write_bytes(content)
+    (tmp_path / "model" / "sub" / "own").write_bytes(content)
+    ls.load(write(tmp_path / "model", "sub/../sub/own"))
+    path = write(tmp_path / "model", os.fspath(tmp_path / "secret") if absolute else "../secret")
+    with pytest.raises(FormatError, match=r"which is not in its folder: .*--allow-outside \(allow_outside=True\)"):
+        ls.load(path)
+    ls.load(path, allow_outside=True)
+
+
+def test_the_shell_allows_it_too(tmp_path: Path, capsys) -> None:
+    """The option of the message."""
+    (tmp_path / "model").mkdir()
+    (tmp_path / "wood.png").write_bytes(png_bytes())
+    path = _mtl_texture(tmp_path / "model", "../wood.png")
+    assert main(["info", str(path)]) == 2
+    assert "paint.mtl: names '../wood.png', which is not in its folder" in capsys.readouterr().err
+    assert main(["info", str(path), "--allow-outside"]) == 0
+
+
+def test_materials_share_the_folder_of_their_mesh(tmp_path: Path) -> None:
+    """A library below the mesh may name textures beside it."""
+    (tmp_path / "materials").mkdir()
+    (tmp_path / "wood.png").write_bytes(png_bytes())
+    (tmp_path / "materials" / "paint.mtl").write_text("newmtl paint\nmap_Kd ../wood.png\n")
+    mesh = ls.load(_obj_library(tmp_path, "materials/paint.mtl"))
+    assert isinstance(mesh, ls.Mesh)
+    assert mesh.material.base_color_texture is not None
+
+
+def test_links_and_scene_files_are_the_users_own(tmp_path: Path) -> None:
+    """A symbolic link in the folder is followed, and a scene file names what it likes; its meshes do not."""
+    (tmp_path / "model").mkdir()
+    (tmp_path / "wood.png").write_bytes(png_bytes())
+    (tmp_path / "model" / "link.png").symlink_to(tmp_path / "wood.png")
+    _mtl_texture(tmp_path / "model", "link.png")
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "scene.toml").write_text('[[meshes]]\npath = "../model/tri.obj"\n')
+    ls.load(tmp_path / "scenes" / "scene.toml")
+    _mtl_texture(tmp_path / "model", "../wood.png")
+    with pytest.raises(FormatError, match="not in its folder"):
+        ls.load(tmp_path / "scenes" / "scene.toml")
+    ls.load(tmp_path / "scenes" / "scene.toml", allow_outside=True)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_only_regular_files_are_read(tmp_path: Path, namer, kind: str) -> None:
+    """A pipe would wait for its writer, a device may never end."""
+    write, _ = namer
+    name = "/dev/zero"
+    if kind == "pipe":
+        os.mkfifo(tmp_path / "pipe")
+        name = "pipe"
+    with pytest.raises(FormatError, match="is a device, a pipe or a socket, expected a file"):
+        ls.load(write(tmp_path, name), allow_outside=True)
+
+
+@pytest.mark.parametrize(
+    "read", [ls.load, ls.load_cameras, ls.load_radiance, ls.load_image, ls.load_config, ls.DeepShadowMap.load]
+)
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".obj", ".glb", ".toml", ".json", ".exr"])
+def test_no_reader_waits_for_a_pipe(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:
+    """Also of files that the user names."""
+    os.mkfifo(tmp_path / f"pipe{suffix}")
+    with pytest.raises(FormatError, match="is a device, a pipe or a socket"):
+        read(tmp_path / f"pipe{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("text", "read"),
+    [
+        ('[environment]\npath = "{}"\n', ls.load),
+        ('[[splats]]\npath = "{}"\n', ls.load),
+        ('[[meshes]]\npath = "{}"\n', ls.load),
+        ('[materials.a]\nbase_color_texture = "{}"\n[[meshes]]\npath = "{}"\n', ls.load),
+        ('[[cameras]]\npath = "{}"\n', ls.load_cameras),
+        ('[[actors]]\npath = "{}"\n', ls.load_animation),
+    ],
+)
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
+def test_scene_files_read_regular_files(tmp_path: Path, text: str, read, name: str) -> None:
+    """Whatever they name."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "scene.toml").write_text(text.replace("{}", name))
+    with pytest.raises(FormatError, match="is a device, a pipe or a socket"):
+        read(tmp_path / "scene.toml")
+
+
+def test_images_of_cameras_are_regular_files(tmp_path: Path) -> None:
+    """A frame without a size looks for its image: a pipe of that name is none."""
+    os.mkfifo(tmp_path / "image.png")
+    frame = {"file_path": "image.png", "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
+    with pytest.raises(FormatError, match="there is no image"):
+        ls.load_cameras(tmp_path / "transforms.json")
+
+
+def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of holes takes no room on the disk, but would in memory."""
+    monkeypatch.setattr(source, "FILE_BYTES_MAX", 10**6)
+    with (tmp_path / "huge.png").open("wb") as file:
+        file.truncate(10**6 + 1)
+    with pytest.raises(FormatError, match=r"huge\.png: has 1,000,001 bytes, expected at most 1,000,000 \(needed by"):
+        ls.load(_gltf_image(tmp_path, "huge.png"))
+
+
+def _bombs(folder: Path, count: int) -> Path:
+    """A glTF with ``count`` materials, each with a texture of 170 MB that takes 0.3 MB of the file."""
+    flat = io.BytesIO()
+    Image.new("RGB", (7536, 7536)).save(flat, "PNG")
+    gltf = quad_gltf()
+    (folder / "quad.bin").write_bytes(gltf.data)
+    for index in range(count):
+        (folder / f"{index}.png").write_bytes(flat.getvalue())
+    gltf.json["images"] = [{"uri": f"{index}.png"} for index in range(count)]
+    gltf.json["textures"] = [{"source": index} for index in range(count)]
+    gltf.json["materials"] = [
+        {"pbrMetallicRoughness": {"baseColorTexture": {"index": index}}} for index in range(count)
+    ]
+    (primitive,) = gltf.json["meshes"][0]["primitives"]
+    gltf.json["meshes"][0]["primitives"] = [primitive | {"material": index} for index in range(count)]
+    buffers = [{"uri": "quad.bin", "byteLength": len(gltf.data)}]
+    (folder / "quad.gltf").write_text(json.dumps(gltf.json | {"buffers": buffers}))
+    return folder / "quad.gltf"
+
+
+def test_textures_are_bounded_together(tmp_path: Path) -> None:
+    """Each image alone is small enough; the file is refused before it fills the memory."""
+    with pytest.raises(FormatError, match=r"quad\.gltf: textures up to \d\.png would take 1,\d+,\d+,\d+ bytes"):
+        ls.load(_bombs(tmp_path, 10))

@@ -1,0 +1,78 @@
+"""The cache of compiled kernels: what is damaged there is compiled again, with one line."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import warp as wp
+
+from lumisplat.errors import DeviceError
+from lumisplat.runtime.kernel_cache import load_module
+
+
+@pytest.fixture
+def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A kernel in a module of its own, compiled into a cache of its own, and not loaded."""
+    wp.init()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def twice(values_inout: wp.array(dtype=float)):  # pyright: ignore[reportInvalidTypeForm]
+        i = wp.tid()
+        values_inout[i] = 2.0 * values_inout[i]
+
+    made = cast(Any, twice)
+    made.module.unload()  # the tests share it
+    load_module(made.module, "cpu", 1)
+    made.module.unload()
+    return made
+
+
+def _cut(file: Path) -> None:
+    os.truncate(file, file.stat().st_size - 1)
+
+
+def _empty(file: Path) -> None:
+    os.truncate(file, 0)
+
+
+def _garbage(file: Path) -> None:
+    file.write_bytes(np.random.default_rng(3).bytes(5000))
+
+
+@pytest.mark.parametrize("damage", [_cut, _empty, _garbage])
+@pytest.mark.parametrize("suffix", [".o", ".meta"])
+def test_damage_is_mended(kernel, tmp_path, caplog, suffix, damage) -> None:
+    """One line names the folder; the kernel works, and the next load finds nothing wrong."""
+    (file,) = tmp_path.glob(f"*/*{suffix}")
+    damage(file)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        load_module(kernel.module, "cpu", 1)
+        kernel.module.unload()
+        load_module(kernel.module, "cpu", 1)
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{file.parent}: compiled kernels are damaged, and are made anew"
+    ]
+    values = wp.array([1.0, 2.0], dtype=float, device="cpu")
+    wp.launch(kernel, 2, inputs=[values], device="cpu")
+    assert values.numpy().tolist() == [2.0, 4.0]
+
+
+def test_a_sound_cache_is_left_alone(kernel, tmp_path, caplog) -> None:
+    """No line, and the same files."""
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    load_module(kernel.module, "cpu", 1)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+    assert not caplog.records
+
+
+def test_folders_that_warp_cannot_name(kernel, tmp_path, monkeypatch) -> None:
+    """Warp passes names on in UTF-8: another name is one clear error."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / os.fsdecode(b"fa\xe7ade")))
+    with pytest.raises(DeviceError, match="WARP_CACHE_PATH to another folder"):
+        load_module(kernel.module, "cpu", 1)
