@@ -219,7 +219,7 @@ def main() -> None:
     for place in chosen:
         print(f"{place.name} ...", file=sys.stderr, flush=True)
         rows[place.name] = measure(place, figure, given.frames, given.device, given.pictures)
-    facts = describe_machine() | {"frames": given.frames, "figure": given.figure}
+    facts = describe_machine(given.device) | {"frames": given.frames, "figure": given.figure}
     print(json.dumps(facts | {"places": rows}))
     table = lines(facts, rows)
     print("\n".join(table))

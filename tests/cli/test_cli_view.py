@@ -115,7 +115,7 @@ def test_depth_can_be_measured(work):
     assert frame.depth_range is not None
     near, far = frame.depth_range
     with Image.open(work.path("a.depth16.png")) as picture:
-        texts, values = dict(picture.text), np.asarray(picture, np.int64)
+        texts, values = dict(picture.info), np.asarray(picture, np.int64)
         assert picture.mode == "I;16"
     assert (float(texts["depth_near"]), float(texts["depth_far"])) == (near, far)
     assert f"from {near:.6g} (1) to {far:.6g} (65535)" in outcome.out

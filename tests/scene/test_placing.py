@@ -231,12 +231,15 @@ def test_shapes_have_their_sizes():
 def test_smooth_normals_break_at_creases():
     """Of a box none are smooth, of a sphere all; a crease angle of 0 is flat."""
     sharp = ls.smooth_normals(replace(BOX, normals=None))
+    assert sharp.normals is not None
     assert sharp.vertex_count == 24
     np.testing.assert_allclose(np.abs(sharp.normals).max(axis=1), 1.0, atol=1e-6)
     ball = ls.sphere(1.0, rows=24)
     smooth = ls.smooth_normals(replace(ball, normals=None))
+    assert smooth.normals is not None
     np.testing.assert_allclose(smooth.normals, smooth.positions, atol=5e-3)
     round_box = ls.smooth_normals(BOX, math.pi)
+    assert round_box.normals is not None
     np.testing.assert_allclose(np.abs(round_box.normals), 1 / math.sqrt(3), atol=1e-6)
     assert ls.smooth_normals(ball, 0.0).normals is None
     with pytest.raises(ls.SceneError, match="crease_angle is 50"):
@@ -252,7 +255,7 @@ def test_objs_without_normals_are_smooth(tmp_path):
     (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
     smooth, flat = ls.load(tmp_path / "ball.obj"), ls.load(tmp_path / "ball.obj", crease_angle=0.0)
     assert isinstance(smooth, ls.Mesh) and isinstance(flat, ls.Mesh)
-    assert flat.normals is None
+    assert flat.normals is None and smooth.normals is not None
     np.testing.assert_allclose(smooth.normals, smooth.positions, atol=0.03)
     (instance,) = load_scene(tmp_path, '[[meshes]]\npath = "ball.obj"\ncrease_angle_degrees = 10\n').meshes
     normals = instance.mesh.normals

@@ -132,13 +132,14 @@ def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
         corner = np.where(seen[..., None], point - 0.5, 0.0)
         first = np.floor(corner).astype(np.int64)
         weights = _cubic(np.asarray(corner - first, dtype=np.float64))
-        value: _Doubles = np.zeros_like(total)
+        value: _Doubles = np.zeros(total.shape)
         low, high = np.full_like(total, np.inf), np.full_like(total, -np.inf)
         for j, i in np.ndindex(4, 4):
             x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)
             y = np.clip(first[..., 1] + j - 1, 0, image.shape[0] - 1)
             texel = image[y, x]
-            value += (weights[i][..., 0] * weights[j][..., 1])[..., None] * texel
+            weight: _Doubles = weights[i][..., 0] * weights[j][..., 1]
+            value += weight[..., None] * texel
             if i in (1, 2) and j in (1, 2):
                 low, high = np.minimum(low, texel), np.maximum(high, texel)
         total += np.where(seen[..., None], np.clip(value, low, high), empty)

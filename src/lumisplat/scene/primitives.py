@@ -90,7 +90,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
     # At the poles, one triangle of each quad has no area.
     return Mesh(
         radius * normals,
-        np.concatenate([upper[columns:], lower[:-columns]]),
+        np.concatenate((upper[columns:], lower[:-columns]), dtype=np.int64),
         normals=normals,
         uvs=np.stack([u.ravel(), v.ravel()], axis=1),
         material=MaterialPbr() if material is None else material,

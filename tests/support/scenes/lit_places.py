@@ -30,7 +30,7 @@ def box(center: Point, size: Point) -> ls.Mesh:
 def ball(center: Point, radius: float) -> ls.Mesh:
     """A sphere."""
     mesh = icosphere(radius)
-    return replace(mesh, positions=mesh.positions + np.float32(center))
+    return replace(mesh, positions=mesh.positions + np.asarray(center, np.float32))
 
 
 def painted(mesh: ls.Mesh, count: int, linear: np.ndarray | float) -> ls.Gaussians:

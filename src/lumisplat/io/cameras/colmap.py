@@ -20,7 +20,7 @@ from lumisplat.scene.camera import Camera, CameraModel
 FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 """Files of a model, any of which stands for it."""
 
-_NAMES = (
+_NAMES: tuple[str, ...] = (
     *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
     *("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"),
     *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
@@ -136,7 +136,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
     for _ in range(count):
         number, model, width, height = _CAMERA.unpack_from(data, at)
         at += _CAMERA.size
-        name = _NAMES[model] if 0 <= model < len(_NAMES) else f"model {model}"
+        name: str = _NAMES[model] if 0 <= model < len(_NAMES) else f"model {model}"
         if name not in _PARAMETERS:
             raise FormatError(path, f"camera {number} is a {name}, expected {', '.join(_PARAMETERS)}")
         values = struct.unpack_from(f"<{len(_PARAMETERS[name].split())}d", data, at)

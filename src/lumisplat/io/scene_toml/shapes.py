@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import Kind, TomlTable, Values, is_list, suggestion
 from lumisplat.scene.mesh import Mesh
@@ -33,7 +35,8 @@ def shape_mesh(table: TomlTable, given: Values) -> Mesh:
         if shape == "sphere" and not is_list(size):
             return sphere(0.5 * size)
         if shape == "plane" and not (is_list(size) and len(size) != 2):
-            return plane(*(size if is_list(size) else (size, size)))
+            edges: list[Any] = size if isinstance(size, list) else [size, size]
+            return plane(*edges)
     except (SceneError, TypeError):
         pass
     expected = {"box": "one positive number or three", "plane": "one positive number or two", "sphere": "its diameter"}

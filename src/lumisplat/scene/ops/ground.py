@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ def stand_on_ground(instance: _Placed, height: float = 0.0, *, up: str | npt.Arr
     Raises:
         SceneError: It is no instance, or an argument is out of range.
     """
-    if not isinstance(instance, SplatInstance | MeshInstance):
+    if not isinstance(cast(object, instance), SplatInstance | MeshInstance):
         raise SceneError(f"stand_on_ground takes a SplatInstance or a MeshInstance, got a {type(instance).__name__}")
     if not is_number(height) or not math.isfinite(height):
         raise SceneError(f"height is {height}, expected a finite number")

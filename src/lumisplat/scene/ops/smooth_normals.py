@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.constants import CREASE_ANGLE, WELD_SHARE
@@ -54,9 +55,12 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
         weights = angle_of_corner[rows][:, None, :] * (np.einsum("nic,njc->nij", around, around) >= cosine)
         normals[rows] = np.einsum("nij,njc->nic", weights, around)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(lengths > 1e-12, normals / np.maximum(lengths, 1e-300), faces[face_of_corner])
+    flat = lengths[:, 0] <= 1e-12
+    normals /= np.maximum(lengths, 1e-300)
+    normals[flat] = faces[face_of_corner[flat]]
     # Corners of a vertex whose normals are equal stay one vertex.
-    keys = np.column_stack([mesh.indices.ravel(), np.round(normals * 1e5).astype(np.int64)])
+    cells: npt.NDArray[np.int64] = np.rint(normals * 1e5).astype(np.int64)
+    keys = np.column_stack([mesh.indices.ravel(), cells])
     _, first, vertex = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     old = mesh.indices.ravel()[first]
     return replace(
