@@ -15,7 +15,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -159,7 +159,9 @@ def measure(place: Place, figure: Figure, frames: int, device: str, pictures: Pa
             for name, metric in METRICS.items():
                 found[f"{name}_{kind}"].append(metric(points, around, radius=place.radius))
         if pictures is not None:
-            keep_picture(pictures / f"{place.name.replace(' ', '_')}_{number:02d}.png", place, scene, captured, relit)
+            keep_picture(
+                pictures / f"{place.name.replace(' ', '_')}_{number:02d}.png", place, scene, (captured, relit), device
+            )
     means = {name: statistics.mean(values) for name, values in found.items()}
     return means | {"seconds": time.perf_counter() - begun}
 
@@ -172,21 +174,19 @@ def some_points(points: ls.LitPoints) -> ls.LitPoints:
     return ls.LitPoints(points.positions[rows], points.normals[rows], points.rgb[rows])
 
 
-def keep_picture(
-    path: Path, place: Place, scene: ls.Scene, captured: ls.SplatInstance, relit: ls.SplatInstance
-) -> None:
+def keep_picture(path: Path, place: Place, scene: ls.Scene, actors: Sequence[ls.SplatInstance], device: str) -> None:
     """The figure as captured beside the relit one."""
     from PIL import Image
 
     up = 1.0 if place.y_up else -1.0
-    target = captured.world_means.mean(axis=0)
+    target = actors[0].world_means.mean(axis=0)
     away = 1.0 if target[2] >= 0.0 else -1.0
     eye = target + place.tall * np.array([0.35, 0.35 * up, 1.9 * away])
     camera = ls.Camera.look_at(eye, target, (0.0, up, 0.0), width=480, height=480, fov_y=0.8)
     config = ls.RenderConfig(background=place.background)
     frames = [
-        ls.render(replace(scene, splats=(*scene.splats, actor)), camera, config, device="cpu").pixels_srgb()
-        for actor in (captured, relit)
+        ls.render(replace(scene, splats=(*scene.splats, actor)), camera, config, device=device).pixels_srgb()
+        for actor in actors
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet = np.concatenate(frames, axis=1).clip(0.0, 1.0)

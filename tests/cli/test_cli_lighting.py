@@ -57,7 +57,7 @@ tone_map = "agx"
 min_response = 0.0113
 
 [render.shadow_rays]
-offset = 4
+offset = 5
 """
 
 
@@ -102,7 +102,7 @@ FILE_CONFIG = ls.RenderConfig(
     shadows=ls.Shadows.SOFT,
     tone_map=ls.ToneMap.AGX,
     response=ls.ResponseConfig(min_response=0.0113),
-    shadow_rays=ls.ShadowConfig(offset=4),
+    shadow_rays=ls.ShadowConfig(offset=5),
 )
 
 
@@ -120,7 +120,7 @@ def test_options_win_over_the_file(work, monkeypatch):
     """Each changes its own setting, also back to the library's default, and leaves the others of the file."""
     stage = Stage(monkeypatch)
     options = ("--pipeline", "raster", "--samples", "auto", "--shadows", "hard", "--tone-map", "none")
-    options += ("--background", "black", "--shadow-offset", "3", "--min-response", "0", "--exposure", "-2")
+    options += ("--background", "black", "--shadow-offset", "4", "--min-response", "0", "--exposure", "-2")
     assert work.run("render", "@scene.toml", "-o", "@a.png", "--frame", "near", *options).status == 0
     assert stage.config == ls.RenderConfig()
     assert [camera.exposure for camera in stage.cameras] == [-2.0]
@@ -356,6 +356,8 @@ DEFAULTS: dict[str, Any] = {
     "shadows": CONFIG.shadows,
     "shadow_method": CONFIG.shadow_rays.method,
     "shadow_hits": CONFIG.shadow_rays.hits,
+    "depth_iso": CONFIG.raster.depth_iso_transmittance,
+    "acceptance_scale": CONFIG.trace.acceptance_scale,
     "shadow_offset": CONFIG.shadow_rays.offset,
     "shadow_offset_absolute": CONFIG.shadow_rays.offset_absolute,
     "shadow_threshold": CONFIG.shadow_rays.transmittance_threshold,
@@ -385,7 +387,7 @@ def test_info_lists_lights_cameras_and_settings(work, sky):
     assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown
     assert "environment 1 x image 4 x 2" in shown
     assert "names near, far" in shown
-    assert "pipeline trace background None response.min_response 0.0113 shadows soft shadow_rays.offset 4" in shown
+    assert "pipeline trace background None response.min_response 0.0113 shadows soft shadow_rays.offset 5" in shown
     assert "kind radiance size 4 x 2 mean 10.5 11.5 12.5 largest 23" in shown
 
 

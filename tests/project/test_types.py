@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 STUBS = sorted((ROOT / "typings").glob("*.pyi"))
-WIDER = ("npt.ArrayLike", "npt.ArrayLike | None", "Iterable[")
+WIDER = ("npt.ArrayLike", "npt.ArrayLike | None", "str | npt.ArrayLike | None", "Iterable[")
 """Beginnings of the types that a parameter may have in place of its field's."""
 
 

@@ -280,6 +280,8 @@ def test_pixels_that_are_not_finite_are_left_out(caplog) -> None:
     inner = ls.create_renderer(ls.RenderConfig(background=(1.0, 1.0, 1.0)), "cpu")
 
     class Broken:
+        config, device = inner.config, inner.device
+
         def __init__(self, rows: slice) -> None:
             self.rows = rows
 

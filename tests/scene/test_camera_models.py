@@ -106,7 +106,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
     assert behind.any() == (model is FISHEYE)
     depth_z = frame_of(camera, depth).depth_z
     assert depth_z.dtype == np.float32
-    np.testing.assert_allclose(depth_z, expected, rtol=1e-6)
+    np.testing.assert_allclose(depth_z, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -196,9 +196,9 @@ def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message
 
 
 def test_depth_z_of_a_drawn_frame() -> None:
-    """The raster's own depth and ``ray_directions`` agree: a Gaussian off the axis has its mean's view depth."""
-    scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), 0.3, 0.9)])
+    """The raster's own depth and ``ray_directions`` agree: a flat Gaussian off the axis has one view depth."""
+    scene = ls.Scene([one_gaussian((0.9, -0.7, 3.0), (0.3, 0.3, 1e-4), 0.9)])
     frame = ls.render(scene, front_camera(), device="cpu")
     found = np.isfinite(frame.depth)
     assert found.any()
-    np.testing.assert_allclose(frame.depth_z[found], 3.0, rtol=1e-6)
+    np.testing.assert_allclose(frame.depth_z[found], 3.0, rtol=1e-5)

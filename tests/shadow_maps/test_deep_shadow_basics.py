@@ -376,7 +376,7 @@ def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
         {"samples": 0},
         {"strength": -1.0},
         {"max_distance": 0.0},
-        {"absorption": "avg"},
+        {"absorption": "average"},
     ],
 )
 def test_bad_settings_are_named(changes: dict[str, Any]) -> None:

@@ -137,9 +137,8 @@ def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
         for j, i in np.ndindex(4, 4):
             x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)
             y = np.clip(first[..., 1] + j - 1, 0, image.shape[0] - 1)
-            texel = image[y, x]
-            weight: _Doubles = weights[i][..., 0] * weights[j][..., 1]
-            value += weight[..., None] * texel
+            texel: _Doubles = image[y, x].astype(np.float64)
+            value = np.asarray(value + weights[i][..., :1] * weights[j][..., 1:] * texel, dtype=np.float64)
             if i in (1, 2) and j in (1, 2):
                 low, high = np.minimum(low, texel), np.maximum(high, texel)
         total += np.where(seen[..., None], np.clip(value, low, high), empty)

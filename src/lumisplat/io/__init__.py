@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumisplat.errors import FormatError
+from lumisplat.io.files.format import format_of
 from lumisplat.io.files.references import references_outside
-from lumisplat.io.files.source import PathLike, check_regular
+from lumisplat.io.files.source import PathLike
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -64,8 +65,6 @@ _WRITERS = {
 }
 """Writers of `save` by extension; the first one that a file name ends with is used."""
 
-_INNER_LISTED = 8
-"""How many captures of a folder a message lists."""
 
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
 WRITABLE = ".ply, .compressed.ply, .spz"
@@ -120,7 +119,7 @@ def load(
 def _read(
     path: Path, drop_invalid: bool, crease_angle: float | None, progress: Progress | None
 ) -> SplatColumns | Mesh | Scene:
-    extension = _extension(path)
+    extension = format_of(path)
     if extension == ".ply":
         return _read_ply(path, progress)
     if extension == ".toml":
@@ -137,29 +136,6 @@ def _import(function: str) -> Any:
     """A function of this package, imported on first use: ``splats.spz.read_spz``."""
     module, _, name = function.rpartition(".")
     return getattr(import_module(f"{__name__}.{module}"), name)
-
-
-def _extension(path: Path) -> str:
-    """The extension of a file that exists, ``.sog`` for a SOG folder or its meta.json."""
-    if path.is_dir():
-        if (path / "meta.json").is_file():
-            return ".sog"
-        raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{_inner_sog(path)}")
-    if not path.exists():
-        raise FormatError(path, "no such file")
-    check_regular(path, path.stat())
-    if path.stat().st_size == 0:
-        raise FormatError(path, "is empty: zero bytes")
-    return ".sog" if path.name == "meta.json" else path.suffix.lower()
-
-
-def _inner_sog(folder: Path) -> str:
-    """Which folders in a folder are SOG captures, such as the levels of a streamed one, as the end of a message."""
-    inner = sorted(meta.parent.name for meta in folder.glob("*/meta.json"))
-    if not inner:
-        return ""
-    more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
-    return f": give one of the captures in it, {', '.join(inner[:_INNER_LISTED])}{more}"
 
 
 def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:

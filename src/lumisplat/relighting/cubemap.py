@@ -16,6 +16,7 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.checks import check_kind
 from lumisplat.scene.ops.pixel_rays import world_rays
 from lumisplat.scene.scene import Scene
 
@@ -72,6 +73,7 @@ def render_cube(scene: Scene, position: _Doubles, renderer: Renderer, face_px: i
     Raises:
         SceneError: No pixel is finite, or the renderer refuses the scene.
     """
+    check_kind("scene", scene, Scene, "a Scene")
     if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights:
         # The headlight that shows meshes alone goes with the viewer: it is no light of the place.
         renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)

@@ -86,11 +86,12 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
     normals = np.stack([radii * np.sin(around), np.cos(polar), radii * np.cos(around)], axis=1)
     first = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
     below = first + columns + 1
-    upper, lower = np.stack([first, below + 1, first + 1], axis=1), np.stack([first, below, below + 1], axis=1)
+    upper = np.asarray(np.stack([first, below + 1, first + 1], axis=1), dtype=np.int64)
+    lower = np.asarray(np.stack([first, below, below + 1], axis=1), dtype=np.int64)
     # At the poles, one triangle of each quad has no area.
     return Mesh(
         radius * normals,
-        np.concatenate((upper[columns:], lower[:-columns]), dtype=np.int64),
+        np.concatenate([upper[columns:], lower[:-columns]]),
         normals=normals,
         uvs=np.stack([u.ravel(), v.ravel()], axis=1),
         material=MaterialPbr() if material is None else material,

@@ -200,5 +200,5 @@ def test_a_capture_beside_a_lit_mesh_is_as_captured(pipeline: ls.Pipeline, tmp_p
     assert 0.1 < untouched.mean() < 0.9
     assert (frame.light[~untouched] != 0.0).any()
     shown = frame.pixels_srgb()
-    np.testing.assert_array_equal(shown[untouched & same], unlit.color[untouched & same])
+    np.testing.assert_array_equal(shown[untouched & same], unlit.pixels_srgb()[untouched & same])
     assert (untouched & same).sum() > 0.9 * untouched.sum()

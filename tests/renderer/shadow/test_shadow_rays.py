@@ -92,7 +92,8 @@ def test_offset_skips_what_is_nearer(rig: ShadowRig) -> None:
     """Gaussians that peak no farther than ``t_min`` do not count; a ray that ends there meets none."""
     t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
     t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
-    light = rig.light(ls.Scene([stack(0.5, 0.8)]), np.zeros((5, 3)), AHEAD, t_min=t_min, t_max=t_max)
+    scene = ls.Scene([stack(0.5, 0.8)])
+    light = rig.light(scene, np.zeros((5, 3)), AHEAD, t_min=t_min, t_max=t_max, offset=100.0)
     np.testing.assert_allclose(light[:, 0], [0.1, 0.2, 1.0, 1.0, 1.0], rtol=1e-5)
 
 

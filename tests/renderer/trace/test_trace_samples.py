@@ -43,6 +43,7 @@ def renderer(
     """One renderer for all tests that need the same."""
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
+        lighting=False,
         background=background,
         trace=ls.TraceConfig(strategy=strategy),
         samples=samples,

@@ -307,7 +307,7 @@ def test_rendered_as_gaussians_it_is_solid_and_looks_like_the_mesh(name: str) ->
     """At the default density: opaque inside the silhouette from all sides, mesh colour, nothing far outside."""
     mesh = SHAPES[name]()
     gaussians = gaussians_from_mesh(mesh)
-    renderer = ls.create_renderer(device="cpu")
+    renderer = ls.create_renderer(ls.RenderConfig(lighting=False), device="cpu")
     for eye in ([0.9, 0.5, 1.4], [-1.5, -0.2, 0.3], [0.1, 1.7, -0.2]):
         camera = ls.Camera.look_at(eye, [0.0, 0.0, 0.0], width=320, height=240, fov_y=0.7)
         solid, splats = (

@@ -12,12 +12,13 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import size_on_disk
+from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.captures import count_of, value_ranges
 from lumisplat.cli.options.command import Flag, LoadingCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
-_Edit = Callable[[ls.Gaussians], ls.Gaussians]
+_Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,11 +42,9 @@ class Convert(LoadingCommand):
     """.ply, .compressed.ply, .spz, .sog, or a SOG folder. Without -o, there are two, and the second is written."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """.ply, .compressed.ply or .spz; - is standard output, in PLY. Needed to join captures."""
-    box: Annotated[
-        tuple[float, float, float, float, float, float] | None, arg(metavar="X Y Z X Y Z", help_behavior_hint="")
-    ] = None
+    box: Annotated[str | None, arg(metavar="X,Y,Z,X,Y,Z", help_behavior_hint="")] = None
     """Keep what lies between two corners, with its mean."""
-    sphere: Annotated[tuple[float, float, float, float] | None, arg(metavar="X Y Z R", help_behavior_hint="")] = None
+    sphere: Annotated[str | None, arg(metavar="X,Y,Z,R", help_behavior_hint="")] = None
     """Keep what lies within a radius of a point, with its mean; with --box, what lies in both."""
     outside: Flag = False
     """Keep what is outside of --box and --sphere instead."""
@@ -60,9 +59,9 @@ class Convert(LoadingCommand):
     """Merge neighbours until so many are left: for previews, and for what is far away."""
     scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """Larger or smaller about the origin."""
-    rotate: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    rotate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Turn about the x axis, then y, then z, degrees: 180 0 0 makes y-down captures y-up."""
-    translate: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Move, last of the three."""
     morton: Flag = False
     """Sort along a Morton curve, so that neighbours are stored together; .compressed.ply always is."""
@@ -115,8 +114,11 @@ class Convert(LoadingCommand):
     def _edits(self, report: Report) -> Iterator[tuple[str, _Edit]]:
         """What is to be done, in order: the options that ask for it, and how."""
         if self.box is not None or self.sphere is not None:
-            box = None if self.box is None else (self.box[:3], self.box[3:])
-            sphere = None if self.sphere is None else (self.sphere[:3], self.sphere[3])
+            box = None if self.box is None else _halves(numbers("--box", self.box, 6, "-1,-1,-1,1,1,1"), 3)
+            sphere = None
+            if self.sphere is not None:
+                center, (radius,) = _halves(numbers("--sphere", self.sphere, 4, "0,0,0,2"), 3)
+                sphere = (center, radius)
             given = [name for name, value in (("--box", box), ("--sphere", sphere)) if value is not None]
             yield ", ".join(given), lambda g: ls.crop(g, box, sphere, outside=self.outside)
         elif self.outside:
@@ -132,13 +134,20 @@ class Convert(LoadingCommand):
         if (share := self.decimate) is not None:
             merging = partial(report, "merging neighbours")
             yield "--decimate", lambda g: ls.decimate(g, count_of(share, g.count), progress=merging)
-        if (self.scale, *self.rotate, *self.translate) != (1.0, *(0.0,) * 6):
+        if self.scale != 1.0 or self.rotate is not None or self.translate is not None:
             yield "--scale, --rotate, --translate", self._placed
         if self.morton:
             yield "--morton", ls.sort_morton
 
     def _placed(self, gaussians: ls.Gaussians) -> ls.Gaussians:
-        return ls.transform(gaussians, scale=self.scale, rotation_degrees=self.rotate, translation=self.translate)
+        turn = (0.0, 0.0, 0.0) if self.rotate is None else vector("--rotate", self.rotate, "180,0,0")
+        move = (0.0, 0.0, 0.0) if self.translate is None else vector("--translate", self.translate)
+        return ls.transform(gaussians, scale=self.scale, rotation_degrees=turn, translation=move)
+
+
+def _halves(values: tuple[float, ...], first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The first values, and the others."""
+    return values[:first], values[first:]
 
 
 def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Held = ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
 
-_Instance = TypeVar("_Instance", ls.SplatInstance, ls.MeshInstance)
+_Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 
 @dataclass(frozen=True, kw_only=True)

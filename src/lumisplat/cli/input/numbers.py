@@ -17,7 +17,7 @@ _HALF_OPEN = re.compile(r"(\d*):(\d*)")
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?|nan|inf)"
 _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
 
-_COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers"}
+_COUNTS = {1: "one number", 2: "two numbers", 3: "three numbers", 4: "four numbers", 6: "six numbers"}
 
 
 def joined_numbers(args: Sequence[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """Depth of the rasterised surface: where the picked Gaussian responds most on the pixel's ray.
 
-The equations are in docs/method/rasterisation.md#depth.
+The equations are in docs/method/rasterisation.md#iso-opacity-surface.
 """
 
 import warp as wp

@@ -136,7 +136,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
     for _ in range(count):
         number, model, width, height = _CAMERA.unpack_from(data, at)
         at += _CAMERA.size
-        name: str = _NAMES[model] if 0 <= model < len(_NAMES) else f"model {model}"
+        name = dict(enumerate(_NAMES)).get(int(model), f"model {model}")
         if name not in _PARAMETERS:
             raise FormatError(path, f"camera {number} is a {name}, expected {', '.join(_PARAMETERS)}")
         values = struct.unpack_from(f"<{len(_PARAMETERS[name].split())}d", data, at)

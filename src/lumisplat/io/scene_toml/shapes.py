@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from lumisplat.errors import SceneError
 from lumisplat.io.scene_toml.toml_table import Kind, TomlTable, Values, is_list, suggestion
@@ -35,7 +35,7 @@ def shape_mesh(table: TomlTable, given: Values) -> Mesh:
         if shape == "sphere" and not is_list(size):
             return sphere(0.5 * size)
         if shape == "plane" and not (is_list(size) and len(size) != 2):
-            edges: list[Any] = size if isinstance(size, list) else [size, size]
+            edges = cast(list[Any], size if isinstance(size, list) else [size, size])
             return plane(*edges)
     except (SceneError, TypeError):
         pass
