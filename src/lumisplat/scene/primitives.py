@@ -101,5 +101,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
 
 def _axes(right: str, up: str) -> _Doubles:
     """The rotation whose columns are two signed axes and their cross product, shape (3, 3)."""
+    x: _Doubles
+    y: _Doubles
     x, y = (np.eye(3)["xyz".index(name[-1])] * (-1.0 if name[0] == "-" else 1.0) for name in (right, up))
     return np.stack([x, y, np.cross(x, y)], axis=1)

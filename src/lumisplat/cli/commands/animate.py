@@ -140,7 +140,7 @@ class Animate(FrameCommand):
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
         if self.path is not None:
-            return self.cameras_along(self.path, animation.times)
+            return self.cameras_along(self.path, animation.times.tolist())
         if animation.camera_path is not None and self.camera is None and not (self.cameras or self.viewpoint.is_given):
             along = (animation.camera_path.at(float(time)) for time in animation.times)
             return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
@@ -53,7 +52,9 @@ class Orbit(FrameCommand):
         """Renders the frames that are missing, then the video."""
         count = self._frame_count()
         self.viewpoint.check(None)
-        along = self.cameras_along(self.path, np.arange(count) / self.fps) if self.path is not None else []
+        along = (
+            self.cameras_along(self.path, [index / self.fps for index in range(count)]) if self.path is not None else []
+        )
         file = scene_file(self.scene)
         config = self.frame_config(scene_settings(file))
         check_writable(self.output)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import arg
 
@@ -14,10 +15,6 @@ from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +98,7 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             raise ls.ConfigError(f"--path and {other} are both given: choose one")
         return ls.load_camera_path(path, width=self.width, height=self.height)
 
-    def cameras_along(self, path: Path, times: npt.NDArray[np.float64]) -> list[ls.Camera]:
+    def cameras_along(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
         """The cameras of --path at the times of frames, over which all of the path is spread."""
         way = self.camera_path(path)
         stretched = way.stretched(float(times[-1])) if times[-1] > 0.0 else way
