@@ -102,3 +102,20 @@ def test_too_few_samples_are_told_of_once(caplog: pytest.LogCaptureFixture) -> N
     caplog.clear()
     ls.create_renderer(ls.RenderConfig(samples=MANY // 2), "cpu").render(scene(SKY), camera, resume=half)
     assert not caplog.records
+
+
+@pytest.mark.parametrize("pipeline", ls.Pipeline, ids=lambda pipeline: pipeline.value)
+def test_samples_that_nobody_asked_for_leave_captures_as_they_are(pipeline: ls.Pipeline) -> None:
+    """A kept capture before a mesh that needs samples: pixels without the mesh have the bits of an unlit frame."""
+    content = scene(replace(SKY, visible=False))
+    pose = np.eye(4)
+    pose[:3, 3] = 1.0, 0.0, 9.0
+    content = replace(content, meshes=(replace(content.meshes[0], world_from_object=pose),))
+    config = ls.RenderConfig(pipeline=pipeline)
+    frame = ls.render(content, front_camera(), config, device="cpu")
+    alone = ls.render(replace(content, meshes=()), front_camera(), replace(config, lighting=False), device="cpu")
+    assert frame.samples == MANY
+    assert frame.light is not None and frame.captured_weight is not None
+    untouched = (frame.captured_weight == 1.0) & (frame.light == 0.0).all(axis=-1) & (alone.alpha > 0.0)
+    assert untouched.mean() > 0.1
+    np.testing.assert_array_equal(frame.pixels_srgb()[untouched], alone.pixels_srgb()[untouched])

@@ -38,6 +38,7 @@ class DeviceScene:
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
+        self._jitters = config.jitter
         self._shading = ShadingTables(buffers, config, launcher.device)
         self.bvh = BvhScene(launcher)
         """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
@@ -88,6 +89,7 @@ class DeviceScene:
         Raises:
             DeviceError: The device is out of memory.
         """
+        self._jitters = plan.jitters
         with self._launcher.stage("sync"):
             self.mixes_sets = plan.mixes_sets
             self._sync_assets(scene, plan)
@@ -112,7 +114,7 @@ class DeviceScene:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
         self._sample["index"], self._sample["is_last"] = index, is_last
         assign_table(self.sample, self._sample)
-        assign_table(self.camera, camera_table(self._camera, subpixel(index if self._config.jitter else 0)))
+        assign_table(self.camera, camera_table(self._camera, subpixel(index if self._jitters else 0)))
 
     @property
     def tile_grid(self) -> tuple[int, int]:

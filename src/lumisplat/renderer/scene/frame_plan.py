@@ -63,6 +63,9 @@ class FramePlan:
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     samples: int
     """Samples a pixel; of no meaning unless the frame is sampled."""
+    jitters: bool
+    """Samples spread over their pixel. Those that nobody asked for do not where captures are kept: what shows only
+    such a capture stays as captured."""
     samples_wanted: int
     """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
@@ -109,6 +112,7 @@ class FramePlan:
             spawns_shadow_rays=casts_shadows or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             samples=config.samples or samples_wanted,
+            jitters=config.jitter and not (config.samples is None and keeps_captures(scene)),
             samples_wanted=samples_wanted,
             grain=grain,
             max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
@@ -130,6 +134,11 @@ class FramePlan:
 def reflects_light(scene: Scene) -> bool:
     """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
     return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)
+
+
+def keeps_captures(scene: Scene) -> bool:
+    """Whether some splat set keeps its captured colours in lit frames."""
+    return not all(is_relit(instance) for instance in scene.splats)
 
 
 def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
