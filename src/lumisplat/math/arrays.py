@@ -14,12 +14,15 @@ FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
+_Float = TypeVar("_Float", bound=np.floating[Any])
+
+_LAST_ROW = np.array((0.0, 0.0, 0.0, 1.0))
+"""Last row of an affine transform."""
+_LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
+"""Largest difference from it."""
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 """Largest number that a kernel can be given."""
-
-_Float = TypeVar("_Float", bound=np.floating[Any])
-_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -87,7 +90,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
         raise SceneError(f"{name} has shape {matrix.shape}, expected (4, 4)")
     if not np.isfinite(matrix).all():
         raise SceneError(f"{name} has non-finite values")
-    if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-6):
+    if (np.abs(matrix[3] - _LAST_ROW) > _LAST_ROW_ERROR).any():  # np.allclose takes longer than all other checks
         raise SceneError(f"{name} has last row {matrix[3].tolist()}, expected [0, 0, 0, 1]")
     scale = np.linalg.norm(matrix[:3, :3])
     if scale == 0.0 or abs(np.linalg.det(matrix[:3, :3] / scale)) < 1e-9:

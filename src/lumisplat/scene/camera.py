@@ -18,6 +18,9 @@ from lumisplat.scene.checks import check_positive
 
 _Doubles = npt.NDArray[np.float64]
 
+_RIGID_ERROR = 1e-3
+"""Largest error of the scalar products of a rotation's rows."""
+
 
 class CameraModel(Enum):
     """The ray of a pixel, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` for the pixel's centre (x, y)."""
@@ -300,6 +303,7 @@ def _point(name: str, values: npt.ArrayLike) -> _Doubles:
 def _rigid(name: str, values: npt.ArrayLike) -> _Doubles:
     matrix = matrix_4x4(name, values)
     rotation = matrix[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if error > _RIGID_ERROR or np.linalg.det(rotation) < 0.0:
         raise SceneError(f"{name} is not rigid: its upper 3x3 must be a rotation")
     return matrix

@@ -28,5 +28,5 @@ def unique_names(cameras: list[Camera]) -> list[Camera]:
             copies[base] = copies.get(base, 1) + 1
             name = f"{base}_{copies[base]}"
         used.add(name)
-        named.append(replace(camera, name=name))
+        named.append(camera if name == camera.name else replace(camera, name=name))
     return named

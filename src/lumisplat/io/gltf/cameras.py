@@ -40,12 +40,11 @@ def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | No
     path = Path(path)
     with parsing(path, "a glTF file"):
         file = GltfFile(path)
-        world_from_node = world_transforms(file)
+        nodes = [index for index in scene_nodes(file) if file.model.nodes[index].camera is not None]
+        world_from_node = world_transforms(file) if nodes else []
         cameras: list[Camera] = []
-        for index in scene_nodes(file):
+        for index in nodes:
             node = file.model.nodes[index]
-            if node.camera is None:
-                continue
             definition = file.item("cameras", node.camera, f"nodes[{index}]")
             try:
                 pose = _pose(world_from_node[index])

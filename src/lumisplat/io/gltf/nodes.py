@@ -119,7 +119,7 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
             f"{node_label(file, index)} has rotation {stored}: a rotation of zero length or not finite, "
             "expected a unit quaternion",
         )
-    return translation, np.roll(rotation, 1) / length, scale
+    return translation, rotation[[3, 0, 1, 2]] / length, scale
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:
