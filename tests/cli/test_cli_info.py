@@ -91,3 +91,21 @@ def test_mistakes_in_the_animation_are_found(work, command):
     outcome = work.run(command, "@scene.toml", *(("-o", "@a.png") if command == "render" else ()))
     assert outcome.status == 2 and "durations" in outcome.err and outcome.err.count("\n") == 1
     assert isinstance(ls.load(work.path("mesh.obj")), ls.Mesh)
+
+
+def test_cameras_of_colmap_and_their_lenses(work):
+    """The folder of a sparse model, or a file in it; models of lenses, and their distortion."""
+    folder = work.path("sparse")
+    folder.mkdir()
+    (folder / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n2 OPENCV 64 48 50 50 32 24 -0.1 0.02 0 0.003\n")
+    (folder / "images.txt").write_text("1 1 0 0 0 0 0 4 1 a.png\n\n2 1 0 0 0 0 0 5 2 b.png\n\n")
+    for name in ("@sparse", "@sparse/images.txt"):
+        outcome = work.run("info", name)
+        shown = " ".join(outcome.out.split())
+        assert outcome.status == 0, outcome.err
+        assert "kind cameras" in shown and "sizes 64 x 48" in shown and "names a, b" in shown
+        assert "lens pinhole distortion k1 -0.1 k2 0.02 p2 0.003 (the first of 2 lenses)" in shown
+    (facts,) = json.loads(work.run("info", "@sparse", "--json").out)
+    assert facts["kind"] == "cameras" and facts["models"] == ["pinhole"]
+    assert facts["distortions"] == [[0.0] * 6, [-0.1, 0.02, 0.0, 0.0, 0.0, 0.003]]
+    assert "distortion" not in work.run("info", "@cameras.json").out

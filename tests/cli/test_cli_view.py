@@ -134,3 +134,19 @@ def test_depth_of_nothing_and_of_one_plane(work):
     flat = replace(frame, depth=np.full_like(frame.depth, 2.0))
     flat.save(work.path("flat.png"), layers="depth")
     assert (np.asarray(Image.open(work.path("flat.depth16.png"))) == 1).all()
+
+
+def test_crease_angle(work) -> None:
+    """Of OBJs without normals: a wide one shades a folded sheet smoothly, 0 leaves it flat; in degrees."""
+    sheet = "v -1 -1 5\nv 0 -1 4\nv 0 1 4\nv -1 1 5\nv 1 -1 5\nv 1 1 5\nf 1 2 3 4\nf 2 5 6 3\n"
+    work.path("sheet.obj").write_text(sheet)
+    shades = {}
+    for angle in ("0", "60", "120"):
+        options = ("--crease-angle", angle, "--width", "32", "--view", "normal")
+        outcome = work.run("render", "@sheet.obj", *options, "-o", f"@{angle}.png")
+        assert outcome.status == 0, outcome.err
+        pixels = ls.load_image(work.path(f"{angle}.png"))
+        shades[angle] = len(np.unique(pixels.reshape(-1, 3), axis=0))
+    assert shades["0"] == shades["60"] < shades["120"]
+    outcome = work.run("render", "@sheet.obj", "--crease-angle", "200", "-o", "@no.png")
+    assert outcome.status == 2 and "--crease-angle is 200, expected 0 to 180 degrees" in outcome.err

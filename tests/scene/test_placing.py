@@ -260,3 +260,17 @@ def test_objs_without_normals_are_smooth(tmp_path):
     (instance,) = load_scene(tmp_path, '[[meshes]]\npath = "ball.obj"\ncrease_angle_degrees = 10\n').meshes
     normals = instance.mesh.normals
     assert normals is not None and np.abs(normals - instance.mesh.positions).max() > 0.1
+
+
+def test_crease_angle_of_objs_in_a_scene_file(tmp_path):
+    """An angle that is given for all OBJs holds for those that a scene file names; an entry's own goes before it."""
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    (tmp_path / "corner.obj").write_text(corners + "f 1 2 3\nf 1 3 4\nf 1 4 2\n")
+    entry = '[[meshes]]\npath = "corner.obj"\n'
+    (tmp_path / "scene.toml").write_text(entry + entry + "crease_angle_degrees = 0\n")
+    for angle, is_smooth in ((None, False), (2.0, True)):
+        scene = ls.load(tmp_path / "scene.toml", crease_angle=angle)
+        assert isinstance(scene, ls.Scene)
+        first, second = (instance.mesh for instance in scene.meshes)
+        assert first.vertex_count == (4 if is_smooth else 9), angle
+        assert second.normals is None

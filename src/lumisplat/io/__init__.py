@@ -85,8 +85,8 @@ def load(
             STL, PLY with faces) or a scene (glTF, GLB, a ``scene.toml`` that names other files).
         drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
             number, instead of refusing the file.
-        crease_angle: Of an OBJ without normals: faces that meet at less are shaded smoothly, radians, 0 to pi, see
-            `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
+        crease_angle: Of OBJs without normals, also of those that a ``scene.toml`` names: faces that meet at less are
+            shaded smoothly, radians, 0 to pi, see `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
         allow_outside: Whether a mesh file may name buffers, materials and textures outside of its own folder, as files
             that you trust do. A ``scene.toml`` may always name any file.
         progress: Called with the fraction done, 0..1; the last call is with 1.
@@ -125,7 +125,7 @@ def _read(
     if extension == ".toml":
         from lumisplat.io.scene_toml.scene_file import read_scene_file
 
-        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid))
+        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid, crease_angle=crease_angle))
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
@@ -339,12 +339,19 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
     return read_sequence(folder, fps, lambda frame: load(frame, drop_invalid=drop_invalid))
 
 
-def load_animation(path: PathLike, *, drop_invalid: bool = False, allow_outside: bool = False) -> Animation:
+def load_animation(
+    path: PathLike,
+    *,
+    drop_invalid: bool = False,
+    crease_angle: float | None = None,
+    allow_outside: bool = False,
+) -> Animation:
     """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``.
 
     Args:
         path: The scene file.
         drop_invalid: As in `load`, for each capture.
+        crease_angle: As in `load`, for each OBJ.
         allow_outside: As in `load`, for each mesh and rig.
 
     Raises:
@@ -354,7 +361,9 @@ def load_animation(path: PathLike, *, drop_invalid: bool = False, allow_outside:
     from lumisplat.io.scene_toml.animation import read_animation
 
     with references_outside(allow_outside):
-        return read_animation(path, lambda file: load(file, drop_invalid=drop_invalid), load_cameras)
+        return read_animation(
+            path, lambda file: load(file, drop_invalid=drop_invalid, crease_angle=crease_angle), load_cameras
+        )
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

@@ -195,3 +195,21 @@ def test_up_of_a_scene_file_is_that_of_its_scene(tmp_path: Path) -> None:
     ls.save(tmp_path / "a.ply", one_gaussian())
     scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))
     assert isinstance(scene, ls.Scene) and scene.up_direction == (0.0, 0.0, 1.0)
+
+
+def test_distortion_of_a_view(tmp_path: Path) -> None:
+    """Six numbers under the name of `Camera`'s field, also of a camera that moves; a mistake names its line."""
+    text = "[[cameras]]\neye = [0, 1, 4]\ntarget = [0, 0, 0]\ndistortion = [-0.1, 0.02, 0, 0, 0.001, -0.002]\n"
+    (camera,) = load(tmp_path, text)
+    assert camera.distortion == (-0.1, 0.02, 0.0, 0.0, 0.001, -0.002)
+    path = ls.load_camera_path(
+        write_scene(tmp_path, text + "keyframes = [{ time = 0 }, { time = 1, eye = [1, 1, 4] }]\n")
+    )
+    assert path.at(0.5).distortion == camera.distortion
+    for wrong, problem in (
+        (text.replace("[-0.1, 0.02, 0,", "[-0.1,"), "expected six numbers, k1 k2 k3 k4 p1 p2"),
+        (text + 'model = "orthographic"\n', "distortion is of pinhole and fisheye cameras"),
+    ):
+        with pytest.raises(ls.FormatError) as caught:
+            load(tmp_path, wrong)
+        refuses(caught, tmp_path, problem)

@@ -120,3 +120,18 @@ def test_wrong_materials_are_refused(tmp_path: Path, text: str, problem: str) ->
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, text)
     refuses(caught, tmp_path, problem)
+
+
+def test_textures_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of many small images may be allowed, their sum is not; those of two materials count together."""
+    monkeypatch.setattr("lumisplat.io.files.limits.TEXTURE_BYTES_FREE", 3 * 3 * 64 * 64)
+    write_obj(tmp_path)
+    (tmp_path / "white.png").write_bytes(png_bytes(np.full((64, 64, 3), 255, np.uint8)))
+    monkeypatch.setattr("lumisplat.io.files.limits.EXPANSION_MAX", 1)
+    entries = "".join(f'[materials.m{k}]\nbase_color_texture = "white.png"\n' for k in range(3))
+    mesh = '[[meshes]]\npath = "quad.obj"\n'
+    load_scene(tmp_path, mesh + entries)
+    inline = 'material = { base_color_texture = "white.png" }\n'
+    with pytest.raises(ls.FormatError) as caught:
+        load_scene(tmp_path, mesh + inline + entries)
+    refuses(caught, tmp_path, "white.png would take 49,152 bytes of memory")

@@ -110,7 +110,12 @@ class Animate(FrameCommand):
     def _animation(self, environment: ls.LightEnvironment | None, report: Report) -> ls.Animation:
         """The animation of the scene file, with what was given in place of its own."""
         report(f"loading {self.scene.name}", 0.0)
-        animation = ls.load_animation(self.scene, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside)
+        animation = ls.load_animation(
+            self.scene,
+            drop_invalid=self.drop_invalid,
+            crease_angle=self.crease_radians,
+            allow_outside=self.allow_outside,
+        )
         changes: Changes = {}
         if self.no_shadows:
             changes["shadows"] = False
@@ -156,7 +161,7 @@ class Animate(FrameCommand):
     def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [self.scene, *(path for path in (self.cameras, self.path, self.light.environment) if path is not None)]
-        chosen = ("width", "height", "camera", "drop_invalid")
+        chosen = ("width", "height", "camera", "drop_invalid", "crease_angle")
         return {
             "lumisplat": ls.__version__,
             "device": device,

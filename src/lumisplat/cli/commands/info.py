@@ -29,7 +29,7 @@ class Info(LoadingCommand):
     """Show what is in captures, meshes, scenes, camera files and environment images."""
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]] = ()
-    """Any file that render takes, cameras and environments too."""
+    """Any file that render takes, cameras (also a folder of COLMAP's) and environments too."""
     json: Flag = False
     """Print JSON instead of tables: a list with an object for each file; the guide to captures lists the keys."""
 
@@ -83,7 +83,7 @@ class Info(LoadingCommand):
     def _load(self, path: Path) -> tuple[str, Held]:
         """What kind of file it is, and what is in it."""
         suffix = path.suffix.lower()
-        if suffix == ".json" and path.name != "meta.json":
+        if _holds_cameras(path):
             return "cameras", ls.load_cameras(path)
         if suffix in (".hdr", ".pic", ".exr"):
             return "radiance", ls.load_radiance(path)
@@ -91,6 +91,14 @@ class Info(LoadingCommand):
             asset = self.load_asset(path, report)
         kinds = {ls.Gaussians: "capture", ls.Mesh: "mesh", ls.Scene: "scene"}
         return kinds[type(asset)], asset
+
+
+def _holds_cameras(path: Path) -> bool:
+    """Whether a path is a camera file, or the folder or a file of a sparse model of COLMAP."""
+    if path.is_dir():
+        return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+    of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
+    return of_colmap or (path.suffix.lower() == ".json" and path.name != "meta.json")
 
 
 def _cameras(path: Path) -> list[ls.Camera]:

@@ -116,7 +116,7 @@ class Orbit(FrameCommand):
     def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [*self.scene, *(path for path in (self.path, self.light.environment) if path is not None)]
-        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid")
+        chosen = ("seconds", "fps", "turns", "width", "height", "drop_invalid", "crease_angle")
         return {
             "lumisplat": ls.__version__,
             "device": device,

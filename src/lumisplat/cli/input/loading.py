@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import lumisplat as ls
-from lumisplat.cli.output.console import Report
 
 
-def load_asset(
-    path: Path, *, drop_invalid: bool, allow_outside: bool, report: Report
-) -> ls.Gaussians | ls.Mesh | ls.Scene:
-    """Loads one file, and reports the progress under its name.
-
-    Raises:
-        FormatError: The file cannot be read.
-    """
-    progress = partial(report, f"loading {path.name}")
-    return ls.load(path, drop_invalid=drop_invalid, allow_outside=allow_outside, progress=progress)
-
-
-def load_scene(paths: Sequence[Path], *, drop_invalid: bool, allow_outside: bool, report: Report) -> ls.Scene:
+def load_scene(paths: Sequence[Path], load: Callable[[Path], ls.Gaussians | ls.Mesh | ls.Scene]) -> ls.Scene:
     """Loads files of any kind into one scene, each in its own coordinates.
+
+    Args:
+        paths: The files.
+        load: Reads one of them.
 
     Raises:
         ConfigError: No file was given.
@@ -31,10 +21,7 @@ def load_scene(paths: Sequence[Path], *, drop_invalid: bool, allow_outside: bool
     """
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
-    scenes = [
-        as_scene(load_asset(path, drop_invalid=drop_invalid, allow_outside=allow_outside, report=report))
-        for path in paths
-    ]
+    scenes = [as_scene(load(path)) for path in paths]
     return ls.Scene(
         up=next((scene.up for scene in scenes if scene.up is not None), None),
         splats=tuple(splat for scene in scenes for splat in scene.splats),

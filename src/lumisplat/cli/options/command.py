@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import load_asset, load_scene
+from lumisplat.cli.input.loading import load_scene
 from lumisplat.cli.output.console import Report, quiet_warp
 
 Flag = Annotated[bool, arg(help_behavior_hint="")]
@@ -69,13 +70,24 @@ class LoadingCommand(Command):
     allow_outside: Flag = False
     """Let meshes that you trust name buffers, materials and textures outside of their own folders."""
 
+    @property
+    def crease_radians(self) -> float | None:
+        """``crease_angle`` of `lumisplat.load`; None: its default."""
+        return None
+
     def load_asset(self, path: Path, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
-        """Loads one file.
+        """Loads one file, and reports the progress under its name.
 
         Raises:
             FormatError: The file cannot be read.
         """
-        return load_asset(path, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside, report=report)
+        return ls.load(
+            path,
+            drop_invalid=self.drop_invalid,
+            crease_angle=self.crease_radians,
+            allow_outside=self.allow_outside,
+            progress=partial(report, f"loading {path.name}"),
+        )
 
     def load_scene(self, paths: Sequence[Path], report: Report) -> ls.Scene:
         """Loads files of any kind into one scene.
@@ -84,4 +96,4 @@ class LoadingCommand(Command):
             ConfigError: No file was given.
             FormatError: A file cannot be read.
         """
-        return load_scene(paths, drop_invalid=self.drop_invalid, allow_outside=self.allow_outside, report=report)
+        return load_scene(paths, lambda path: self.load_asset(path, report))

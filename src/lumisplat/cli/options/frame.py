@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     """Image width; alone, it keeps the camera's aspect ratio."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image height; alone, it keeps the camera's aspect ratio."""
+    crease_angle: Annotated[float | None, setting("DEGREES", "51.6")] = None
+    """Of OBJs without normals: faces that meet at less are shaded smoothly; 0: flat."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """transparent, a name such as white, #rrggbb, or r,g,b in 0..1. An EXR is without one."""
     stats: Flag = False
@@ -43,6 +46,19 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     light: LightGroup = field(default_factory=LightOptions)
     """Lights are those of a scene.toml and of glTF files. Soft shadows and an environment, filmic:
     lumisplat render scene.toml --environment sky.hdr --shadows soft --samples 32 --tone-map agx -o view.png"""
+
+    @property
+    def crease_radians(self) -> float | None:
+        """As `LoadingCommand.crease_radians`, as the option says.
+
+        Raises:
+            ConfigError: It is out of range.
+        """
+        if self.crease_angle is None:
+            return None
+        if not 0.0 <= self.crease_angle <= 180.0:
+            raise ls.ConfigError(f"--crease-angle is {self.crease_angle:g}, expected 0 to 180 degrees")
+        return math.radians(self.crease_angle)
 
     def frame_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """The settings of a scene file, with those that were given in their place.

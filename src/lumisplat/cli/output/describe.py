@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -167,9 +167,22 @@ def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
             "sizes",
             ", ".join(f"{width} x {height}" for width, height in sizes[:4]) + (", ..." if len(sizes) > 4 else ""),
         ),
+        ("lens", "   ".join(_lenses(cameras))),
         ("positions", box(eyes.min(axis=0), eyes.max(axis=0))),
         ("names", ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")),
     ]
+
+
+def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
+    """The models of cameras, and the coefficients of the first that distorts."""
+    yield ", ".join(dict.fromkeys(camera.model.value for camera in cameras))
+    distorted = [camera for camera in cameras if camera.is_distorted]
+    if distorted:
+        named = zip(("k1", "k2", "k3", "k4", "p1", "p2"), distorted[0].distortion, strict=True)
+        yield "distortion " + " ".join(f"{name} {value:.4g}" for name, value in named if value)
+    lenses = len({camera.distortion for camera in cameras})
+    if lenses > 1:
+        yield f"(the first of {lenses:,} lenses)"
 
 
 def radiance_rows(image: Array) -> Rows:

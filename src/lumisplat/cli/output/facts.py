@@ -113,6 +113,8 @@ def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
     return {
         "count": len(cameras),
         "sizes": sorted({(camera.width, camera.height) for camera in cameras}),
+        "models": list(dict.fromkeys(camera.model.value for camera in cameras)),
+        "distortions": list(dict.fromkeys(camera.distortion for camera in cameras)),
         "positions": _box((eyes.min(axis=0), eyes.max(axis=0))),
         "names": [camera.name for camera in cameras],
     }

@@ -14,13 +14,13 @@ from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.files.source import PathLike, read_bytes
 
 
-def read_texture(path: PathLike) -> npt.NDArray[np.uint8]:
+def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArray[np.uint8]:
     """Reads an image file; see `decode_texture`.
 
     Raises:
         FormatError: The image is missing, corrupt or too large.
     """
-    return decode_texture(read_bytes(path), path)
+    return decode_texture(read_bytes(path), path, total=total)
 
 
 def decode_texture(

@@ -8,6 +8,7 @@ name = "front"
 eye = [0.0, 1.0, 4.0]
 target = [0.0, 0.5, 0.0]
 fov_y_degrees = 45.0
+distortion = [-0.1, 0.02, 0.0, 0.0, 0.0, 0.0]   # k1 k2 k3 k4 p1 p2, as of Camera
 
 [[cameras]]                         # one that moves
 name = "flight"
@@ -35,7 +36,7 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.names import unique_names
 from lumisplat.io.scene_toml.fields import with_radians
 from lumisplat.io.scene_toml.placement import PLACEMENT, placement
-from lumisplat.io.scene_toml.toml_table import NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import COEFFICIENTS, NUMBER, TABLES, TEXT, VECTOR, WHOLE, TomlTable, Values
 from lumisplat.io.scene_toml.up import DIRECTION, scene_up
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
@@ -55,6 +56,7 @@ _VIEW_KEYS = {
     "exposure": NUMBER,
     "aperture": NUMBER,
     "focus_distance": NUMBER,
+    "distortion": COEFFICIENTS,
     "keyframes": TABLES,
 }
 CAMERA_KEYFRAME_KEYS = {
@@ -171,7 +173,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
         values["up"] = up_vector(values["up"]) if "up" in values else up
     except SceneError as error:
         raise table.error(str(error), "up") from None
-    exposure = values.pop("exposure", 0.0)
+    of_lens = {key: values.pop(key) for key in ("exposure", "distortion") if key in values}  # not of look_at
     widest, fov_y = 360.0 if values["model"] is CameraModel.FISHEYE else 180.0, values.get("fov_y_degrees", 45.0)
     if not 0.0 < fov_y < widest:
         raise table.error(
@@ -179,7 +181,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
         )
     values = with_radians(table, values, widest)
     try:
-        return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), exposure=exposure)
+        return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), **of_lens)
     except SceneError as error:
         raise table.failed(error) from None
 

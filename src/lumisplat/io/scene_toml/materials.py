@@ -63,7 +63,7 @@ def read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
         name: Name of the material, if the table does not set one.
 
     Raises:
-        FormatError: The type or a key is unknown, a value is invalid, or a texture cannot be read.
+        FormatError: The type or a key is unknown, a value is invalid, a texture cannot be read, or all are too large.
     """
     type_name = table.values.get("type", "pbr")
     kind = _KINDS.get(type_name) if isinstance(type_name, str) else None
@@ -75,7 +75,7 @@ def read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
         values.setdefault("name", name)
     for key in values:
         if key.endswith("_texture"):
-            values[key] = read_texture(table.file(key))
+            values[key] = read_texture(table.file(key), table.textures)
     try:
         kind(**values)
     except SceneError as error:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeGuard
 
 from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
+from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.files.source import PathLike, read_bytes
 from lumisplat.io.scene_toml.toml_lines import KeyPath, line_numbers
 
@@ -70,6 +71,7 @@ NUMBER = Kind("a number", _is_number)
 WHOLE = Kind("a whole number", _is_whole)
 VECTOR = Kind("three numbers", _is_vector(3))
 PAIR = Kind("two numbers", _is_vector(2))
+COEFFICIENTS = Kind("six numbers, k1 k2 k3 k4 p1 p2", _is_vector(6))
 QUATERNION = Kind("four numbers, w x y z", _is_vector(4))
 COLOR = Kind("a number or three", _is_color)
 TABLE = Kind("a table", is_table)
@@ -77,9 +79,12 @@ TABLES = Kind("tables, written with double brackets", is_array_of_tables)
 TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
-class _Text(NamedTuple):
+class _Source(NamedTuple):
+    """The file of a table."""
+
     path: Path
     text: str
+    textures: TextureBytes
 
 
 _LONG_KEY = re.compile(
@@ -91,7 +96,7 @@ _LONG_KEY = re.compile(
 class TomlTable:
     """A table of a TOML file, with its place in the file."""
 
-    def __init__(self, values: dict[str, Any], source: _Text, where: KeyPath = ()) -> None:
+    def __init__(self, values: dict[str, Any], source: _Source, where: KeyPath = ()) -> None:
         self.values = values
         self._source = source
         self._where = where
@@ -112,7 +117,7 @@ class TomlTable:
             if long := _LONG_KEY.search(text):
                 line = text.count("\n", 0, long.start()) + 1
                 raise FormatError(path, f"line {line}: a dotted key has more than {TOML_KEY_PARTS_MAX} parts")
-            return cls(tomllib.loads(text), _Text(Path(path), text))
+            return cls(tomllib.loads(text), _Source(Path(path), text, TextureBytes(path)))
         except tomllib.TOMLDecodeError as error:
             raise FormatError(path, f"is not valid TOML: {error}") from None
         except (UnicodeDecodeError, RecursionError):
@@ -122,6 +127,11 @@ class TomlTable:
     def path(self) -> Path:
         """The file."""
         return self._source.path
+
+    @property
+    def textures(self) -> TextureBytes:
+        """The textures that tables of the file name, which are bounded together."""
+        return self._source.textures
 
     def error(self, problem: str, key: str | None = None) -> FormatError:
         """An error about a key of this table, or about the whole table; names the file, the line and the table."""
