@@ -403,8 +403,8 @@ COMPILING_ANNOUNCED_S = 1.0
 """Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
 
 NOTEBOOK_PNG_PIXELS_MAX = 2**20
-"""Pixels above which notebooks are given JPEGs of opaque frames: a PNG of a capture takes about 2 bytes a pixel, ten
-times as much, and notebooks keep pictures in base64."""
+"""Pixels above which notebooks are given JPEGs of opaque frames, because they keep pictures in base64. Measured at
+1280 x 720: a PNG of the demo room takes 0.60 bytes a pixel and a JPEG 0.12, of the biker from nearby 0.29 and 0.05."""
 
 NEAR_PLANE = 0.01
 """Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""

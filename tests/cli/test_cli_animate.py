@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import av
 import numpy as np
@@ -15,6 +16,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.output.video import check_video
 from lumisplat.renderer.renderer import Renderer
 from support.files.cli_files import Workplace
 
@@ -417,3 +419,40 @@ def test_files_that_a_scene_is_made_of(tmp_path):
         "broken.gltf",
     }  # fmt: skip
     assert marks["body.bin"].startswith("4 bytes, ")
+
+
+def test_what_a_killed_run_leaves_is_removed(work, monkeypatch) -> None:
+    """The file beside animate.json that is being written has the name of other temporary files, and goes like them."""
+    names: list[str] = []
+    replace_file = os.replace
+
+    def killed(source: str, target: str) -> None:
+        if str(target).endswith("animate.json"):
+            names.append(os.path.basename(source))
+            work.path("frames").joinpath(names[0]).rename(work.path("kept"))
+            raise OSError("killed")
+        replace_file(source, target)
+
+    monkeypatch.setattr(os, "replace", killed)
+    assert animate(work, "frames").status == 2
+    monkeypatch.setattr(os, "replace", replace_file)
+    work.path("kept").rename(work.path("frames") / names[0])
+    assert animate(work, "frames").status == 0
+    assert not any(".lumisplat" in name for name in work.files())
+
+
+def test_trying_a_video_leaves_nothing(work, monkeypatch) -> None:
+    """Whether a video can be written is not tried in its folder: a killed trial leaves nothing there."""
+    tried: list[str] = []
+
+    def save(path: Path, *args: object) -> None:
+        tried.append(str(path))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ls, "save_animation", save)
+    with pytest.raises(KeyboardInterrupt):
+        check_video(work.path("out.gif"), 10.0)
+    assert len(tried) == 1 and not tried[0].startswith(str(work.folder))
+    work.path("folder.gif").mkdir()
+    with pytest.raises(ls.FormatError, match="is a folder or a device"):
+        check_video(work.path("folder.gif"), 10.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -15,6 +16,7 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.rays import RayOptions
 from lumisplat.cli.options.settings import changed_config
 from lumisplat.cli.options.unused import unused_options
+from lumisplat.constants import CREASE_ANGLE
 from lumisplat.io.images.exr import write_exr
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
@@ -288,7 +290,7 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
         (
             {"pipeline": ls.Pipeline.HYBRID},
             LAMP,
-            ["not used by --pipeline hybrid for what the camera sees itself: --normals (--pipeline trace uses it)"],
+            [],
         ),
     ],
     ids=["unlit raster", "unlit samples", "lit raster", "lit rays without shadows", "lit hybrid"],
@@ -339,6 +341,7 @@ def hints(options: type) -> dict[str, str]:
 CONFIG = ls.RenderConfig()
 DEFAULTS: dict[str, Any] = {
     "pipeline": CONFIG.pipeline,
+    "crease_angle": 51.6,
     "background": "black" if CONFIG.background == (0.0, 0.0, 0.0) else CONFIG.background,
     "raster_strategy": CONFIG.raster.strategy,
     "antialiasing": CONFIG.raster.antialiasing,
@@ -369,6 +372,7 @@ DEFAULTS: dict[str, Any] = {
 
 def test_the_help_tells_the_defaults_of_the_library() -> None:
     """What an option is called to be without, is what the settings are; none is forgotten here."""
+    assert round(math.degrees(CREASE_ANGLE), 1) == DEFAULTS["crease_angle"]
     told = hints(Render) | hints(RayOptions) | hints(LightOptions)
     expected = {name: getattr(value, "value", value) for name, value in DEFAULTS.items()}
     assert told == {name: f"{value:f}".rstrip("0") if value == 1e-4 else str(value) for name, value in expected.items()}

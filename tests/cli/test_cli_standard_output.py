@@ -72,3 +72,29 @@ def test_info_shows_what_is_used_often_once(tmp_path: Path, capsys) -> None:
     assert "mesh 0   (500 times)" in " ".join(shown.split("\n")).replace("mesh 0      (", "mesh 0   (")
     assert shown.count("vertices") == 1
     assert "(-1, -1, 4) to (500, 1, 4)" in shown
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("relight", "capture.ply", "mesh.obj", "--background", "white"),
+        ("shadowmap", "mesh.obj", "--onto", "capture.ply", "--light", "0,-5,0", "--resolution", "64"),
+    ],
+    ids=["relight", "shadowmap"],
+)
+def test_captures_of_other_commands(run, tmp_path: Path, command: tuple[str, ...]) -> None:
+    """A PLY, the same as in a file; what is printed goes to standard error, and no file is left."""
+    piped = run(*command, "--device", "cpu", "-o", "-")
+    assert piped.returncode == 0, piped.stderr
+    assert b"standard output: " in piped.stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"mesh.obj", "capture.ply"}
+    run(*command, "--device", "cpu", "-o", "file.ply")
+    assert piped.stdout == (tmp_path / "file.ply").read_bytes()
+
+
+@pytest.mark.parametrize("command", [("orbit", "capture.ply"), ("animate", "scene.toml")])
+def test_frames_do_not_fit(run, command: tuple[str, ...]) -> None:
+    """Commands that write many files say so in one line."""
+    done = run(*command, "-o", "-")
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
+    assert b"-o - is one file, and frames are many: give a folder" in done.stderr

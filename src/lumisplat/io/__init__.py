@@ -6,6 +6,7 @@ The tables of formats are below; the modules of a format are imported when it is
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,7 +65,6 @@ _WRITERS = {
     ".spz": "splats.spz.write_spz",
 }
 """Writers of `save` by extension; the first one that a file name ends with is used."""
-
 
 READABLE = ".ply, .compressed.ply, .spz, .sog, a SOG folder or its meta.json, .obj, .stl, .glb, .gltf, .toml"
 WRITABLE = ".ply, .compressed.ply, .spz"
@@ -125,7 +125,7 @@ def _read(
     if extension == ".toml":
         from lumisplat.io.scene_toml.scene_file import read_scene_file
 
-        return read_scene_file(path, lambda file: load(file, drop_invalid=drop_invalid, crease_angle=crease_angle))
+        return read_scene_file(path, partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle))
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
@@ -171,19 +171,16 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     Raises:
         FormatError: The extension is unknown, the format cannot store a value, or the file cannot be written.
     """
-    _check_saveable(path, gaussians)
+    from lumisplat.scene.gaussians import Gaussians
+
+    value: object = gaussians
+    if not isinstance(value, Gaussians):
+        raise FormatError(path, f"only Gaussians can be saved, got {type(value).__name__}")
     extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
     if extension is None:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
     write: Callable[[PathLike, Gaussians], None] = _import(_WRITERS[extension])
     write(path, gaussians)
-
-
-def _check_saveable(path: PathLike, value: object) -> None:
-    from lumisplat.scene.gaussians import Gaussians
-
-    if not isinstance(value, Gaussians):
-        raise FormatError(path, f"only Gaussians can be saved, got {type(value).__name__}")
 
 
 def load_cameras(path: PathLike, *, width: int | None = None, height: int | None = None) -> list[Camera]:
@@ -336,15 +333,11 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
     """
     from lumisplat.io.splats.sequence import read_sequence
 
-    return read_sequence(folder, fps, lambda frame: load(frame, drop_invalid=drop_invalid))
+    return read_sequence(folder, fps, partial(load, drop_invalid=drop_invalid))
 
 
 def load_animation(
-    path: PathLike,
-    *,
-    drop_invalid: bool = False,
-    crease_angle: float | None = None,
-    allow_outside: bool = False,
+    path: PathLike, *, drop_invalid: bool = False, crease_angle: float | None = None, allow_outside: bool = False
 ) -> Animation:
     """Loads an animated ``scene.toml``: its scene, cameras, ``[[actors]]`` and ``[animation]``.
 
@@ -361,9 +354,8 @@ def load_animation(
     from lumisplat.io.scene_toml.animation import read_animation
 
     with references_outside(allow_outside):
-        return read_animation(
-            path, lambda file: load(file, drop_invalid=drop_invalid, crease_angle=crease_angle), load_cameras
-        )
+        load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
+        return read_animation(path, load_asset, load_cameras)
 
 
 def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:

@@ -163,6 +163,8 @@ class Renderer:
         if plan.rasterises:
             refuse_lens(camera)
             self._warnings.warn_of_degree(scene)
+        if self.config.pipeline is Pipeline.HYBRID and scene.splats:
+            self._warnings.warn_of_normals(self.config.trace)
         if plan.is_lit and self.config.pipeline is Pipeline.RASTER:
             self._warnings.warn_of_mirrors(scene)
 

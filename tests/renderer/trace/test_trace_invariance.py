@@ -438,3 +438,17 @@ def test_raster_and_trace_agree_on_small_gaussians(way: str) -> None:
     np.testing.assert_array_equal(trace.gaussian_index[both], raster.gaussian_index[both])
     assert_close(trace.depth[both], raster.depth[both], atol=0.02, name="depth")
     assert_close(trace.normal[both], raster.normal[both], atol=1e-5, name="normal")
+
+
+def test_normals_that_hybrid_frames_do_not_have(caplog: pytest.LogCaptureFixture) -> None:
+    """Ellipsoids have no normals where they are rasterised: a line says so once, and names what has them."""
+    scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
+    for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
+        caplog.clear()
+        trace = ls.TraceConfig(normal_method=ls.NormalMethod.ELLIPSOID)
+        renderer = ls.create_renderer(ls.RenderConfig(pipeline=pipeline, trace=trace), "cpu")
+        for _ in range(2):
+            renderer.render(scene, camera)
+        said = [record.getMessage() for record in caplog.records if "NormalMethod.ELLIPSOID" in record.getMessage()]
+        assert len(said) == lines
+        assert all("Pipeline.TRACE uses it" in line for line in said)

@@ -24,6 +24,7 @@ from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.video import check_video, write_video
 
 
@@ -70,6 +71,7 @@ class Animate(FrameCommand):
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
+        refuse_standard_output(self.output)
         if self.scene.suffix.lower() != ".toml":
             raise ls.FormatError(self.scene, "is no scene.toml: a scene file says what moves, and how")
         if self.video is not None and self.format != "png":

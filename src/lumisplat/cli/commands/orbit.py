@@ -19,6 +19,7 @@ from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
 from lumisplat.cli.output.video import check_video, write_video
 
@@ -50,6 +51,7 @@ class Orbit(FrameCommand):
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
+        refuse_standard_output(self.output)
         count = self._frame_count()
         self.viewpoint.check(None)
         along = (

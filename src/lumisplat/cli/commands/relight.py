@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +16,7 @@ from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import changed_config, setting
 from lumisplat.cli.options.up import UpOption, upright
 from lumisplat.cli.output.console import Report, counted, progress_bars
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
 """A probe's first coefficient times this is its mean radiance."""
@@ -38,7 +39,7 @@ class Relight(LoadingCommand, DeviceCommand):
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
     """What gives light, without the avatar: captures, meshes or a scene.toml, whose settings and background count."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("relit.ply")
-    """.ply, .compressed.ply or .spz."""
+    """.ply, .compressed.ply or .spz. - is standard output, a .ply."""
     at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
     """Where the light is gathered, in the scene's coordinates; without: the middle of the avatar."""
     gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
@@ -64,6 +65,10 @@ class Relight(LoadingCommand, DeviceCommand):
 
     def run(self) -> None:
         """Loads, gathers the light, relights, writes."""
+        if self.output == STANDARD_OUTPUT:
+            with standard_output(".ply") as file:
+                replace(self, output=file).run()
+            return
         config = ls.RelightConfig(
             exponent=self.exponent,
             scale_max=self.scale_max,

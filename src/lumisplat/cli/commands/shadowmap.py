@@ -13,6 +13,7 @@ from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import setting, without_none
 from lumisplat.cli.output.console import byte_size, found_light, progress_bars
+from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:
     from lumisplat.scene.lights import Light
@@ -30,7 +31,7 @@ class ShadowMap(LoadingCommand, DeviceCommand):
     """The capture that receives the shadows."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """.ply, .compressed.ply or .spz: the capture in shadow. Or .npz: the deep shadow map itself, of one light, for
-    ls.DeepShadowMap.load."""
+    ls.DeepShadowMap.load. - is standard output, a .ply."""
     light: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y,Z")] = ()
     """Position of a light; several lights count as equally strong. Without: the lights of the casters' files, else
     those that are found in the capture: its lamps, or its sun."""
@@ -53,6 +54,10 @@ class ShadowMap(LoadingCommand, DeviceCommand):
 
     def run(self) -> None:
         """Casts the shadows, and saves the capture or the map."""
+        if self.output == STANDARD_OUTPUT:
+            with standard_output(".ply") as file:
+                replace(self, output=file).run()
+            return
         is_map = self.output.suffix.lower() == ".npz"
         if not is_map and self.output.suffix.lower() not in _CAPTURES:
             raise ls.ConfigError(f"{self.output}: expected .ply, .compressed.ply, .spz, or .npz for the map")

@@ -29,7 +29,8 @@ class LightOptions:
         Literal["exact", "first-hits", "stochastic"] | None, setting("{exact,first-hits,stochastic}", "exact")
     ] = None
     """How Gaussians block light. exact: all that are in the way. first-hits: the nearest --shadow-hits only, faster
-    and at times too bright. stochastic: each ray is blocked or not, by chance: faster, grainy; --samples average it."""
+    and at times too bright. stochastic: each ray is blocked or not, by chance: grainy, --samples average it; faster
+    only where light is lost gradually, as in hair."""
     shadow_hits: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
     """Gaussians that first-hits counts."""
     shadow_offset: Annotated[float | None, setting("0..100", "4.0")] = None

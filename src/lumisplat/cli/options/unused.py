@@ -37,8 +37,6 @@ def unused_options(
         unused = [option for option in given_options(rays) if option not in used]
         if unused:
             yield f"not used by --pipeline raster: {', '.join(unused)} (they are of --pipeline trace and hybrid)"
-    if config.pipeline is ls.Pipeline.HYBRID and rays.normals == ls.NormalMethod.ELLIPSOID.value:
-        yield "not used by --pipeline hybrid for what the camera sees itself: --normals (--pipeline trace uses it)"
     if not lit:
         unused = [option for option in given_options(light) if option != "--lighting"]
         if unused:

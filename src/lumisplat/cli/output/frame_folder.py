@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -61,7 +62,7 @@ class FrameFolder:
         elif frames:
             self._check(stamp, origin)
         make_folder(self.folder)
-        temporary = stamp.with_name(f".{self.stamp}.{os.getpid()}")
+        temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
         try:
             temporary.write_text(json.dumps(dict(origin), indent=1) + "\n")
             os.replace(temporary, stamp)

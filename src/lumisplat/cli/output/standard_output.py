@@ -15,6 +15,16 @@ import lumisplat as ls
 STANDARD_OUTPUT = Path("-")
 
 
+def refuse_standard_output(output: Path) -> None:
+    """Refuses ``-o -`` where many files are written.
+
+    Raises:
+        ConfigError: It is given.
+    """
+    if output == STANDARD_OUTPUT:
+        raise ls.ConfigError("-o - is one file, and frames are many: give a folder (./- is one of that name)")
+
+
 @contextlib.contextmanager
 def standard_output(suffix: str) -> Generator[Path]:
     """Yields a file to write, which is copied to standard output at the end, whole or not at all.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,12 +26,19 @@ def check_video(path: Path, fps: float) -> None:
         raise ls.FormatError(path, "is a picture's name, expected .mp4, .gif, .webp or .apng")
     import numpy as np
 
-    trial = path.with_name(f".trial.{path.name}")
+    if path.exists() and not path.is_file():
+        raise ls.FormatError(path, "is a folder or a device, expected the name of a video")
+    with tempfile.TemporaryDirectory() as elsewhere:
+        trial = Path(elsewhere) / f"trial{path.suffix}"
+        try:
+            ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
+        except ls.FormatError as error:
+            raise ls.FormatError(path, str(error).removeprefix(f"{trial}: ")) from None
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
-        ls.save_animation(trial, [np.zeros((16, 16, 3), np.float32)], fps)
-    except ls.FormatError as error:
-        raise ls.FormatError(path, str(error).removeprefix(f"{trial}: ")) from None
-    trial.unlink()
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ls.FormatError(path, f"cannot be written, nothing can in {folder}: {error.strerror}") from None
 
 
 def write_video(path: Path, frames: Sequence[Path], fps: float, report: Report) -> None:

@@ -6,7 +6,7 @@ import logging
 
 from lumisplat.renderer.scene.frame_plan import FramePlan
 
-_log = logging.getLogger("lumisplat")
+_log = logging.getLogger("lumisplat.grain")
 
 
 class GrainWarning:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+from lumisplat.config import NormalMethod, TraceConfig
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.scene.scene import Scene
 
@@ -16,6 +17,7 @@ class RasterWarnings:
     def __init__(self) -> None:
         self._warned_of_degrees: set[int] = set()
         self._has_warned_of_mirrors = False
+        self._has_warned_of_normals = False
 
     def warn_of_mirrors(self, scene: Scene) -> None:
         """Logs once that smooth meshes only reflect the environment, or the background, in lit frames."""
@@ -26,6 +28,15 @@ class RasterWarnings:
                 "%d smooth meshes (mirrors, glass) show the environment alone in the raster pipeline: "
                 "Pipeline.HYBRID follows what they reflect and let through",
                 count,
+            )
+
+    def warn_of_normals(self, config: TraceConfig) -> None:
+        """Logs once that what the camera sees itself in hybrid frames has the normals of rasterised Gaussians."""
+        if config.normal_method is NormalMethod.ELLIPSOID and not self._has_warned_of_normals:
+            self._has_warned_of_normals = True
+            _log.warning(
+                "NormalMethod.ELLIPSOID is not used for what the camera sees itself in the hybrid pipeline: "
+                "Pipeline.TRACE uses it"
             )
 
     def warn_of_degree(self, scene: Scene) -> None:
