@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.format import format_of
@@ -173,9 +173,8 @@ def save(path: PathLike, gaussians: Gaussians) -> None:
     """
     from lumisplat.scene.gaussians import Gaussians
 
-    value: object = gaussians
-    if not isinstance(value, Gaussians):
-        raise FormatError(path, f"only Gaussians can be saved, got {type(value).__name__}")
+    if not isinstance(cast("object", gaussians), Gaussians):
+        raise FormatError(path, f"only Gaussians can be saved, got {type(gaussians).__name__}")
     extension = next((end for end in _WRITERS if Path(path).name.lower().endswith(end)), None)
     if extension is None:
         raise FormatError(path, f"unknown extension {Path(path).suffix!r}, expected {WRITABLE}")
