@@ -19,10 +19,8 @@ Coefficients = tuple[float, float, float, float, float, float]
 
 def distort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
     """Where a lens shows points, shape (..., 2)."""
-    k1, k2, k3, k4, p1, p2 = coefficients
-    u, v = points[..., 0], points[..., 1]
-    s = u * u + v * v
-    radial = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    *_, p1, p2 = coefficients
+    u, v, s, radial = _radial(points, coefficients)
     return np.stack(
         [
             u * radial + 2.0 * p1 * u * v + p2 * (s + 2.0 * u * u),
@@ -63,14 +61,20 @@ def distortion_reach(coefficients: Coefficients) -> float:
 def distortion_jacobian(points: _Doubles, coefficients: Coefficients) -> _Doubles:
     """Derivative of `distort`, shape (..., 2, 2)."""
     k1, k2, k3, k4, p1, p2 = coefficients
-    u, v = points[..., 0], points[..., 1]
-    s = u * u + v * v
-    radial = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    u, v, s, radial = _radial(points, coefficients)
     slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
     mixed = slope * u * v + 2.0 * (p1 * u + p2 * v)
     uu = radial + slope * u * u + 2.0 * p1 * v + 6.0 * p2 * u
     vv = radial + slope * v * v + 2.0 * p2 * u + 6.0 * p1 * v
     return np.stack([np.stack([uu, mixed], axis=-1), np.stack([mixed, vv], axis=-1)], axis=-2)
+
+
+def _radial(points: _Doubles, coefficients: Coefficients) -> tuple[_Doubles, _Doubles, _Doubles, _Doubles]:
+    """The coordinates u and v of points, u^2 + v^2, and the radial polynomial there, shape (...) each."""
+    k1, k2, k3, k4, _, _ = coefficients
+    u, v = points[..., 0], points[..., 1]
+    s = u * u + v * v
+    return u, v, s, 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
 
 
 def _solved(matrices: _Doubles, vectors: _Doubles) -> _Doubles:

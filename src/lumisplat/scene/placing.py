@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import InitVar, dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
+from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import finite_numbers, matrix_4x4
 from lumisplat.math.rotations import axis_rotation
@@ -29,6 +31,47 @@ class Placing(NamedTuple):
     """Up of the scene: an object that was made with y up stands upright in it; None: as it is."""
     look_at: npt.ArrayLike | None = None
     """World position towards which the object's front, +z, is turned; ``up`` stays up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlacedInstance:
+    """What placed assets have in common; subclasses declare ``world_from_object`` and call `_place`."""
+
+    name: str = ""
+    position: InitVar[npt.ArrayLike | None] = None
+    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    rotation_degrees: InitVar[npt.ArrayLike | None] = None
+    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    scale_by: InitVar[float | None] = None
+    """In place of ``world_from_object``: uniform scale factor."""
+    up: InitVar[str | npt.ArrayLike | None] = None
+    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
+    up, such as glTF, then stands upright."""
+    look_at: InitVar[npt.ArrayLike | None] = None
+    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
+
+    @property
+    def transform(self) -> _Doubles:
+        """``world_from_object``, never None."""
+        # A field of the subclasses, which takes its place behind what they place.
+        matrix: _Doubles | None = getattr(self, "world_from_object")  # noqa: B009
+        assert matrix is not None
+        return matrix
+
+    def _place(self, world_from_object: npt.ArrayLike | None, placing: Placing) -> None:
+        """Makes ``world_from_object`` the checked matrix, the given one or that of the placing.
+
+        Raises:
+            SceneError: As of `placed`.
+        """
+        object.__setattr__(self, "world_from_object", placed(world_from_object, placing))
+
+    def _placement(self) -> str:
+        """Name and position, and the scale unless that is 1."""
+        matrix = self.transform
+        scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
+        scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
+        return f"name={self.name!r}, position=({', '.join(f'{value:.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
 def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> _Doubles:

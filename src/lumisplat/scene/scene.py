@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import InitVar, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -19,7 +19,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.placing import Placing, placed
+from lumisplat.scene.placing import PlacedInstance, Placing
 from lumisplat.scene.up import UP_AXES, Vector, front_vector, up_vector
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -29,7 +29,7 @@ _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SplatInstance:
+class SplatInstance(PlacedInstance):
     """A Gaussian set placed in the world by rotation, uniform scale and translation.
 
     Raises:
@@ -42,52 +42,26 @@ class SplatInstance:
     """Similarity transform, shape (4, 4); None: the identity."""
     material: Material | None = None
     """How it reflects light; None: it shines as captured, whatever the lights."""
-    name: str = field(default="", kw_only=True)
     sh_degree: int = field(default=SH_DEGREE_MAX, kw_only=True)
     """Highest SH degree that is evaluated, 0..3. A lower degree removes view-dependent light that was baked in."""
     shadow_only: bool = field(default=False, kw_only=True)
     """Whether it shows its captured colours and only receives shadows: lights do not brighten it, its own Gaussians do
     not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
     the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
-    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
-    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
-    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: uniform scale factor."""
-    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
-    up, such as glTF, then stands upright."""
-    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(
-        self,
-        position: npt.ArrayLike | None,
-        rotation_degrees: npt.ArrayLike | None,
-        scale_by: float | None,
-        up: str | npt.ArrayLike | None,
-        look_at: npt.ArrayLike | None,
-    ) -> None:
+    def __post_init__(self, *placing: Any) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_flag("shadow_only", self.shadow_only)
-        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
-        check_similarity(matrix[:3, :3])
-        object.__setattr__(self, "world_from_object", matrix)
+        self._place(self.world_from_object, Placing(*placing))
+        check_similarity(self.transform[:3, :3])
 
     def __repr__(self) -> str:
         material = f", material={type(self.material).__name__}" if self.material is not None else ""
         kept = ", shadow_only" if self.shadow_only else ""
-        return f"SplatInstance({self.gaussians!r}, {_placement(self.transform, self.name)}{material}{kept})"
-
-    @property
-    def transform(self) -> npt.NDArray[np.float64]:
-        """``world_from_object``, never None."""
-        assert self.world_from_object is not None
-        return self.world_from_object
+        return f"SplatInstance({self.gaussians!r}, {self._placement()}{material}{kept})"
 
     @property
     def world_means(self) -> npt.NDArray[np.float64]:
@@ -106,7 +80,7 @@ class SplatInstance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeshInstance:
+class MeshInstance(PlacedInstance):
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
@@ -117,39 +91,13 @@ class MeshInstance:
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
     """Affine transform, shape (4, 4); None: the identity."""
-    name: str = field(default="", kw_only=True)
-    position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
-    rotation_degrees: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
-    scale_by: InitVar[float | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: uniform scale factor."""
-    up: InitVar[str | npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
-    up, such as glTF, then stands upright."""
-    look_at: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
-    def __post_init__(
-        self,
-        position: npt.ArrayLike | None,
-        rotation_degrees: npt.ArrayLike | None,
-        scale_by: float | None,
-        up: str | npt.ArrayLike | None,
-        look_at: npt.ArrayLike | None,
-    ) -> None:
+    def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
-        matrix = placed(self.world_from_object, Placing(position, rotation_degrees, scale_by, up, look_at))
-        object.__setattr__(self, "world_from_object", matrix)
+        self._place(self.world_from_object, Placing(*placing))
 
     def __repr__(self) -> str:
-        return f"MeshInstance({self.mesh!r}, {_placement(self.transform, self.name)})"
-
-    @property
-    def transform(self) -> npt.NDArray[np.float64]:
-        """``world_from_object``, never None."""
-        assert self.world_from_object is not None
-        return self.world_from_object
+        return f"MeshInstance({self.mesh!r}, {self._placement()})"
 
     def bounds(self) -> Bounds:
         """Corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""
@@ -278,13 +226,6 @@ def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray) -> tuple[
     share = np.cumsum(weights[order], dtype=np.float64)
     first, last = np.searchsorted(share, (BULK_TAIL * share[-1], (1.0 - BULK_TAIL) * share[-1]))
     return float(heights[order[first]]), float(heights[order[last]])
-
-
-def _placement(matrix: npt.NDArray[np.float64], name: str) -> str:
-    """Name and position of an instance, and its scale unless that is 1."""
-    scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
-    scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
-    return f"name={name!r}, position=({', '.join(f'{value:.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
 def check_similarity(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +17,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.unused import unused_options
-from lumisplat.cli.output.console import counted, progress_bars
+from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
@@ -74,13 +75,7 @@ class Orbit(FrameCommand):
             for line in unused_options(config, scene, [], self.rays, self.light):
                 _log.warning("%s", line)
             try:
-                report("frames", 0.0)
-                for done, index in enumerate(missing, start=1):
-                    frame = renderer.render(scene, cameras[index], progress=report)
-                    frame.save(folder.path(index))
-                    report("frames", done / len(missing))
-                    if self.stats and done == len(missing):
-                        print_stats(frame, renderer.config.pipeline)
+                self._render({folder.path(k): cameras[k] for k in missing}, renderer, scene, report)
                 if self.video is not None:
                     write_video(self.video, [folder.path(index) for index in range(count)], self.fps, report)
             except KeyboardInterrupt:
@@ -94,6 +89,18 @@ class Orbit(FrameCommand):
         print(f"{counted(count, 'frame')} in {self.output}" + f", {there} of them {were} there" * bool(there))
         if self.video is not None:
             print(f"{self.video} ({self.fps:g} frames a second, {count / self.fps:.2f} s)")
+
+    def _render(
+        self, cameras: Mapping[Path, ls.Camera], renderer: ls.Renderer, scene: ls.Scene, report: Report
+    ) -> None:
+        """Renders and writes the frames of cameras by their files."""
+        report("frames", 0.0)
+        for done, (path, camera) in enumerate(cameras.items(), start=1):
+            frame = renderer.render(scene, camera, progress=report)
+            frame.save(path)
+            report("frames", done / len(cameras))
+            if self.stats and done == len(cameras):
+                print_stats(frame, renderer.config.pipeline)
 
     def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
         """The cameras round the scene."""

@@ -35,6 +35,24 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
         raise SceneError(f"crease_angle is {crease_angle}, expected radians from 0 to pi")
     if crease_angle == 0.0:
         return replace(mesh, normals=None)
+    normals = _corner_normals(mesh, crease_angle)
+    # Corners of a vertex whose normals are equal stay one vertex.
+    cells: npt.NDArray[np.int64] = np.rint(normals * 1e5).astype(np.int64)
+    keys = np.column_stack([mesh.indices.ravel(), cells])
+    _, first, vertex = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    old = mesh.indices.ravel()[first]
+    return replace(
+        mesh,
+        positions=mesh.positions[old],
+        indices=vertex.reshape(-1, 3),
+        normals=normals[first],
+        uvs=None if mesh.uvs is None else mesh.uvs[old],
+        colors=None if mesh.colors is None else mesh.colors[old],
+    )
+
+
+def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
+    """Unit normals of the triangles' corners, one row a corner, shape (3 F, 3)."""
     areas = area_vectors(mesh.positions, mesh.indices)
     faces = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
     low, high = mesh.bounds()
@@ -58,19 +76,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
     flat = lengths[:, 0] <= 1e-12
     normals /= np.maximum(lengths, 1e-300)
     normals[flat] = faces[face_of_corner[flat]]
-    # Corners of a vertex whose normals are equal stay one vertex.
-    cells: npt.NDArray[np.int64] = np.rint(normals * 1e5).astype(np.int64)
-    keys = np.column_stack([mesh.indices.ravel(), cells])
-    _, first, vertex = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    old = mesh.indices.ravel()[first]
-    return replace(
-        mesh,
-        positions=mesh.positions[old],
-        indices=vertex.reshape(-1, 3),
-        normals=normals[first],
-        uvs=None if mesh.uvs is None else mesh.uvs[old],
-        colors=None if mesh.colors is None else mesh.colors[old],
-    )
+    return normals
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:
