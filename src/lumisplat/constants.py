@@ -78,7 +78,8 @@ SAMPLES_MAX = 16_777_216
 """Largest number of samples of a pixel: up to here, the running mean still changes in float32."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
-"""Samples of a pixel, unless told, where light comes from random directions: what noise is left is fine grain."""
+"""Samples of a pixel where light comes from random directions, unless they are given: what noise is left is fine
+grain."""
 
 SAMPLES_OF_SKY_ON_SPLATS = 8
 """The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to

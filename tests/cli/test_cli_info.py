@@ -46,7 +46,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
     return place
 
 
-def test_scenes_tell_their_actors(work):
+def test_scenes_show_their_actors(work):
     """Kind, keyframes and length of the animation, and where things stand in the world."""
     shown = " ".join(work.run("info", "@scene.toml").out.split())
     assert "animation 20 frames at 10 a second, 2 s" in shown

@@ -1,4 +1,4 @@
-"""How many samples a frame has unless it is told, and what is said of those that are told too few."""
+"""How many samples a frame has unless they are given, and what is said of too few."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_an_environment_shows_no_pepper_by_default(pipeline: ls.Pipeline, caplog
     assert errors[None] < 0.35 * errors[1]
 
 
-def test_too_few_samples_are_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_too_few_samples_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
     """With what is grainy and what helps; never by default, nor as soon as resumed frames have enough."""
     camera, soft = front_camera(16, 16), scene(SKY, SOFT_SUN)
 

@@ -134,9 +134,9 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
     data = read_bytes(path)
     (count,), at = struct.unpack_from("<Q", data), 8
     for _ in range(count):
-        number, model, width, height = _CAMERA.unpack_from(data, at)
+        number, model, width, height = map(int, _CAMERA.unpack_from(data, at))
         at += _CAMERA.size
-        name = dict(enumerate(_NAMES)).get(int(model), f"model {model}")
+        name = _NAMES[model] if 0 <= model < len(_NAMES) else f"model {model}"
         if name not in _PARAMETERS:
             raise FormatError(path, f"camera {number} is a {name}, expected {', '.join(_PARAMETERS)}")
         values = struct.unpack_from(f"<{len(_PARAMETERS[name].split())}d", data, at)

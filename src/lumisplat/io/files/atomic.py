@@ -14,7 +14,7 @@ from lumisplat.io.files.source import PathLike
 
 try:
     import fcntl
-except ImportError:  # Windows: leftovers stay, as nothing tells whether they are still being written
+except ImportError:  # Windows: leftovers stay, as nothing says whether they are still being written
     fcntl = None
 
 _STEM_BYTES = 64

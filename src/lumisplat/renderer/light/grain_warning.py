@@ -6,7 +6,7 @@ import logging
 
 from lumisplat.renderer.scene.frame_plan import FramePlan
 
-_log = logging.getLogger("lumisplat.grain")
+_log = logging.getLogger("lumisplat.grain")  # of its own, so that it can be silenced alone
 
 
 class GrainWarning:

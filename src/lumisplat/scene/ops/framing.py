@@ -54,7 +54,7 @@ def frame_camera(
     _check_angle("azimuth", azimuth, 2.0 * math.pi)
     _check_angle("elevation", elevation, 0.5 * math.pi)
     backward, up = _side(scene, azimuth, elevation)
-    center = _target(scene, target)
+    center = target_point(scene, target)
     if distance is None:
         others = np.arange(1, 16) * math.pi / 8.0 if all_around else ()
         sides = [(backward, up), *(_side(scene, azimuth + turn, elevation) for turn in others)]
@@ -83,7 +83,12 @@ def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[_Points, _Poi
     return backward, up
 
 
-def _target(scene: Scene, target: npt.ArrayLike | None) -> _Points:
+def target_point(scene: Scene, target: npt.ArrayLike | None) -> _Points:
+    """A world position that is given, shape (3,); None: the middle of the bulk of the scene.
+
+    Raises:
+        SceneError: It is not three finite numbers, or the scene is empty.
+    """
     if target is None:
         low, high = scene.bulk_bounds()
         return 0.5 * (low + high)

@@ -11,11 +11,10 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.rotations import axis_rotation
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_whole
-from lumisplat.scene.ops.framing import frame_camera
+from lumisplat.scene.ops.framing import frame_camera, target_point
 from lumisplat.scene.scene import Scene
 
 
@@ -44,9 +43,7 @@ def orbit_cameras(
         raise SceneError(f"turns is {turns}, expected a number of turns")
     first = frame_camera(scene, target=target, all_around=True) if camera is None else camera
     check_argument("orbit_cameras", first, Camera, "a Camera")
-    point = 0.5 * np.add(*scene.bulk_bounds()) if target is None else finite_numbers(target, (3,))
-    if point is None:
-        raise SceneError(f"target is {target}, expected three finite numbers")
+    point = target_point(scene, target)
     return [_turned(first, scene, point, turns * k / count, f"frame_{k:05d}") for k in range(count)]
 
 
