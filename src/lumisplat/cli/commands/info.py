@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -95,7 +96,7 @@ class Info(LoadingCommand):
 
 def _holds_cameras(path: Path) -> bool:
     """Whether a path is a camera file, or the folder or a file of a sparse model of COLMAP."""
-    if path.is_dir():
+    if os.path.isdir(path):  # Path.is_dir raises on names that are too long; the reader says so
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
     return of_colmap or (path.suffix.lower() == ".json" and path.name != "meta.json")

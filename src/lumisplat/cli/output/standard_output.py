@@ -22,7 +22,7 @@ def refuse_standard_output(output: Path) -> None:
         ConfigError: It is given.
     """
     if output == STANDARD_OUTPUT:
-        raise ls.ConfigError("-o - is one file, and frames are many: give a folder (./- is one of that name)")
+        raise ls.ConfigError("-o - is one file, and frames are many: give a folder")
 
 
 @contextlib.contextmanager
