@@ -60,8 +60,8 @@ class ShadowMethod(Enum):
     STOCHASTIC = "stochastic"
     """All or nothing: a ray is blocked with the opacity of what it crosses as probability, independently of its
     neighbours (docs/method/shadows.md#stochastic-shadows). As bright as exact on average, and grainy. A
-    blocked ray ends sooner: two fifths faster where light is lost gradually, not where it meets opaque Gaussians or
-    none."""
+    blocked ray ends sooner: two fifths faster where light is lost gradually, elsewhere no faster
+    (docs/adr/0022-one-number-a-shadow-ray.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,7 +30,7 @@ class LightOptions:
     ] = None
     """How Gaussians block light. exact: all that are in the way. first-hits: the nearest --shadow-hits only, faster
     and at times too bright. stochastic: each ray is blocked or not, by chance: grainy, --samples average it; faster
-    only where light is lost gradually, as in hair."""
+    only where light is lost gradually."""
     shadow_hits: Annotated[Literal[4, 8, 16, 32] | None, setting("{4,8,16,32}", "16")] = None
     """Gaussians that first-hits counts."""
     shadow_offset: Annotated[float | None, setting("0..100", "4.0")] = None

@@ -23,7 +23,7 @@ _SAMPLES = 16
 _SWING_FRAMES = 24
 """Frames of the animation: one swing, there and back."""
 _SWING_SAMPLES = 8
-"""Half of what its lights need: 88 instead of 156 s of one core, and 256 dithered colours hide the grain."""
+"""Half of what its lights need without grain: 88 instead of 156 s of one core."""
 _SWING_FPS = 12.0
 _SWING_MIDDLE = 0.2
 """x of the plane through the room about which the spot swings, metres."""
