@@ -388,6 +388,9 @@ SUN_APART = 0.7
 SUN_CONFIDENCE_MIN = 0.2
 """Confidence below which no sun is given."""
 
+SUN_ANNOUNCED_S = 1.0
+"""Seconds after which a search for the sun shows its progress."""
+
 SUN_WAYS = 256
 """Ways from an actor to a sun that are looked along, at most."""
 

@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
+from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
 from lumisplat.relighting.light_traces import Shading, even_directions
 from support.scenes.lit_places import Point, meadow, room
@@ -65,6 +66,19 @@ def test_without_a_sun_there_is_none() -> None:
     assert ls.estimate_sun(few.subset(np.arange(50))) is None
     with pytest.raises(ls.SceneError, match="the scene has none"):
         ls.estimate_sun(ls.Scene())
+
+
+def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From when it takes too long to its end, always forwards; a short one shows nothing."""
+    reports: list[tuple[str, float]] = []
+    monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
+    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    assert not reports
+    monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 0.0)
+    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    fractions = [fraction for _, fraction in reports]
+    assert fractions == sorted(fractions) and len(reports) > 100
+    assert reports[-1] == ("looking for the sun", 1.0)
 
 
 def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> CapturedSurfaces:
