@@ -72,7 +72,7 @@ class Place:
     y_up: bool
     background: tuple[float, float, float]
     """Behind everything, display-referred: what captures do not hold of their surroundings."""
-    lights: tuple[ls.Light, ...] | None = None
+    lights: tuple[ls.LightDirectional, ...] | None = None
     """Those that it was captured in, as far as they are known."""
     file: Path | None = None
 
