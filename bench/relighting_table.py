@@ -188,12 +188,12 @@ class Walks(Protocol):
 
 
 def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Path | None) -> dict:
-    """The row of a place: means over the moments of each metric, as captured and relit, and the seconds it took."""
+    """The row of a place: means over the moments, as captured and relit, of each metric and of the figure's luminance."""
     begun = time.perf_counter()
     scene = place.load()
     config = ls.AvatarLightingConfig(shadows=False)
     lighter = ls.AvatarLighter(scene, place.lights, config, background=place.background, device=device)
-    found: dict[str, list[float]] = {f"{name}_{kind}": [] for name in METRICS for kind in ("orig", "relit")}
+    found: dict[str, list[float]] = {f"{name}_{kind}": [] for name in (*METRICS, "y") for kind in ("orig", "relit")}
     for number, (time_, pose) in enumerate(place.moments(frames)):
         captured = figure.at(time_, pose)
         relit = lighter.light([captured]).splats[-1]
@@ -201,6 +201,7 @@ def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Pat
         around = some_points(ls.LitPoints.of(scene, around=center, radius=place.radius))
         for kind, actor in (("orig", captured), ("relit", relit)):
             points = some_points(ls.LitPoints.of(actor))
+            found[f"y_{kind}"].append(float(points.luminance.mean()))
             for name, metric in METRICS.items():
                 found[f"{name}_{kind}"].append(metric(points, around, radius=place.radius))
         if pictures is not None:
