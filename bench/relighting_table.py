@@ -188,7 +188,7 @@ class Walks(Protocol):
 
 
 def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Path | None) -> dict:
-    """The row of a place: means over the moments, as captured and relit, of each metric and of the figure's luminance."""
+    """The row of a place: means over the moments, as captured and relit, of metrics and of the figure's luminance."""
     begun = time.perf_counter()
     scene = place.load()
     config = ls.AvatarLightingConfig(shadows=False)
