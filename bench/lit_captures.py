@@ -63,7 +63,7 @@ def lit_capture(kind: str, seed: int) -> LitCapture:
         parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lamps]
     shown = _captured(rng, parts, lamps, sun, seen_from=views, is_open=kind in ("sunny", "overcast"))
     capture = merge_gaussians([*shown, _floaters(rng, size)])
-    place = np.array([*(0.5 * rng.uniform(-0.4, 0.4, 2) * size[[0, 2]]), 0.9])[[0, 2, 1]]
+    place = _free_place(rng, size, parts, views)
     turn = np.eye(4)
     unit = float(np.exp(rng.uniform(-1.0, 1.0)))
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -142,7 +142,6 @@ def _lamps(
 
     They are apart from each other, and two photographs at least show each: none is within something.
     """
-    world = ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts])
     wanted = int({"room": rng.integers(1, 4), "night": rng.integers(1, 3)}.get(kind, 0))
     found: list[np.ndarray] = []
     while len(found) < wanted:
@@ -150,12 +149,26 @@ def _lamps(
         hangs = rng.random() < 0.7
         height = size[1] - rng.uniform(0.25, 0.9) if hangs else rng.uniform(1.2, 1.6)
         place = np.array([x, rng.uniform(1.6, 3.4) if kind == "night" else height, z])
-        away = seen_from - place
-        far = np.linalg.norm(away, axis=1)
-        shown = ls.transmittance(world, np.tile(place, (len(away), 1)), away / far[:, None], far, device="cpu")
-        if shown.sum() >= 2.0 and all(np.linalg.norm(place - other) > 1.5 for other in found):
+        if _is_shown(place, parts, seen_from) and all(np.linalg.norm(place - other) > 1.5 for other in found):
             found.append(place)
     return np.array(found).reshape(-1, 3)
+
+
+def _free_place(rng: np.random.Generator, size: np.ndarray, parts: list[_Part], seen_from: np.ndarray) -> np.ndarray:
+    """The middle of a character that stands somewhere, not within something, shape (3,)."""
+    while True:
+        x, z = rng.uniform(-0.25, 0.25, 2) * size[[0, 2]]
+        place = np.array([x, 0.9, z])
+        if _is_shown(place, parts, seen_from):
+            return place
+
+
+def _is_shown(place: np.ndarray, parts: list[_Part], seen_from: np.ndarray) -> bool:
+    """Whether two photographs at least look at a place freely."""
+    world = ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts])
+    away = seen_from - place
+    far = np.linalg.norm(away, axis=1)
+    return ls.transmittance(world, np.tile(place, (len(away), 1)), away / far[:, None], far, device="cpu").sum() >= 2.0
 
 
 def _sun(rng: np.random.Generator) -> np.ndarray:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from bench.lit_captures import lit_capture
 
 import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
@@ -66,6 +67,22 @@ def test_without_a_sun_there_is_none() -> None:
     assert ls.estimate_sun(few.subset(np.arange(50))) is None
     with pytest.raises(ls.SceneError, match="the scene has none"):
         ls.estimate_sun(ls.Scene())
+
+
+def test_an_overcast_sky_is_no_sun() -> None:
+    """Its top is brightest, and things stand in its soft shadows: not even so."""
+    capture = lit_capture("overcast", 7)
+    assert ls.estimate_sun(capture.scene, capture.center) is None
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_no_sun_shines_from_below(seed: int) -> None:
+    """Without a place the middle of a capture is looked from, on its ground or in it: up is known all the same."""
+    capture = lit_capture("sunny", seed)
+    found = ls.estimate_sun(capture.scene)
+    assert capture.sun is not None
+    assert found is None or -np.dot(found.light.direction, capture.sun) > math.cos(math.radians(10.0))
+    assert found is not None or seed == 4
 
 
 def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:

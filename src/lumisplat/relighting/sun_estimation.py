@@ -13,10 +13,13 @@ from lumisplat.constants import (
     SUN_APART,
     SUN_CONFIDENCE_MIN,
     SUN_DIRECTIONS,
+    SUN_LIFT,
     SUN_LIT,
     SUN_REFINED,
     SUN_SHARE,
+    SUN_SHARE_BEYOND,
     SUN_SIGNIFICANCE,
+    SUN_SIGNIFICANCE_BEYOND,
     SURFACE_REACH,
     TRACE_GROUND_MIN,
     TRACE_SURFACES_MIN,
@@ -77,7 +80,7 @@ def estimate_sun(
     cosines = _cosines(surfaces, directions, begun, progress)
     shading = Shading.of(surfaces, directions, cosines)
     traces = shading.traces(cosines)
-    allowed = _is_sky(directions, surfaces, middle) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
+    allowed = _is_sky(directions, surfaces, _open_place(surfaces, middle)) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
     shares = np.array([trace.share for trace in traces])
     if not allowed.any():
         return None
@@ -86,6 +89,10 @@ def estimate_sun(
     direction, trace = _refined(shading, directions[best], traces[best])
     confidence = 1.0 - max(float(others.max(initial=0.0)), 0.0) / max(trace.share, 1e-12)
     if trace.share < SUN_SHARE or trace.significance < SUN_SIGNIFICANCE or confidence < SUN_CONFIDENCE_MIN:
+        return None
+    # An overcast sky is brightest at its top: a sun shows beside one of the next degree, too.
+    (beyond,) = Shading.of(surfaces, directions, cosines, 2).traces(surfaces.cosines(direction)[:, None])
+    if beyond.share < SUN_SHARE_BEYOND or beyond.significance < SUN_SIGNIFICANCE_BEYOND:
         return None
     light = LightDirectional(tuple((-direction).tolist()), name="estimated-sun")
     return SunEstimate(light, confidence, trace.share, trace.significance)
@@ -103,6 +110,17 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, begun: float, prog
     if progress is not None and is_announced:
         progress("looking for the sun", 1.0)
     return np.stack(columns, axis=1)
+
+
+def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
+    """A place, or if it is within something, such as the ground, one above it: on the side where things stand."""
+    ways = even_directions()
+    if surfaces.cells.is_free(np.broadcast_to(place, ways.shape), ways).mean() >= SUN_LIT:
+        return place
+    offsets = surfaces.positions - place
+    flat = np.linalg.eigh(np.cov(offsets.T))[1][:, 0]
+    upwards = flat * np.sign(np.mean((offsets @ flat) ** 3))
+    return place + SUN_LIFT * surfaces.cells.cell * upwards
 
 
 def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> npt.NDArray[np.bool_]:
