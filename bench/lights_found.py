@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -101,9 +102,10 @@ def main() -> None:
     given.add_argument("--first", type=int, default=100, help="the first seed (default: 100)")
     given.add_argument("--count", type=int, default=10, help="captures of each kind (default: 10)")
     chosen = given.parse_args()
-    captures = [lit_capture(kind, seed) for kind in KINDS for seed in range(chosen.first, chosen.first + chosen.count)]
+    seeds = range(chosen.first, chosen.first + chosen.count)
+    drawn = (lit_capture(kind, seed, chosen.device) for kind in KINDS for seed in seeds)
     rows: list[dict] = []
-    for capture in [*captures, demo_capture(), *captures_of_things()]:
+    for capture in chain(drawn, [demo_capture()], captures_of_things()):
         rows.append(look(capture))
         print(json.dumps(rows[-1]), flush=True)
     print("\n".join(table(rows)))

@@ -49,7 +49,37 @@ class _Part:
     albedo: float
 
 
-def lit_capture(kind: str, seed: int) -> LitCapture:
+@dataclass(frozen=True)
+class _World:
+    """The things as meshes, which block light."""
+
+    scene: ls.Scene
+    device: str
+
+    @classmethod
+    def of(cls, parts: list[_Part], device: str) -> _World:
+        return cls(ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts]), device)
+
+    def passes(self, origins: np.ndarray, ways: np.ndarray, distances: np.ndarray | float) -> np.ndarray:
+        """1 where nothing is in the way, else 0, shape (N,)."""
+        return ls.transmittance(self.scene, origins, ways, distances, device=self.device)
+
+    def shows(self, place: np.ndarray, seen_from: np.ndarray) -> bool:
+        """Whether two photographs at least look at a place freely."""
+        away = seen_from - place
+        far = np.linalg.norm(away, axis=1)
+        return self.passes(np.tile(place, (len(away), 1)), away / far[:, None], far).sum() >= 2.0
+
+    def arriving(
+        self, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
+    ) -> np.ndarray:
+        """Cosine to a light, 0 in shadow, shape (N,)."""
+        unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+        cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
+        return cosine * self.passes(points + 0.004 * normals, unit, distance)
+
+
+def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
     """The capture of a kind and a seed; y is up and a unit is a metre until it is turned and scaled as a whole."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     size = np.array([rng.uniform(3.2, 6.5), rng.uniform(2.4, 3.4), rng.uniform(3.2, 7.5)])
@@ -57,13 +87,15 @@ def lit_capture(kind: str, seed: int) -> LitCapture:
         size = np.array([rng.uniform(8.0, 14.0), 0.0, rng.uniform(8.0, 14.0)])
     parts = [*(_walls(rng, size) if kind == "room" else _ground(rng, size)), *_things(rng, size, kind)]
     views = _photographs(rng, size)
-    lamps = _lamps(rng, size, kind, parts, views)
+    world = _World.of(parts, device)
+    lamps = _lamps(rng, size, kind, world, views)
     sun = _sun(rng) if kind == "sunny" else None
     if kind == "night":
         parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lamps]
-    shown = _captured(rng, parts, lamps, sun, seen_from=views, is_open=kind in ("sunny", "overcast"))
+        world = _World.of(parts, device)
+    shown = _captured(rng, world, parts, views, lamps=lamps, sun=sun, is_open=kind in ("sunny", "overcast"))
     capture = merge_gaussians([*shown, _floaters(rng, size)])
-    place = _free_place(rng, size, parts, views)
+    place = _free_place(rng, size, world, views)
     turn = np.eye(4)
     unit = float(np.exp(rng.uniform(-1.0, 1.0)))
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -135,9 +167,7 @@ def _things(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part
     return parts
 
 
-def _lamps(
-    rng: np.random.Generator, size: np.ndarray, kind: str, parts: list[_Part], seen_from: np.ndarray
-) -> np.ndarray:
+def _lamps(rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, seen_from: np.ndarray) -> np.ndarray:
     """One to three in rooms, hanging or standing, one or two at night, on posts, shape (k, 3).
 
     They are apart from each other, and two photographs at least show each: none is within something.
@@ -149,26 +179,18 @@ def _lamps(
         hangs = rng.random() < 0.7
         height = size[1] - rng.uniform(0.25, 0.9) if hangs else rng.uniform(1.2, 1.6)
         place = np.array([x, rng.uniform(1.6, 3.4) if kind == "night" else height, z])
-        if _is_shown(place, parts, seen_from) and all(np.linalg.norm(place - other) > 1.5 for other in found):
+        if world.shows(place, seen_from) and all(np.linalg.norm(place - other) > 1.5 for other in found):
             found.append(place)
     return np.array(found).reshape(-1, 3)
 
 
-def _free_place(rng: np.random.Generator, size: np.ndarray, parts: list[_Part], seen_from: np.ndarray) -> np.ndarray:
+def _free_place(rng: np.random.Generator, size: np.ndarray, world: _World, seen_from: np.ndarray) -> np.ndarray:
     """The middle of a character that stands somewhere, not within something, shape (3,)."""
     while True:
         x, z = rng.uniform(-0.25, 0.25, 2) * size[[0, 2]]
         place = np.array([x, 0.9, z])
-        if _is_shown(place, parts, seen_from):
+        if world.shows(place, seen_from):
             return place
-
-
-def _is_shown(place: np.ndarray, parts: list[_Part], seen_from: np.ndarray) -> bool:
-    """Whether two photographs at least look at a place freely."""
-    world = ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts])
-    away = seen_from - place
-    far = np.linalg.norm(away, axis=1)
-    return ls.transmittance(world, np.tile(place, (len(away), 1)), away / far[:, None], far, device="cpu").sum() >= 2.0
 
 
 def _sun(rng: np.random.Generator) -> np.ndarray:
@@ -187,15 +209,15 @@ def _photographs(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
 
 def _captured(
     rng: np.random.Generator,
+    world: _World,
     parts: list[_Part],
+    seen_from: np.ndarray,
+    *,
     lamps: np.ndarray,
     sun: np.ndarray | None,
-    *,
-    seen_from: np.ndarray,
     is_open: bool,
 ) -> list[ls.Gaussians]:
     """The parts as Gaussians with their light, and the lamps as white balls, at one exposure."""
-    world = ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts])
     everything, albedo = _seen(world, parts, seen_from)
     points, normals = everything.means.astype(np.float64), np.asarray(everything.normals, np.float64)
     light = _light(rng, world, points, normals, lamps=lamps, sun=sun, is_open=is_open)
@@ -210,7 +232,7 @@ def _captured(
     return [*shown, *(_painted(rng, ls.gaussians_from_mesh(ball, 150), np.ones((150, 3))) for ball in balls)]
 
 
-def _seen(world: ls.Scene, parts: list[_Part], seen_from: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
+def _seen(world: _World, parts: list[_Part], seen_from: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
     """Gaussians of the parts that some photograph shows, and the albedo of each."""
     sets = [ls.gaussians_from_mesh(part.mesh, int(np.clip(DENSITY * _area(part.mesh), 60, 12_000))) for part in parts]
     everything = merge_gaussians(sets)
@@ -219,13 +241,13 @@ def _seen(world: ls.Scene, parts: list[_Part], seen_from: np.ndarray) -> tuple[l
     is_seen = np.zeros(len(points), np.bool_)
     for eye in seen_from:
         away = eye - points
-        is_seen |= _arriving(world, points, normals, away, np.linalg.norm(away, axis=1)) > 0.0
+        is_seen |= world.arriving(points, normals, away, np.linalg.norm(away, axis=1)) > 0.0
     return everything.subset(is_seen), albedo[is_seen]
 
 
 def _light(
     rng: np.random.Generator,
-    world: ls.Scene,
+    world: _World,
     points: np.ndarray,
     normals: np.ndarray,
     *,
@@ -239,9 +261,9 @@ def _light(
         away = lamp - points
         distance = np.linalg.norm(away, axis=1)
         strength = rng.uniform(0.5, 1.5)
-        light += strength * _arriving(world, points, normals, away, distance) / np.maximum(distance, 0.15) ** 2
+        light += strength * world.arriving(points, normals, away, distance) / np.maximum(distance, 0.15) ** 2
     if sun is not None:
-        light += rng.uniform(1.5, 6.0) * _arriving(world, points, normals, np.broadcast_to(sun, points.shape), 100.0)
+        light += rng.uniform(1.5, 6.0) * world.arriving(points, normals, np.broadcast_to(sun, points.shape), 100.0)
     around = _sky(world, points, normals) if is_open else 1.0 + 0.3 * normals @ rng.normal(size=3)
     share = rng.uniform(0.2, 0.6) * light.mean() / np.mean(around) if lamps.size else 1.0
     return light + np.maximum(share * around, 0.05 * share)
@@ -253,23 +275,14 @@ def _area(mesh: ls.Mesh) -> float:
     return 0.5 * float(np.linalg.norm(sides, axis=1).sum())
 
 
-def _arriving(
-    world: ls.Scene, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
-) -> np.ndarray:
-    """Cosine to a light, 0 in shadow, shape (N,)."""
-    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
-    cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
-    return cosine * ls.transmittance(world, points + 0.004 * normals, unit, distance, device="cpu")
-
-
-def _sky(world: ls.Scene, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _sky(world: _World, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Irradiance from a sky that is brighter at its top, with shadows, shape (N,)."""
     k = np.arange(SKY_WAYS) + 0.5
     y, around = k / SKY_WAYS, k * np.pi * (1.0 + 5.0**0.5)
     ways = np.stack([np.sqrt(1.0 - y * y) * np.cos(around), y, np.sqrt(1.0 - y * y) * np.sin(around)], axis=1)
     total = np.full(len(points), 0.1 * SKY_WAYS / 2.0)
     for way in ways:
-        total += (0.5 + way[1]) * _arriving(world, points, normals, np.broadcast_to(way, points.shape), 100.0)
+        total += (0.5 + way[1]) * world.arriving(points, normals, np.broadcast_to(way, points.shape), 100.0)
     return total * (2.0 / SKY_WAYS)
 
 

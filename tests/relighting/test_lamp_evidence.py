@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from lumisplat.constants import LAMP_SIGNIFICANCE
 from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
 from lumisplat.relighting.light_traces import Shading, even_directions
+from support.kinds import expect_kind
 from support.scenes.lit_places import Point, meadow, room
 
 CENTER = np.array([0.0, 0.9, 0.0])
@@ -73,6 +75,15 @@ def test_an_overcast_sky_is_no_sun() -> None:
     """Its top is brightest, and things stand in its soft shadows: not even so."""
     capture = lit_capture("overcast", 7)
     assert ls.estimate_sun(capture.scene, capture.center) is None
+
+
+def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
+    """A man without the lamps and the sun that lit him: the error says to give a sun, and there is none to find."""
+    biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
+    beside = (-0.9, -1.3, 0.85)
+    with pytest.raises(ls.SceneError, match=r"no lamp found within .*; give a sun"):
+        ls.estimate_lights(biker, beside)
+    assert ls.estimate_sun(biker, beside) is None
 
 
 @pytest.mark.parametrize("seed", [2, 4])
