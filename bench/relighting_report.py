@@ -34,6 +34,10 @@ def lines(facts: dict, rows: dict[str, dict]) -> list[str]:
         *([row_line("mean", mean(list(ours.values())))] if len(ours) > 1 else []),
         *(row_line(f"paper: {name}", values) for name, values in PAPER.items()),
         row_line("paper: mean", mean(list(PAPER.values()))),
+        "",
+        "Mean luminance of the figure, as captured and relit: "
+        + ", ".join(f"{name} {row['y_orig']:.3f} and {row['y_relit']:.3f}" for name, row in rows.items())
+        + ".",
     ]
 
 

@@ -3,8 +3,10 @@
 ``python -m bench.relighting_table`` prints how well a figure's light fits the demo room and two real captures.
 
 The figure walks there, as captured and relit. It carries the light of a studio in its colours, as captured figures do:
-an even light, and a key from its front left. ``--write`` puts the table into docs/benchmarks.md, ``--pictures FOLDER``
-keeps a picture of each moment, as captured and relit.
+an even light, and a key from its front left (``--key 0``: none). The light of the demo room is known: its sky is behind
+the room, which has no ceiling, and its sun is given. The real captures are of single things, and are put before grey.
+``--write`` puts the table into docs/benchmarks.md, ``--pictures FOLDER`` keeps a picture of each moment, as captured
+and relit.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -27,8 +30,11 @@ from bench.presets import DATA, load_capture
 from bench.relighting_report import lines
 from bench.run import ROOT, describe_machine
 from bench.shadow_report import write_section
+from bench.timing import device_here
 from bench.walker import SOURCE, write_walker
 from lumisplat.constants import SH_C0
+from lumisplat.demo.daylight import shoulder
+from lumisplat.demo.scene import DAYLIGHT, GARDEN_COUNT
 from lumisplat.math.color import encode_srgb
 
 TALL = 1.4
@@ -45,6 +51,8 @@ SKIN, CLOTH, SHOES = (0.58, 0.40, 0.31), (0.38, 0.40, 0.44), (0.12, 0.11, 0.11)
 """Linear colours of the figure without light."""
 KEY = (0.45, 0.60, 0.66)
 """Direction towards the studio's key light, in the figure's own axes: y up, it looks along z."""
+EVEN = 0.65
+"""The studio's even light."""
 POINTS = 20_000
 """Points of a side that are compared, at most, drawn at random: the fits take minutes with all of a capture."""
 METRICS: dict[str, Callable[..., float]] = {"paa": ls.paa_y, "apf": ls.apf_y, "ncm": ls.ncm_ab}
@@ -62,8 +70,10 @@ class Place:
     tall: float
     """Height of the figure, scene units."""
     y_up: bool
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Behind everything, display-referred: captures of single things have no surroundings of their own."""
+    background: tuple[float, float, float]
+    """Behind everything, display-referred: what captures do not hold of their surroundings."""
+    lights: tuple[ls.LightDirectional, ...] | None = None
+    """Those that it was captured in, as far as they are known."""
     file: Path | None = None
 
     @property
@@ -98,16 +108,41 @@ def capture_at(path: Path) -> ls.Scene:
 
 
 def demo_room() -> ls.Scene:
-    """The capture of the demo, without its meshes: those are not captured."""
-    return replace(ls.demo_scene(), meshes=())
+    """The capture of the demo, without its meshes, and without the painted screen that would be in the sun's way."""
+    (room,) = ls.demo_scene().splats
+    indoors = np.arange(room.gaussians.count - GARDEN_COUNT)
+    return ls.Scene(splats=(ls.SplatInstance(room.gaussians.subset(indoors), name="room"),))
+
+
+def demo_sun() -> ls.LightDirectional:
+    """The sun of the demo's daylight, as bright as the capture shows it on white paper beside the sky alone."""
+    sky, sun = np.array(DAYLIGHT.sky_color), np.array(DAYLIGHT.sun_color)
+    red, green, blue = (shoulder(sky + sun) - shoulder(sky)).tolist()
+    x, y, z = DAYLIGHT.sun_direction
+    return ls.LightDirectional((-x, -y, -z), (red, green, blue), intensity=np.pi)
+
+
+def demo_sky() -> tuple[float, float, float]:
+    """An even sky, display-referred, under which open ground is as bright as the capture shows it."""
+    red, green, blue = encode_srgb(shoulder(np.array(DAYLIGHT.sky_color))).tolist()
+    return red, green, blue
 
 
 GREY = (0.5, 0.5, 0.5)
 BIKER, PLAYBOT = DATA / "splats" / "biker.spz", DATA / "splats" / "playbot" / "0_0"
 PLACES = (
-    Place("demo room", demo_room, (-0.9, 0.0, 0.75), (0.9, 0.0, 0.75), 1.7, True),
-    Place("biker", lambda: capture_at(BIKER), (-0.9, 0.0, 0.85), (0.9, 0.0, 0.85), 2.6, False, GREY, BIKER),
-    Place("playbot", lambda: capture_at(PLAYBOT), (-0.6, -0.02, -0.55), (0.6, -0.02, -0.55), 0.9, False, GREY, PLAYBOT),
+    Place("demo room", demo_room, (-0.9, 0.0, 0.75), (0.9, 0.0, 0.75), 1.7, True, demo_sky(), (demo_sun(),)),
+    Place("biker", lambda: capture_at(BIKER), (-0.9, 0.0, 0.85), (0.9, 0.0, 0.85), 2.6, False, GREY, file=BIKER),
+    Place(
+        "playbot",
+        lambda: capture_at(PLAYBOT),
+        (-0.6, -0.02, -0.55),
+        (0.6, -0.02, -0.55),
+        0.9,
+        False,
+        GREY,
+        file=PLAYBOT,
+    ),
 )
 
 
@@ -117,6 +152,8 @@ class Figure:
 
     count: int
     """Gaussians."""
+    key: float
+    """Strength of the studio's key light; white paper in a light of 1 is white."""
 
     @cached_property
     def rigged(self) -> ls.RiggedGaussians:
@@ -125,30 +162,38 @@ class Figure:
             path = Path(folder) / "walker.glb"
             write_walker(path)
             bare = ls.bind_gaussians(ls.load_rig(path), self.count)
-        return replace(bare, gaussians=in_studio(bare.gaussians))
+        return replace(bare, gaussians=in_studio(bare.gaussians, self.key))
 
     def at(self, time_: float, pose: np.ndarray) -> ls.SplatInstance:
         """The figure at a time of the walk."""
         return ls.SplatInstance(self.rigged.at(time_ % self.rigged.rig.duration()), pose, name="figure")
 
 
-def in_studio(figure: ls.Gaussians) -> ls.Gaussians:
+def in_studio(figure: ls.Gaussians, strength: float) -> ls.Gaussians:
     """A figure at rest, coloured and lit: head and hands, clothes, shoes, in even light and a key light."""
     assert figure.normals is not None
     height = (figure.means[:, 1] - figure.means[:, 1].min()) / np.ptp(figure.means[:, 1])
     albedo = np.where(height[:, None] > 0.7, SKIN, np.where(height[:, None] > 0.06, CLOTH, SHOES))
     key = np.maximum(figure.normals @ (np.array(KEY) / np.linalg.norm(KEY)), 0.0)
-    display = encode_srgb(albedo * (0.65 + 0.7 * key)[:, None])
+    display = encode_srgb(albedo * (EVEN + strength * key)[:, None])
     return replace(figure, sh=((display - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 
-def measure(place: Place, figure: Figure, frames: int, device: str, pictures: Path | None) -> dict:
-    """The row of a place: means over the moments of each metric, as captured and relit, and the seconds it took."""
+class Walks(Protocol):
+    """What `measure` needs of a figure."""
+
+    def at(self, time_: float, pose: np.ndarray) -> ls.SplatInstance:
+        """The figure at a time of its walk."""
+        ...
+
+
+def measure(place: Place, figure: Walks, frames: int, device: str, pictures: Path | None) -> dict:
+    """The row of a place: means over the moments, as captured and relit, of metrics and of the figure's luminance."""
     begun = time.perf_counter()
     scene = place.load()
     config = ls.AvatarLightingConfig(shadows=False)
-    lighter = ls.AvatarLighter(scene, None, config, background=place.background, device=device)
-    found: dict[str, list[float]] = {f"{name}_{kind}": [] for name in METRICS for kind in ("orig", "relit")}
+    lighter = ls.AvatarLighter(scene, place.lights, config, background=place.background, device=device)
+    found: dict[str, list[float]] = {f"{name}_{kind}": [] for name in (*METRICS, "y") for kind in ("orig", "relit")}
     for number, (time_, pose) in enumerate(place.moments(frames)):
         captured = figure.at(time_, pose)
         relit = lighter.light([captured]).splats[-1]
@@ -156,6 +201,7 @@ def measure(place: Place, figure: Figure, frames: int, device: str, pictures: Pa
         around = some_points(ls.LitPoints.of(scene, around=center, radius=place.radius))
         for kind, actor in (("orig", captured), ("relit", relit)):
             points = some_points(ls.LitPoints.of(actor))
+            found[f"y_{kind}"].append(float(points.luminance.mean()))
             for name, metric in METRICS.items():
                 found[f"{name}_{kind}"].append(metric(points, around, radius=place.radius))
         if pictures is not None:
@@ -203,7 +249,8 @@ def main() -> None:
     parser.add_argument("places", nargs="*", help=f"some of {', '.join(names)}; none: all that are available")
     parser.add_argument("--frames", type=int, default=12, help="moments of the walk")
     parser.add_argument("--figure", type=int, default=100_000, help="Gaussians of the figure")
-    parser.add_argument("--device", default="auto", help="cpu, cuda:0, ...")
+    parser.add_argument("--key", type=float, default=0.7, help="strength of the studio's key light on the figure")
+    parser.add_argument("--device", type=device_here, default="auto", help="auto, cpu, cuda or cuda:N")
     parser.add_argument("--pictures", type=Path, help="a folder for pictures, as captured and relit")
     parser.add_argument("--write", action="store_true", help="put the table into docs/benchmarks.md")
     given = parser.parse_args()
@@ -214,12 +261,12 @@ def main() -> None:
     chosen = [place for place, name in zip(PLACES, names, strict=True) if name in (given.places or names)]
     if missing := [str(place.file) for place in chosen if not place.available]:
         parser.error(f"{', '.join(missing)} is missing: LUMISPLAT_DATA names the folder of the data")
-    figure = Figure(given.figure)
+    figure = Figure(given.figure, given.key)
     rows: dict[str, dict] = {}
     for place in chosen:
         print(f"{place.name} ...", file=sys.stderr, flush=True)
         rows[place.name] = measure(place, figure, given.frames, given.device, given.pictures)
-    facts = describe_machine(given.device) | {"frames": given.frames, "figure": given.figure}
+    facts = describe_machine(given.device) | {"frames": given.frames, "figure": given.figure, "key": given.key}
     print(json.dumps(facts | {"places": rows}))
     table = lines(facts, rows)
     print("\n".join(table))

@@ -380,6 +380,16 @@ SUN_SHARE = 0.05
 SUN_SIGNIFICANCE = 6.0
 """Least ratio of a sun's factor to its standard error."""
 
+SUN_SHARE_BEYOND = 0.025
+"""Least share that a sun explains of what a sky of degree 2 does not: one of degree 1 does not hold an overcast sky,
+which is brightest at its top."""
+
+SUN_SIGNIFICANCE_BEYOND = 4.0
+"""Least ratio of a sun's factor to its standard error beside a sky of degree 2."""
+
+SUN_LIFT = 6.0
+"""Distance from the ground, cells, of the place from which it is looked for: objects stand beside and below it."""
+
 SUN_LIT = 0.05
 """Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
 
@@ -388,6 +398,9 @@ SUN_APART = 0.7
 
 SUN_CONFIDENCE_MIN = 0.2
 """Confidence below which no sun is given."""
+
+SUN_ANNOUNCED_S = 1.0
+"""Seconds after which a search for the sun shows its progress."""
 
 SUN_WAYS = 256
 """Ways from an actor to a sun that are looked along, at most."""

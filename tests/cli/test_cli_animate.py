@@ -64,6 +64,17 @@ height = 32
 
 
 RELIT = SCENE.replace("relight = false", "relight = true")
+SUNNY = (
+    RELIT
+    + """
+[[lights]]
+type = "directional"
+direction = [0.2, -1.0, 0.1]
+intensity = 2.0
+"""
+)
+SCENE_FOR = {"--no-relight": RELIT, "--no-sun-on-actors": SUNNY}
+OTHER = ["--no-shadows", "--no-relight", "--no-sun-on-actors", "--direct=0.2", "--background=white", "--width=40"]
 
 
 def disc_gaussians(means: np.ndarray, scales: tuple[float, float, float], color: float) -> ls.Gaussians:
@@ -191,17 +202,18 @@ def test_a_still_scene_stands_still(work):
         assert len(set(frames(work, "frames").values())) == 1
 
 
-@pytest.mark.parametrize("option", ["--no-shadows", "--no-relight", "--direct=0.2", "--background=white", "--width=40"])
+@pytest.mark.parametrize("option", OTHER)
 def test_other_settings_do_not_mix(work, option):
     """Frames of other settings are refused by name of what changed, and stay; --overwrite makes all of them anew."""
-    work.path("scene.toml").write_text(RELIT if option == "--no-relight" else SCENE)
+    work.path("scene.toml").write_text(SCENE_FOR.get(option, SCENE))
     assert animate(work, "frames", "--frames", "0:2").status == 0
     before = frames(work, "frames")
     refused = animate(work, "frames", option)
     assert refused.status == 2 and refused.err.count("\n") == 1
-    changed = {"no-shadows": "actors.shadows", "no-relight": "actors.relight", "direct": "actors.direct"}
     name = option.strip("-").partition("=")[0]
-    assert f"holds frames from before a change of {changed.get(name, name)}: give --overwrite" in refused.err
+    of_actors = ("no-shadows", "no-relight", "no-sun-on-actors", "direct")
+    changed = "actors." + name.removeprefix("no-").replace("-", "_") if name in of_actors else name
+    assert f"holds frames from before a change of {changed}: give --overwrite" in refused.err
     assert frames(work, "frames") == before
     assert animate(work, "frames", option, "--frames", "1:2", "--overwrite").status == 0
     after = frames(work, "frames")

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.lit_captures import lit_capture
 
 import lumisplat as ls
 from lumisplat.constants import LAMP_SIGNIFICANCE
+from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, SolidCells
 from lumisplat.relighting.light_traces import Shading, even_directions
+from support.kinds import expect_kind
 from support.scenes.lit_places import Point, meadow, room
 
 CENTER = np.array([0.0, 0.9, 0.0])
@@ -65,6 +69,44 @@ def test_without_a_sun_there_is_none() -> None:
     assert ls.estimate_sun(few.subset(np.arange(50))) is None
     with pytest.raises(ls.SceneError, match="the scene has none"):
         ls.estimate_sun(ls.Scene())
+
+
+def test_an_overcast_sky_is_no_sun() -> None:
+    """Its top is brightest, and things stand in its soft shadows: not even so."""
+    capture = lit_capture("overcast", 7)
+    assert ls.estimate_sun(capture.scene, capture.center) is None
+
+
+def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
+    """A man without the lamps and the sun that lit him: the error says to give a sun, and there is none to find."""
+    biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
+    beside = (-0.9, -1.3, 0.85)
+    with pytest.raises(ls.SceneError, match=r"no lamp found within .*; give a sun"):
+        ls.estimate_lights(biker, beside)
+    assert ls.estimate_sun(biker, beside) is None
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_no_sun_shines_from_below(seed: int) -> None:
+    """Without a place the middle of a capture is looked from, on its ground or in it: up is known all the same."""
+    capture = lit_capture("sunny", seed)
+    found = ls.estimate_sun(capture.scene)
+    assert capture.sun is not None
+    assert found is None or -np.dot(found.light.direction, capture.sun) > math.cos(math.radians(10.0))
+    assert found is not None or seed == 4
+
+
+def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From when it takes too long to its end, always forwards; a short one shows nothing."""
+    reports: list[tuple[str, float]] = []
+    monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
+    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    assert not reports
+    monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 0.0)
+    ls.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
+    fractions = [fraction for _, fraction in reports]
+    assert fractions == sorted(fractions) and len(reports) > 100
+    assert reports[-1] == ("looking for the sun", 1.0)
 
 
 def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> CapturedSurfaces:

@@ -59,7 +59,7 @@ def irradiance(
         + open_sky[:, None] * np.asarray(light.sky_color, dtype=np.float32)
         + (0.35 + downwards) * (0.3 + 0.7 * openness[:, None]) * np.asarray(light.bounce_color, dtype=np.float32)
     )
-    return _shoulder(total)
+    return shoulder(total)
 
 
 def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight) -> tuple[_Floats, _Floats]:
@@ -142,7 +142,7 @@ def _basis(direction: _Floats) -> FloatArray:
     return np.stack([across, np.cross(direction, across), direction])
 
 
-def _shoulder(light: _Floats) -> _Floats:
+def shoulder(light: _Floats) -> _Floats:
     """Compresses light above 0.6 towards 1, so that nothing clips; linear below."""
     knee = np.float32(0.6)
     over = np.maximum(light - knee, 0.0) / (1.0 - knee)

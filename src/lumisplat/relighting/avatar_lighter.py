@@ -88,7 +88,7 @@ class AvatarLighter:
         config: Settings; None: the defaults.
         background: Display-referred sRGB behind everything in the probes, 0..1 each.
         device: As for `create_renderer`.
-        progress: Called with a label and a fraction 0..1, while kernels compile.
+        progress: Called with a label and a fraction 0..1, while kernels compile and a sun is looked for.
 
     Raises:
         ConfigError: ``config`` is no AvatarLightingConfig.
@@ -216,7 +216,7 @@ class AvatarLighter:
         try:
             self.estimate = estimate_lights(self.scene, place, self.config.light_count, config=self.config.estimation)
         except SceneError as nothing_found:
-            self.sun = estimate_sun(self.scene, place)
+            self.sun = estimate_sun(self.scene, place, progress=self._progress)
             if self.sun is None:
                 raise
             _log.warning("%s", nothing_found)

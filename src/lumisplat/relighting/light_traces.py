@@ -48,17 +48,18 @@ class Shading:
     """Of each surface's squared residual: residuals are relative, and outliers count little, shape (M,)."""
 
     @classmethod
-    def of(cls, surfaces: CapturedSurfaces, directions: Doubles, cosines: Doubles) -> Shading:
-        """Explained by nothing but surroundings that are smooth: a sky of degree 1 and what depends on the normal.
+    def of(cls, surfaces: CapturedSurfaces, directions: Doubles, cosines: Doubles, degree: int = 1) -> Shading:
+        """Explained by nothing but surroundings that are smooth: a sky of low degree and what depends on the normal.
 
         Args:
             surfaces: The surfaces.
             directions: Evenly spread over the sphere, shape (D, 3).
             cosines: Of the light from each of these, shape (M, D), as from `CapturedSurfaces.cosines`.
+            degree: Of the sky.
         """
         normals = surfaces.normals
         even = np.stack([normals[:, i] * normals[:, j] for i, j in _EVEN], axis=1)
-        sky = cosines @ sh_basis(directions, 1) * (4.0 * np.pi / len(directions))
+        sky = cosines @ sh_basis(directions, degree) * (4.0 * np.pi / len(directions))
         known = np.concatenate([even, sky], axis=1)
         return cls(surfaces, known, _robust_weights(known, surfaces.luminance))
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import (
+    SUN_ANNOUNCED_S,
     SUN_APART,
     SUN_CONFIDENCE_MIN,
     SUN_DIRECTIONS,
+    SUN_LIFT,
     SUN_LIT,
     SUN_REFINED,
     SUN_SHARE,
+    SUN_SHARE_BEYOND,
     SUN_SIGNIFICANCE,
+    SUN_SIGNIFICANCE_BEYOND,
     SURFACE_REACH,
     TRACE_GROUND_MIN,
     TRACE_SURFACES_MIN,
@@ -23,6 +28,7 @@ from lumisplat.math.arrays import three_numbers
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles, captured_surfaces
 from lumisplat.relighting.light_estimation import capture_extent, splats_of
 from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
+from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
@@ -42,7 +48,9 @@ class SunEstimate:
     """Luminance in the sun over the standard error of that."""
 
 
-def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None) -> SunEstimate | None:
+def estimate_sun(
+    scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None, *, progress: Progress | None = None
+) -> SunEstimate | None:
     """Finds the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
 
     The capture becomes cells, and for each of some hundred directions the cosines of its surfaces are computed, 0 where
@@ -53,6 +61,7 @@ def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike
     Args:
         scene: The capture, by its captured colours; meshes are ignored.
         center: Where it is looked at from, world space, shape (3,); None: the median of its means.
+        progress: Called with a label and a fraction 0..1 if the search takes more than a second.
 
     Returns:
         The sun, or None if there is none, or it is not to be told: an overcast day, a room, a single object.
@@ -60,6 +69,7 @@ def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike
     Raises:
         SceneError: There are no Gaussians.
     """
+    begun = time.perf_counter()
     splats = splats_of(scene)
     worlds = [instance.world_means for instance in splats]
     middle = np.median(np.concatenate(worlds), axis=0) if center is None else three_numbers("center", center)
@@ -67,10 +77,10 @@ def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike
     if surfaces.luminance.size < TRACE_SURFACES_MIN:
         return None
     directions = even_directions(SUN_DIRECTIONS)
-    cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
+    cosines = _cosines(surfaces, directions, begun, progress)
     shading = Shading.of(surfaces, directions, cosines)
     traces = shading.traces(cosines)
-    allowed = _is_sky(directions, surfaces, middle) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
+    allowed = _is_sky(directions, surfaces, _open_place(surfaces, middle)) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
     shares = np.array([trace.share for trace in traces])
     if not allowed.any():
         return None
@@ -80,8 +90,37 @@ def estimate_sun(scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike
     confidence = 1.0 - max(float(others.max(initial=0.0)), 0.0) / max(trace.share, 1e-12)
     if trace.share < SUN_SHARE or trace.significance < SUN_SIGNIFICANCE or confidence < SUN_CONFIDENCE_MIN:
         return None
+    # An overcast sky is brightest at its top: a sun shows beside one of the next degree, too.
+    (beyond,) = Shading.of(surfaces, directions, cosines, 2).traces(surfaces.cosines(direction)[:, None])
+    if beyond.share < SUN_SHARE_BEYOND or beyond.significance < SUN_SIGNIFICANCE_BEYOND:
+        return None
     light = LightDirectional(tuple((-direction).tolist()), name="estimated-sun")
     return SunEstimate(light, confidence, trace.share, trace.significance)
+
+
+def _cosines(surfaces: CapturedSurfaces, directions: Doubles, begun: float, progress: Progress | None) -> Doubles:
+    """Cosines of all surfaces to each direction, shape (M, D): what takes the time of the search."""
+    columns: list[Doubles] = []
+    is_announced = False
+    for done, direction in enumerate(directions):
+        if progress is not None and time.perf_counter() - begun >= SUN_ANNOUNCED_S:
+            is_announced = True
+            progress("looking for the sun", done / len(directions))
+        columns.append(surfaces.cosines(direction))
+    if progress is not None and is_announced:
+        progress("looking for the sun", 1.0)
+    return np.stack(columns, axis=1)
+
+
+def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
+    """A place, or if it is within something, such as the ground, one above it: on the side where things stand."""
+    ways = even_directions()
+    if surfaces.cells.is_free(np.broadcast_to(place, ways.shape), ways).mean() >= SUN_LIT:
+        return place
+    offsets = surfaces.positions - place
+    flat = np.linalg.eigh(np.cov(offsets.T))[1][:, 0]
+    upwards = flat * np.sign(np.mean((offsets @ flat) ** 3))
+    return place + SUN_LIFT * surfaces.cells.cell * upwards
 
 
 def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> npt.NDArray[np.bool_]:

@@ -60,6 +60,8 @@ class Animate(FrameCommand):
     """Actors cast no shadows onto captures."""
     no_relight: Flag = False
     """Actors keep the colours that they have."""
+    no_sun_on_actors: Flag = False
+    """Suns of the scene cast shadows, but do not light actors: for captures whose probe holds the sun already."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
     """Share of a capture's light that comes from the lights, and that shadows take away."""
     gamma: Annotated[float | None, setting("FACTOR", "1")] = None
@@ -123,6 +125,8 @@ class Animate(FrameCommand):
             changes["shadows"] = False
         if self.no_relight:
             changes["relight"] = False
+        if self.no_sun_on_actors:
+            changes["sun_on_actors"] = False
         if self.direct is not None:
             changes["direct"] = self.direct
         if self.gamma is not None:

@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import setting, without_none
-from lumisplat.cli.output.console import byte_size, found_light, progress_bars
+from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:
@@ -71,17 +71,17 @@ class ShadowMap(LoadingCommand, DeviceCommand):
             report("casting shadows", 0.0)
             lights = lights or casters.lights
             save = self._save_map if is_map else self._save_capture
-            summary = save(casters, capture, lights)
+            summary = save(casters, capture, lights, report)
             report("casting shadows", 1.0)
         print(summary)
 
-    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...]) -> str:
+    def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the capture with the shadows; a summary."""
         config = ls.AvatarLightingConfig(
             shadow_map=self._map_config(), relight=False, **without_none({"direct": self.direct})
         )
         scene = ls.Scene(splats=(ls.SplatInstance(capture),))
-        lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device)
+        lighter = ls.AvatarLighter(scene, lights or None, config, device=self.device, progress=report)
         shadowed = lighter.light([*casters.splats, *casters.meshes]).splats[0].gaussians
         ls.save(self.output, shadowed)
         changed = int((shadowed.sh != capture.sh).any(axis=(1, 2)).sum())
@@ -91,13 +91,15 @@ class ShadowMap(LoadingCommand, DeviceCommand):
             summary += f"\nno lights were given, shadows fall from those that were found: {found}"
         return summary
 
-    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...]) -> str:
+    def _save_map(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the map of one light; a summary."""
         if len(lights) != 1:
             raise ls.ConfigError(f"a map is of one light, got {len(lights)}: give one --light or a --sun")
         if self.direct is not None:
             raise ls.ConfigError("--direct is about the capture: a map holds how much of a light passes")
-        shadow = ls.DeepShadowMap.build(casters, lights[0], capture, self._map_config(), device=self.device)
+        shadow = ls.DeepShadowMap.build(
+            casters, lights[0], capture, self._map_config(), device=self.device, progress=report
+        )
         shadow.save(self.output)
         stats = shadow.stats
         return (

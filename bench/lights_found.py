@@ -1,0 +1,115 @@
+"""How many lamps and suns are found in captures on which no threshold was chosen.
+
+``python -m bench.lights_found`` draws rooms, nights and grounds of known light (`bench.lit_captures`), looks for their
+light, and prints what was found, a line of JSON a capture and a table. The demo room and the captures of the data come
+last. ``--first 0`` uses the seeds that code may be changed by; those from 100 on are for measuring only.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from itertools import chain
+
+import numpy as np
+
+import lumisplat as ls
+from bench.lit_captures import KINDS, LitCapture, lit_capture
+from bench.presets import DATA, load_capture
+from bench.timing import parser, quiet_warp
+from lumisplat.demo.scene import DAYLIGHT
+
+NEAR = 0.4
+"""A light is the lamp's if it is not farther from it than this, metres."""
+ASKED = 4
+"""Lights that are asked for: more than there are lamps."""
+
+
+def demo_capture() -> LitCapture:
+    """The demo's room, whose sun is known."""
+    towards = np.array(DAYLIGHT.sun_direction) / np.linalg.norm(DAYLIGHT.sun_direction)
+    room = ls.Scene(splats=ls.demo_scene().splats)
+    return LitCapture("demo room", room, np.array([0.0, 0.9, 0.4]), np.zeros((0, 3)), towards, 1.0)
+
+
+def captures_of_things() -> list[LitCapture]:
+    """Captures of the data: none holds the lamps or the sun that it was captured in."""
+    paths = [DATA / "splats" / name for name in ("biker.spz", "playbot/0_0", "logo_sog")]
+    sets = {path: load_capture(path) for path in paths if path.exists()}
+    return [
+        LitCapture(path.parent.name + "/" + path.name, ls.Scene(splats=(ls.SplatInstance(one),)), middle(one),
+                   np.zeros((0, 3)), None, float(np.ptp(one.means, axis=0).max()) / 3.0)
+        for path, one in sets.items()
+    ]  # fmt: skip
+
+
+def middle(gaussians: ls.Gaussians) -> np.ndarray:
+    """Beside what was captured, halfway out and halfway up."""
+    low, high = np.quantile(gaussians.means.astype(np.float64), (0.02, 0.98), axis=0)
+    return 0.5 * (low + high) + (0.35 * (high - low)[0], 0.0, 0.0)
+
+
+def look(capture: LitCapture) -> dict:
+    """What is found in a capture, beside what there is."""
+    try:
+        estimate = ls.estimate_lights(capture.scene, capture.center, ASKED)
+        places, shares = np.array([light.position for light in estimate.lights]), estimate.evidence.tolist()
+        says = ""
+    except ls.SceneError as error:
+        places, shares, says = np.zeros((0, 3)), [], str(error)
+    gaps = np.linalg.norm(places[:, None] - capture.lamps[None], axis=-1) / capture.unit
+    sun = ls.estimate_sun(capture.scene, capture.center)
+    off = None
+    if sun is not None and capture.sun is not None:
+        cosine = -np.dot(sun.light.direction, capture.sun)
+        off = round(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), 1)
+    return {
+        "name": capture.name,
+        "lamps": len(capture.lamps),
+        "lamps_found": int((gaps <= NEAR).any(axis=0).sum()),
+        "lights": len(places),
+        "lights_right": int((gaps <= NEAR).any(axis=1).sum()),
+        "shares": [round(share, 3) for share in shares],
+        "has_sun": capture.sun is not None,
+        "sun_found": sun is not None,
+        "sun_confidence": sun and round(sun.confidence, 2),
+        "degrees_off": off,
+        "says": says[:14],
+    }
+
+
+def table(rows: Sequence[dict]) -> list[str]:
+    """Markdown lines: a row a kind of capture."""
+    head = ["captures", "number", "lamps", "found", "lights given", "of them lamps", "suns", "found", "degrees off"]
+    lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
+    kinds = [*KINDS, *(row["name"] for row in rows if row["name"].split()[0] not in KINDS)]
+    for kind in kinds:
+        of = [row for row in rows if row["name"] == kind or (kind in KINDS and row["name"].split()[0] == kind)]
+        if not of:
+            continue
+        off = sorted(row["degrees_off"] for row in of if row["degrees_off"] is not None)
+        degrees = f"{np.median(off):.1f} (at most {off[-1]:.1f})" if off else ""
+        sums = [sum(row[key] for row in of) for key in ("lamps", "lamps_found", "lights", "lights_right", "has_sun")]
+        cells = [kind, len(of), *sums, sum(row["sun_found"] for row in of), degrees]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
+
+
+def main() -> None:
+    """Measures and prints."""
+    quiet_warp()
+    given = parser("lights_found", __doc__)
+    given.add_argument("--first", type=int, default=100, help="the first seed (default: 100)")
+    given.add_argument("--count", type=int, default=10, help="captures of each kind (default: 10)")
+    chosen = given.parse_args()
+    seeds = range(chosen.first, chosen.first + chosen.count)
+    drawn = (lit_capture(kind, seed, chosen.device) for kind in KINDS for seed in seeds)
+    rows: list[dict] = []
+    for capture in chain(drawn, [demo_capture()], captures_of_things()):
+        rows.append(look(capture))
+        print(json.dumps(rows[-1]), flush=True)
+    print("\n".join(table(rows)))
+
+
+if __name__ == "__main__":
+    main()

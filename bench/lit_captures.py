@@ -1,0 +1,308 @@
+"""Captures whose light is known, drawn at random: rooms with lamps, nights, grounds in the sun and under clouds.
+
+What is built, how it is lit, exposed and turned follows from a seed, so that thresholds that were chosen on some seeds
+are tested on others. Nothing is shared with the captures of the tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.demo.shapes import transform_mesh
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.gaussians import merge_gaussians
+
+KINDS = ("room", "night", "sunny", "overcast")
+DENSITY = 250.0
+"""Gaussians a square metre; small things get some more."""
+SKY_WAYS = 24
+"""Directions of the sky, each with its shadows."""
+PHOTOGRAPHS = 10
+"""Places from which the capture was taken: what none of them sees is not in it."""
+
+
+@dataclass(frozen=True)
+class LitCapture:
+    """A capture, and the light that it was captured in; lengths in scene units."""
+
+    name: str
+    scene: ls.Scene
+    center: np.ndarray
+    """Where a character would be, shape (3,)."""
+    lamps: np.ndarray
+    """Where lamps shine, shape (k, 3)."""
+    sun: np.ndarray | None
+    """Towards the sun, unit."""
+    unit: float
+    """A metre in scene units."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A thing of one albedo."""
+
+    mesh: ls.Mesh
+    albedo: float
+
+
+@dataclass(frozen=True)
+class _World:
+    """The things as meshes, which block light."""
+
+    scene: ls.Scene
+    device: str
+
+    @classmethod
+    def of(cls, parts: list[_Part], device: str) -> _World:
+        return cls(ls.Scene(meshes=[ls.MeshInstance(part.mesh) for part in parts]), device)
+
+    def passes(self, origins: np.ndarray, ways: np.ndarray, distances: np.ndarray | float) -> np.ndarray:
+        """1 where nothing is in the way, else 0, shape (N,)."""
+        return ls.transmittance(self.scene, origins, ways, distances, device=self.device)
+
+    def shows(self, place: np.ndarray, seen_from: np.ndarray) -> bool:
+        """Whether two photographs at least look at a place freely."""
+        away = seen_from - place
+        far = np.linalg.norm(away, axis=1)
+        return self.passes(np.tile(place, (len(away), 1)), away / far[:, None], far).sum() >= 2.0
+
+    def arriving(
+        self, points: np.ndarray, normals: np.ndarray, way: np.ndarray, distance: np.ndarray | float
+    ) -> np.ndarray:
+        """Cosine to a light, 0 in shadow, shape (N,)."""
+        unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+        cosine = np.maximum(np.einsum("ij,ij->i", normals, unit), 0.0)
+        return cosine * self.passes(points + 0.004 * normals, unit, distance)
+
+
+def lit_capture(kind: str, seed: int, device: str = "auto") -> LitCapture:
+    """The capture of a kind and a seed; y is up and a unit is a metre until it is turned and scaled as a whole."""
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    size = np.array([rng.uniform(3.2, 6.5), rng.uniform(2.4, 3.4), rng.uniform(3.2, 7.5)])
+    if kind != "room":
+        size = np.array([rng.uniform(8.0, 14.0), 0.0, rng.uniform(8.0, 14.0)])
+    parts = [*(_walls(rng, size) if kind == "room" else _ground(rng, size)), *_things(rng, size, kind)]
+    views = _photographs(rng, size)
+    world = _World.of(parts, device)
+    lamps = _lamps(rng, size, kind, world, views)
+    sun = _sun(rng) if kind == "sunny" else None
+    if kind == "night":
+        parts += [_Part(_placed(ls.box((0.08, y - 0.15, 0.08)), (x, 0.5 * y - 0.1, z)), 0.3) for x, y, z in lamps]
+        world = _World.of(parts, device)
+    shown = _captured(rng, world, parts, views, lamps=lamps, sun=sun, is_open=kind in ("sunny", "overcast"))
+    capture = merge_gaussians([*shown, _floaters(rng, size)])
+    place = _free_place(rng, size, world, views)
+    turn = np.eye(4)
+    unit = float(np.exp(rng.uniform(-1.0, 1.0)))
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn[:3, :3] = unit * rotation * np.sign(np.linalg.det(rotation))
+    turn[:3, 3] = rng.normal(size=3)
+    scene = ls.Scene(splats=(ls.SplatInstance(capture, turn),))
+    points = np.concatenate([place[None], lamps]) @ turn[:3, :3].T + turn[:3, 3]
+    towards = None if sun is None else turn[:3, :3] @ sun / unit
+    return LitCapture(f"{kind} {seed}", scene, points[0], points[1:], towards, unit)
+
+
+def _placed(mesh: ls.Mesh, center: tuple[float, ...] | np.ndarray, turn: float = 0.0) -> ls.Mesh:
+    """A mesh turned about y and moved."""
+    pose = np.eye(4)
+    pose[0, 0] = pose[2, 2] = np.cos(turn)
+    pose[0, 2], pose[2, 0] = np.sin(turn), -np.sin(turn)
+    pose[:3, 3] = center
+    return transform_mesh(mesh, pose)
+
+
+def _walls(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
+    """Floor, ceiling and walls, each of its own albedo, and a wall that ends in the room."""
+    thick = 0.1
+    parts: list[_Part] = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            slab = size + 2.0 * thick
+            slab[axis] = thick
+            center = np.array([0.0, 0.5 * size[1], 0.0])
+            center[axis] += side * 0.5 * (size[axis] + thick)
+            albedo = rng.uniform(0.15, 0.5) if axis == 1 and side < 0 else rng.uniform(0.4, 0.85)
+            parts.append(_Part(_placed(ls.box(slab), center), albedo))
+    if rng.random() < 0.5:
+        deep = rng.uniform(0.2, 0.4) * size[2]
+        screen = _placed(ls.box((thick, size[1], deep)), (rng.uniform(-0.2, 0.2) * size[0], 0.5 * size[1], 0.0))
+        parts.append(_Part(_placed(screen, (0.0, 0.0, 0.5 * (size[2] - deep))), rng.uniform(0.4, 0.8)))
+    return parts
+
+
+def _ground(rng: np.random.Generator, size: np.ndarray) -> list[_Part]:
+    """A ground and a raised path of another albedo."""
+    path = _placed(ls.box((1.2, 0.2, size[2])), (rng.uniform(-0.3, 0.3) * size[0], -0.02, 0.0))
+    ground = _placed(ls.box((size[0], 0.2, size[2])), (0.0, -0.1, 0.0))
+    return [_Part(ground, rng.uniform(0.12, 0.4)), _Part(path, rng.uniform(0.3, 0.7))]
+
+
+def _things(rng: np.random.Generator, size: np.ndarray, kind: str) -> list[_Part]:
+    """Boxes, balls on trunks outdoors, and small white things that light nothing: on the ground, on boxes, on walls."""
+    parts: list[_Part] = []
+    tall = 1.2 if kind == "room" else 2.5
+    for _ in range(rng.integers(3, 8)):
+        extent = rng.uniform((0.4, 0.3, 0.4), (1.4, tall, 1.4))
+        x, z = rng.uniform(-0.4, 0.4, 2) * size[[0, 2]]
+        parts.append(_Part(_placed(ls.box(extent), (x, 0.5 * extent[1], z), rng.uniform(0, 3)), rng.uniform(0.1, 0.7)))
+        if rng.random() < 0.4:
+            ball = _placed(ls.sphere(rng.uniform(0.05, 0.12), rows=12), (x, extent[1] + 0.1, z))
+            parts.append(_Part(ball, 0.95))
+    for _ in range(rng.integers(2, 5) if kind != "room" else 0):
+        x, z = rng.uniform(-0.45, 0.45, 2) * size[[0, 2]]
+        high, radius = rng.uniform(1.0, 2.5), rng.uniform(0.5, 1.2)
+        parts.append(_Part(_placed(ls.box((0.2, high, 0.2)), (x, 0.5 * high, z)), 0.15))
+        parts.append(_Part(_placed(ls.sphere(radius), (x, high + 0.8 * radius, z)), rng.uniform(0.08, 0.3)))
+    for _ in range(rng.integers(2, 6)):
+        x, z = rng.uniform(-0.45, 0.45, 2) * size[[0, 2]]
+        parts.append(_Part(_placed(ls.sphere(rng.uniform(0.04, 0.1), rows=12), (x, rng.uniform(0.08, 0.4), z)), 0.95))
+    if kind == "room":
+        sheet = (rng.uniform(-0.3, 0.3) * size[0], rng.uniform(1.0, 1.9), -0.5 * size[2] + 0.02)
+        parts.append(_Part(_placed(ls.box((rng.uniform(0.3, 0.8), 0.4, 0.02)), sheet), 0.95))
+    return parts
+
+
+def _lamps(rng: np.random.Generator, size: np.ndarray, kind: str, world: _World, seen_from: np.ndarray) -> np.ndarray:
+    """One to three in rooms, hanging or standing, one or two at night, on posts, shape (k, 3).
+
+    They are apart from each other, and two photographs at least show each: none is within something.
+    """
+    wanted = int({"room": rng.integers(1, 4), "night": rng.integers(1, 3)}.get(kind, 0))
+    found: list[np.ndarray] = []
+    while len(found) < wanted:
+        x, z = rng.uniform(-0.38, 0.38, 2) * size[[0, 2]]
+        hangs = rng.random() < 0.7
+        height = size[1] - rng.uniform(0.25, 0.9) if hangs else rng.uniform(1.2, 1.6)
+        place = np.array([x, rng.uniform(1.6, 3.4) if kind == "night" else height, z])
+        if world.shows(place, seen_from) and all(np.linalg.norm(place - other) > 1.5 for other in found):
+            found.append(place)
+    return np.array(found).reshape(-1, 3)
+
+
+def _free_place(rng: np.random.Generator, size: np.ndarray, world: _World, seen_from: np.ndarray) -> np.ndarray:
+    """The middle of a character that stands somewhere, not within something, shape (3,)."""
+    while True:
+        x, z = rng.uniform(-0.25, 0.25, 2) * size[[0, 2]]
+        place = np.array([x, 0.9, z])
+        if world.shows(place, seen_from):
+            return place
+
+
+def _sun(rng: np.random.Generator) -> np.ndarray:
+    """15 to 70 degrees above the horizon."""
+    high, around = np.radians(rng.uniform(15.0, 70.0)), rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.cos(high) * np.cos(around), np.sin(high), np.cos(high) * np.sin(around)])
+
+
+def _photographs(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
+    """Where the capture was taken from, around and within it, at eye level and above, shape (n, 3)."""
+    around = (np.arange(PHOTOGRAPHS) + rng.random()) * 2.0 * np.pi / PHOTOGRAPHS
+    reach = 0.45 * size[[0, 2]] * np.where(np.arange(PHOTOGRAPHS) % 2, 1.0, 0.5)[:, None]
+    height = np.where(np.arange(PHOTOGRAPHS) % 3, 1.6, 2.2 if size[1] else 3.5)
+    return np.stack([reach[:, 0] * np.cos(around), height, reach[:, 1] * np.sin(around)], axis=1)
+
+
+def _captured(
+    rng: np.random.Generator,
+    world: _World,
+    parts: list[_Part],
+    seen_from: np.ndarray,
+    *,
+    lamps: np.ndarray,
+    sun: np.ndarray | None,
+    is_open: bool,
+) -> list[ls.Gaussians]:
+    """The parts as Gaussians with their light, and the lamps as white balls, at one exposure."""
+    everything, albedo = _seen(world, parts, seen_from)
+    points, normals = everything.means.astype(np.float64), np.asarray(everything.normals, np.float64)
+    light = _light(rng, world, points, normals, lamps=lamps, sun=sun, is_open=is_open)
+    patches = np.sin(points @ rng.normal(0.0, 3.0, (3, 4))).sum(axis=1)
+    linear = np.minimum(albedo * np.exp(0.15 * patches + 0.1 * rng.normal(size=len(points))), 0.95) * light
+    linear *= np.exp(rng.uniform(np.log(0.06), np.log(0.3))) / np.median(linear)
+    if rng.random() < 0.5:  # A camera's shoulder, or cut at white.
+        linear = np.where(linear < 0.5, linear, 1.0 - 0.25 / np.maximum(linear, 0.5))
+    tint = rng.uniform(0.7, 1.0, 3)
+    balls = [_placed(ls.sphere(rng.uniform(0.05, 0.12), rows=12), lamp) for lamp in lamps]
+    shown = [_painted(rng, everything, np.minimum(linear, 1.0)[:, None] * tint / tint.max())]
+    return [*shown, *(_painted(rng, ls.gaussians_from_mesh(ball, 150), np.ones((150, 3))) for ball in balls)]
+
+
+def _seen(world: _World, parts: list[_Part], seen_from: np.ndarray) -> tuple[ls.Gaussians, np.ndarray]:
+    """Gaussians of the parts that some photograph shows, and the albedo of each."""
+    sets = [ls.gaussians_from_mesh(part.mesh, int(np.clip(DENSITY * _area(part.mesh), 60, 12_000))) for part in parts]
+    everything = merge_gaussians(sets)
+    albedo = np.repeat([part.albedo for part in parts], [one.count for one in sets])
+    points, normals = everything.means.astype(np.float64), np.asarray(everything.normals, np.float64)
+    is_seen = np.zeros(len(points), np.bool_)
+    for eye in seen_from:
+        away = eye - points
+        is_seen |= world.arriving(points, normals, away, np.linalg.norm(away, axis=1)) > 0.0
+    return everything.subset(is_seen), albedo[is_seen]
+
+
+def _light(
+    rng: np.random.Generator,
+    world: _World,
+    points: np.ndarray,
+    normals: np.ndarray,
+    *,
+    lamps: np.ndarray,
+    sun: np.ndarray | None,
+    is_open: bool,
+) -> np.ndarray:
+    """Irradiance of lamps, sun and surroundings, any unit, shape (N,)."""
+    light = np.zeros(len(points))
+    for lamp in lamps:
+        away = lamp - points
+        distance = np.linalg.norm(away, axis=1)
+        strength = rng.uniform(0.5, 1.5)
+        light += strength * world.arriving(points, normals, away, distance) / np.maximum(distance, 0.15) ** 2
+    if sun is not None:
+        light += rng.uniform(1.5, 6.0) * world.arriving(points, normals, np.broadcast_to(sun, points.shape), 100.0)
+    around = _sky(world, points, normals) if is_open else 1.0 + 0.3 * normals @ rng.normal(size=3)
+    share = rng.uniform(0.2, 0.6) * light.mean() / np.mean(around) if lamps.size else 1.0
+    return light + np.maximum(share * around, 0.05 * share)
+
+
+def _area(mesh: ls.Mesh) -> float:
+    corners = mesh.positions[mesh.indices]
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * float(np.linalg.norm(sides, axis=1).sum())
+
+
+def _sky(world: _World, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Irradiance from a sky that is brighter at its top, with shadows, shape (N,)."""
+    k = np.arange(SKY_WAYS) + 0.5
+    y, around = k / SKY_WAYS, k * np.pi * (1.0 + 5.0**0.5)
+    ways = np.stack([np.sqrt(1.0 - y * y) * np.cos(around), y, np.sqrt(1.0 - y * y) * np.sin(around)], axis=1)
+    total = np.full(len(points), 0.1 * SKY_WAYS / 2.0)
+    for way in ways:
+        total += (0.5 + way[1]) * world.arriving(points, normals, np.broadcast_to(way, points.shape), 100.0)
+    return total * (2.0 / SKY_WAYS)
+
+
+def _painted(rng: np.random.Generator, gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
+    """Gaussians of linear colours, as uneven as captured ones, without the properties that captures do not have."""
+    count = gaussians.count
+    sh = np.zeros((count, 4, 3), np.float32)
+    sh[:, 0] = (encode_srgb(linear) - 0.5) / SH_C0
+    sh[:, 1:] = rng.normal(0.0, 0.03, (count, 3, 1))
+    scales = gaussians.scales * np.exp(rng.normal(0.0, 0.25, (count, 3)))
+    jitter = rng.normal(0.0, 0.003, (count, 3))
+    opacities = gaussians.opacities * rng.uniform(0.7, 1.0, count)
+    bare = replace(gaussians, normals=None, albedo=None, roughness=None, metallic=None)
+    return replace(bare, sh=sh, scales=scales, means=gaussians.means + jitter, opacities=opacities)
+
+
+def _floaters(rng: np.random.Generator, size: np.ndarray, count: int = 200) -> ls.Gaussians:
+    """Haze in the air and beyond, of any colour."""
+    means = rng.uniform(-0.7, 0.7, (count, 3)) * np.maximum(size, 3.0) + (0.0, 0.5 * size[1], 0.0)
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    scales = np.exp(rng.uniform(np.log(0.02), np.log(0.3), (count, 3)))
+    bare = ls.Gaussians(means, rotations, scales, rng.uniform(0.02, 0.3, count), np.zeros((count, 4, 3)))
+    return _painted(rng, bare, rng.uniform(0.0, 1.0, (count, 3)))
