@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,9 @@ class Preset:
     """Whether Mitsuba renders it in the same run."""
     trace: tuple[str, float] | None = None
     """Strategy and least transmittance of the ray tracer; None: the rasteriser draws it."""
+    as_trained: bool = False
+    """Whether rays have footprints and hits the order of means, as by default; else they are the peer's: without width,
+    in the order of peaks."""
 
     @property
     def available(self) -> bool:
@@ -45,6 +48,8 @@ class Preset:
             return ls.RenderConfig()
         strategy, transmittance_min = self.trace
         config = ls.TraceConfig(strategy=ls.TraceStrategy(strategy), transmittance_min=transmittance_min)
+        if not self.as_trained:
+            config = replace(config, hit_distance=ls.HitDistance.PEAK, dilation=0.0)
         return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config)
 
     def camera(self) -> ls.Camera:
@@ -70,6 +75,7 @@ COUNTS = {"10k": 10_000, "100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
 TRACE = [
     Preset("trace-sorted", 640, 360, "where the peer stops", peer=True, trace=("sorted", MITSUBA_T)),
     Preset("trace-sorted-full", 640, 360, "where images are finished", peer=True, trace=("sorted", 1e-4)),
+    Preset("trace-as-trained", 640, 360, "the defaults", peer=True, trace=("sorted", 1e-4), as_trained=True),
     Preset("trace-stochastic-hit", 640, 360, "one sample", peer=True, trace=("stochastic-hit", 0.0)),
     Preset("trace-stochastic-pass", 640, 360, "one sample", peer=True, trace=("stochastic-pass", 0.0)),
     *(

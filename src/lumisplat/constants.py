@@ -44,6 +44,16 @@ BOX_MARGIN = 1e-6
 TRAVERSE_MARGIN = 1e-6
 """Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
 
+FOOTPRINT_REACH = 3.7
+"""Widest canonical reach of a Gaussian of any degree and opacity."""
+
+FOOTPRINT_LEAD = 1.1
+"""A Gaussian is widened by the footprint at its mean, but by at most this much of the footprint where its ellipsoid
+begins: nodes widen as their Gaussians do."""
+
+FOOTPRINT_MAX = 0.1
+"""Largest half width of a ray's footprint over the length of its path, beyond that of any image worth looking at."""
+
 PASS_REWIND = 1e-4
 """A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
 

@@ -352,7 +352,7 @@ DEFAULTS: dict[str, Any] = {
     "seed": CONFIG.seed,
     "max_bounces": CONFIG.max_bounces,
     "min_response": CONFIG.response.min_response,
-    "hit_distance": CONFIG.trace.hit_distance,
+    "hit_distance": "auto" if CONFIG.trace.hit_distance is None else CONFIG.trace.hit_distance,
     "normals": CONFIG.trace.normal_method,
     "hits_per_pass": CONFIG.trace.hits_per_pass,
     "lighting": "auto" if CONFIG.lighting is None else CONFIG.lighting,

@@ -30,7 +30,9 @@ WHOLE = "expected a whole number from"
             "antialiasing is 'On', expected 'auto', 'off' or 'on'",
         ),
         (ls.TraceConfig, {"strategy": "stochastic"}, "strategy is 'stochastic', expected 'sorted', 'stochastic-hit'"),
-        (ls.TraceConfig, {"hit_distance": "far"}, "expected 'peak' or 'hull'"),
+        (ls.TraceConfig, {"hit_distance": "far"}, "expected 'mean', 'peak' or 'hull'"),
+        (ls.TraceConfig, {"dilation": -0.1}, "dilation is -0.1, expected 0.0 to 10.0"),
+        (ls.TraceConfig, {"antialiasing": True}, "antialiasing is True, expected 'auto', 'off' or 'on'"),
         (
             ls.TraceConfig,
             {"normal_method": 1},
@@ -67,7 +69,7 @@ WHOLE = "expected a whole number from"
         (ls.ShadowConfig, {"hits": 17}, "hits is 17, expected 4, 8, 16 or 32"),
         (ls.ShadowConfig, {"offset": -1.0}, "offset is -1.0, expected 0.0 to 100.0"),
         (ls.ShadowConfig, {"offset_absolute": np.inf}, "offset_absolute is inf, expected 0.0 to 1000000.0"),
-        (ls.ShadowConfig, {"hit_distance": "far"}, "expected 'peak' or 'hull'"),
+        (ls.ShadowConfig, {"hit_distance": "mean"}, "hit_distance is 'mean', expected 'peak' or 'hull'"),
         (ls.ShadowConfig, {"transmittance_min": 1.5}, "transmittance_min is 1.5, expected 0.0 to 1.0"),
         (ls.ShadowConfig, {"transmittance_threshold": 1.0}, "transmittance_threshold is 1.0, expected 0.0 to 0.99"),
         (ls.ShadowConfig, {"acceptance_scale": 0.0}, "acceptance_scale is 0.0, expected 0.001 to 1.0"),
@@ -185,7 +187,7 @@ CHOICES = [
     (ls.RasterConfig, "strategy", ls.RasterStrategy),
     (ls.RasterConfig, "antialiasing", ls.Antialiasing),
     (ls.TraceConfig, "strategy", ls.TraceStrategy),
-    (ls.TraceConfig, "hit_distance", ls.HitDistance),
+    (ls.TraceConfig, "antialiasing", ls.Antialiasing),
     (ls.TraceConfig, "normal_method", ls.NormalMethod),
     (ls.ShadowConfig, "method", ls.ShadowMethod),
     (ls.ShadowConfig, "hit_distance", ls.HitDistance),
@@ -200,6 +202,8 @@ CHOICES = [
 def test_choices_are_taken_by_their_values(settings: type[Any], name: str, kind: type[Enum]) -> None:
     """Each value is accepted as a string, and becomes the member, so that settings compare and are read as before."""
     for member in kind:
+        if (settings, member) == (ls.ShadowConfig, ls.HitDistance.MEAN):
+            continue  # refused, see above
         by_value = settings(**{name: member.value})
         assert getattr(by_value, name) is member and by_value == settings(**{name: member})
 

@@ -74,9 +74,9 @@ def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.HitDistance) -> Non
 
 
 def test_rays_are_those_of_a_frame() -> None:
-    """The rays of a camera see what its frame shows, whatever their lengths and order."""
+    """The rays of a camera see what its frame shows without a footprint, whatever their lengths and order."""
     scene, camera = ls.Scene([random_gaussians(71)], [quad(4.0, 0.6, tilt=0.3)]), front_camera()
-    frame = tracer().render(scene, camera)
+    frame = tracer(dilation=0.0).render(scene, camera)
     directions = camera.ray_directions().reshape(-1, 3) @ camera.camera_from_world[:3, :3]
     order = np.random.default_rng(6).permutation(len(directions))
     lengths = np.exp(np.random.default_rng(7).uniform(-50.0, 50.0, (len(directions), 1)))

@@ -111,7 +111,7 @@ def test_extreme_scales_keep_their_precision(scales: tuple[float, float, float])
     """A ray aimed at a point at a known canonical distance finds it, however flat or huge the Gaussian is."""
     rng = np.random.default_rng(3)
     gaussians = one_gaussian((0.3, -0.2, 4.0), scales, 0.8, rotation=(0.8, 0.2, -0.5, 0.3))
-    world = world_of(Scene([gaussians]), None)
+    world = world_of(Scene([gaussians]), trace_config())
     axes = oracles.world_gaussians(SplatInstance(gaussians))[1][0]
     for _ in range(20):
         direction = oracles.normalized(rng.normal(size=3))

@@ -20,12 +20,14 @@ class RasterStrategy(Enum):
 
 
 class Antialiasing(Enum):
-    """Mip-Splatting's opacity compensation for the screen-space dilation (Yu et al. 2024)."""
+    """Whose opacity is compensated for the dilation, as that of Mip-Splatting's captures is (Yu et al. 2024)."""
 
     AUTO = "auto"
     """As each capture's own ``antialiased`` flag says."""
     OFF = "off"
+    """None."""
     ON = "on"
+    """All."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from lumisplat.config.checks import check_flag, check_range, check_whole, is_whole, quoted, take_enum
+from lumisplat.config.raster import Antialiasing
 from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import (
     DEPTH_ISO_TRANSMITTANCE,
+    DILATION_PX2,
     HIT_COUNTS,
     HITS_PER_PASS,
     KERNEL_DEGREE_MAX,
@@ -34,10 +36,13 @@ class TraceStrategy(Enum):
 class HitDistance(Enum):
     """Where along a ray a Gaussian is hit: the distance by which hits are ordered."""
 
+    MEAN = "mean"
+    """Where its mean projects onto the ray: nearly the order of the rasteriser, for which most captures are trained.
+    Its surface lies where its response is largest."""
     PEAK = "peak"
     """Where its response is largest."""
     HULL = "hull"
-    """Where the ray enters the ellipsoid outside which the Gaussian is ignored."""
+    """Where the ray enters the ellipsoid outside which the Gaussian is ignored; its surface, too."""
 
 
 class NormalMethod(Enum):
@@ -107,8 +112,16 @@ class TraceConfig:
     hits_per_pass: int = HITS_PER_PASS
     """Gaussians that a ray collects in a pass, k: one of 4, 8, 16, 32. Of ``STOCHASTIC_PASS``, how many a sample shows;
     images of the other strategies do not depend on it, only their cost."""
-    hit_distance: HitDistance = HitDistance.PEAK
-    """Where along a ray a Gaussian is hit."""
+    hit_distance: HitDistance | None = None
+    """Where along a ray a Gaussian is hit: the order in which they hide each other. ``MEAN`` shows captures as trained;
+    ``PEAK`` sorts large ones that cross each other better. None: ``MEAN`` for sets that are shown as captured, ``PEAK``
+    for those that are relit."""
+    dilation: float = DILATION_PX2
+    """Variance added to Gaussians that are not antialiased, in squared widths of the pixel where they are, 0..10:
+    captures are trained with it. Rays from a camera and their reflections have pixels; given ones do not, nor do the
+    parallel ones of an orthographic camera."""
+    antialiasing: Antialiasing = Antialiasing.AUTO
+    """Which Gaussians are antialiased, and shown without ``dilation``, for which they would have been compensated."""
     normal_method: NormalMethod = NormalMethod.PLANE
     """Normal of a single Gaussian that a ray hits. Rasterised Gaussians always have that of ``PLANE``: no effect on the
     raster pipeline, nor on what the camera itself sees in the hybrid one."""
@@ -125,7 +138,10 @@ class TraceConfig:
     def __post_init__(self) -> None:
         take_enum(self, "strategy", TraceStrategy)
         _check_hits("hits_per_pass", self.hits_per_pass)
-        take_enum(self, "hit_distance", HitDistance)
+        if self.hit_distance is not None:
+            take_enum(self, "hit_distance", HitDistance)
+        check_range("dilation", self.dilation, 0.0, 10.0)
+        take_enum(self, "antialiasing", Antialiasing)
         take_enum(self, "normal_method", NormalMethod)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)
@@ -148,8 +164,8 @@ class ShadowConfig:
     hits: int = HITS_PER_PASS
     """Gaussians that ``FIRST_HITS`` counts: 4, 8, 16 or 32."""
     hit_distance: HitDistance = HitDistance.PEAK
-    """Where along a shadow ray a Gaussian is hit: which ones are the first of ``FIRST_HITS``. The other methods do not
-    depend on it."""
+    """Where along a shadow ray a Gaussian is hit, ``PEAK`` or ``HULL``: which ones are the first of ``FIRST_HITS``. The
+    other methods do not depend on it."""
     offset: float = SHADOW_OFFSET
     """A splat surface is not shadowed by Gaussians nearer than this many times their largest scale or that of its own
     Gaussian, whichever is less, 0..100 (docs/method/shadows.md#offset)."""
@@ -173,6 +189,8 @@ class ShadowConfig:
         take_enum(self, "method", ShadowMethod)
         _check_hits("hits", self.hits)
         take_enum(self, "hit_distance", HitDistance)
+        if self.hit_distance is HitDistance.MEAN:
+            raise ConfigError("hit_distance is 'mean', expected 'peak' or 'hull': shadow rays have no order of means")
         check_range("offset", self.offset, 0.0, 100.0)
         check_range("offset_absolute", self.offset_absolute, 0.0, 1e6)
         check_range("transmittance_min", self.transmittance_min, 0.0, 1.0)

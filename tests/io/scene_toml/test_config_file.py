@@ -34,6 +34,8 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
     },
     ls.TraceConfig: {
         "hits_per_pass": HITS,
+        "hit_distance": st.none() | st.sampled_from(ls.HitDistance),
+        "dilation": between(0.0, 10.0),
         "sh_degree": st.integers(0, 3),
         "transmittance_min": between(0.0, 1.0),
         "depth_iso_transmittance": between(0.0, 1.0),
@@ -67,7 +69,9 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
     """Settings of a stage, every field of them random."""
     chosen = dict(SETTINGS[kind])
     for name, hint in get_type_hints(kind).items():
-        if isinstance(hint, type) and issubclass(hint, Enum):
+        if (kind, name) == (ls.ShadowConfig, "hit_distance"):
+            chosen[name] = st.sampled_from([ls.HitDistance.PEAK, ls.HitDistance.HULL])
+        elif isinstance(hint, type) and issubclass(hint, Enum):
             chosen[name] = st.sampled_from(hint)
         elif hint is bool:
             chosen[name] = st.booleans()

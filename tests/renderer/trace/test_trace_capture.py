@@ -50,6 +50,39 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 
 @pytest.mark.data
+@pytest.mark.parametrize("name", PLACES)
+def test_rays_show_captures_as_the_rasteriser_does(data_dir: Path, name: str) -> None:
+    """Over covered pixels 30 dB and more, traced and seen in a mirror; without footprints, far less."""
+    scene, camera = view_of(data_dir, name, 320)
+    raster = ls.render(scene, camera, device="cpu")
+    covered = raster.alpha > 0.02
+    traced = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
+    assert decibels(ls.render(scene, camera, traced, device="cpu").color[covered], raster.color[covered]) > 30.0
+    thin = replace(traced, trace=ls.TraceConfig(dilation=0.0))
+    assert decibels(ls.render(scene, camera, thin, device="cpu").color[covered], raster.color[covered]) < 25.0
+    mirrored, seen_in_mirror = in_mirror(scene, camera)
+    hybrid = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, lighting=False)
+    reflected = ls.render(mirrored, seen_in_mirror, hybrid, device="cpu").color[:, ::-1]
+    assert decibels(reflected[covered], raster.color[covered]) > 30.0
+
+
+def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
+    """The scene with a mirror just before a camera, and the camera beyond that sees in it what the first one does."""
+    forward, right = camera.camera_from_world[2, :3], camera.camera_from_world[0, :3]
+    size = float(np.linalg.norm(scene.splats[0].gaussians.means.mean(axis=0) - camera.eye))
+    plane = camera.eye + 0.02 * size * forward
+    corners = [plane + size * (a * right + b * camera.camera_from_world[1, :3]) for a in (-1, 1) for b in (-1, 1)]
+    silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, metallic=1.0)
+    mirror = ls.MeshInstance(ls.Mesh(np.array(corners), np.array([[0, 1, 2], [2, 1, 3]]), material=silver))
+    # A reflection turns right into left: the image of the camera that looks back runs the other way.
+    behind = camera.camera_from_world.copy()
+    behind[0], behind[2] = -behind[0], -behind[2]
+    behind[:3, 3] = -behind[:3, :3] @ (camera.eye + 0.04 * size * forward)
+    looking_back = replace(camera, camera_from_world=behind, cx=camera.width - camera.cx)
+    return ls.Scene(scene.splats, [mirror]), looking_back
+
+
+@pytest.mark.data
 @pytest.mark.parametrize(
     ("strategy", "width"),
     [

@@ -93,8 +93,8 @@ def full_scene() -> ls.Scene:
     return ls.Scene(placed, [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
 
 
-def fog(count: int = 400, seed: int = 60) -> ls.Gaussians:
-    """Faint Gaussians of which every ray meets a hundred or more, in front of and around the origin."""
+def fog(count: int = 400, seed: int = 61) -> ls.Gaussians:
+    """Faint Gaussians of which every ray meets a hundred or more, in front of and around the origin, no two at once."""
     gaussians = random_gaussians(seed, count, 1, (0.0, 0.0, 1.5), (0.6, 0.6, 2.5), scale_range=(0.4, 1.2))
     return replace(gaussians, opacities=np.random.default_rng(seed).uniform(0.01, 0.02, count))
 
@@ -257,7 +257,9 @@ def test_packets_show_what_single_rays_show(
 ) -> None:
     """Sixteen rays that walk together meet what each meets alone, to rounding."""
     scene, camera = SCENES[name]
-    config = settings(strategy, seed=5, hit_distance=hit_distance)
+    # Rounding is amplified where rays touch hulls, which those widened by footprints offer to more of them.
+    dilation = 0.0 if hit_distance is ls.HitDistance.HULL else 0.3
+    config = settings(strategy, seed=5, hit_distance=hit_distance, dilation=dilation)
     together, alone = (render(way, scene, camera, config) for way in ("cpu", "cpu as cuda"))
     for image in IMAGES:
         assert_close(getattr(together, image), getattr(alone, image), atol=2e-6, name=image)
@@ -411,11 +413,13 @@ def test_near_hides_peaks(way: str) -> None:
     # The plane is one of view depth: at 45 degrees off the axis the ray is longer by the square root of two.
     wide = front_camera(21, 3, 10.0, near=3.01)
     side = ls.Scene([one_gaussian((3.0, 0.0, 3.0), (0.2, 0.2, 1e-3), 0.8)])
-    assert render(way, side, wide).alpha.max() == 0.0
-    assert render(way, side, replace(wide, near=2.99)).alpha.max() > 0.7
+    flat = settings(dilation=0.0)  # widened by a footprint, it is no disc
+    assert render(way, side, wide, flat).alpha.max() == 0.0
+    assert render(way, side, replace(wide, near=2.99), flat).alpha.max() > 0.7
 
 
-def test_raster_and_trace_agree_on_small_gaussians(way: str) -> None:
+@pytest.mark.parametrize("dilation", [0.0, 0.3])
+def test_raster_and_trace_agree_on_small_gaussians(way: str, dilation: float) -> None:
     """Near the optical axis, one beside the other, both pipelines show the same; neither is tested by itself here."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
@@ -426,9 +430,9 @@ def test_raster_and_trace_agree_on_small_gaussians(way: str) -> None:
     sh = random.uniform(-1.0, 1.0, (count, 4, 3)) * np.reshape([1.0, 0.3, 0.3, 0.3], (4, 1))
     gaussians = ls.Gaussians(means, random.normal(size=(count, 4)), scales, random.uniform(0.3, 1.0, count), sh)
     camera = front_camera(128, 96, 600.0)
-    flat = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
-    raster = renderer_of("cpu", flat).render(ls.Scene([gaussians]), camera)
-    trace = render(way, ls.Scene([gaussians]), camera)
+    config = ls.RenderConfig(raster=ls.RasterConfig(dilation=dilation))
+    raster = renderer_of("cpu", config).render(ls.Scene([gaussians]), camera)
+    trace = render(way, ls.Scene([gaussians]), camera, settings(dilation=dilation))
     assert raster.alpha.mean() > 0.05
     for name in ("color", "alpha"):
         assert_close(getattr(trace, name), getattr(raster, name), atol=0.006, name=name)

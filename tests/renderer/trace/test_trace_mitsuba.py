@@ -21,7 +21,7 @@ def test_images_are_those_of_mitsuba(name: str, hit_distance: ls.HitDistance, al
     with np.load(REFERENCE / f"mitsuba_{name}.npz") as stored:
         image = stored["image"] / float(stored["steps"])
     gaussians, camera = mitsuba_frames()[name]
-    trace = ls.TraceConfig(hit_distance=hit_distance, transmittance_min=0.01)
+    trace = ls.TraceConfig(hit_distance=hit_distance, transmittance_min=0.01, dilation=0.0)
     response = ls.ResponseConfig(min_response=0.01)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, response=response, samples=64)
     frame = ls.render(ls.Scene([gaussians]), camera, config, device="cpu")

@@ -27,6 +27,7 @@ class Ray:
     direction: np.ndarray  # (3,), unit
     t_min: float = 0.0  # What is hit no farther than this does not count.
     path_length: float = 0.0  # Length of the path before the origin.
+    spread: float = 0.0  # Width of its pixel over the length of the path.
     left: int = -1  # The triangle that it starts on, and does not meet again.
     blur: float = 0.0  # How far float32 may have the origin from here,
     turn: float = ROUNDING  # and by how many radians the direction.
@@ -243,7 +244,7 @@ def branches(surface: Facet, ray: Ray, hit: MeshHit) -> tuple[np.ndarray, list[B
     turn = ray.turn + ROUNDING + 2.0 * surface.curvature * blur
 
     def onward(direction: np.ndarray, turn: float) -> Ray:
-        return Ray(ray.at(hit.t), direction, 0.0, ray.path_length + hit.t, hit.triangle, blur, turn)
+        return Ray(ray.at(hit.t), direction, 0.0, ray.path_length + hit.t, ray.spread, hit.triangle, blur, turn)
 
     out = [Branch(mirrored, onward(reflected(ray.direction, normal), turn))]
     if beyond > 0.0:

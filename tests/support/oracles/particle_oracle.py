@@ -9,8 +9,15 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from lumisplat.config import HitDistance, NormalMethod, RenderConfig, ResponseConfig
-from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, KERNEL_LINEAR_SLOPE
+from lumisplat.config import Antialiasing, HitDistance, NormalMethod, RenderConfig, ResponseConfig
+from lumisplat.constants import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    FOOTPRINT_LEAD,
+    FOOTPRINT_MAX,
+    FOOTPRINT_REACH,
+    KERNEL_LINEAR_SLOPE,
+)
 from lumisplat.scene.scene import Scene
 from support.oracles.mirror_oracle import ROUNDING, Ray, Triangles, triangles_of
 from support.oracles.raster_oracle import normalized, sh_basis, world_gaussians
@@ -38,6 +45,7 @@ class World:
     gaussian: np.ndarray  # (G,), within the instance
     sharpest: np.ndarray  # (G,), inverse of the smallest scale
     widest: np.ndarray  # (G,), the largest scale
+    dilation: np.ndarray  # (G,), variance added for rays, in squared widths of their pixel
     mean_size: np.ndarray  # (G,), largest coordinate of the mean
 
 
@@ -45,9 +53,12 @@ class World:
 class Hits:
     """Gaussians on a ray, by (t, index in the scene), those included that only float32 may find."""
 
-    t: np.ndarray  # (H,)
+    t: np.ndarray  # (H,), by which they are ordered
+    t_error: np.ndarray  # (H,), how far float32 may have it from here
     peak: np.ndarray  # (H,), where the response is largest
-    t_error: np.ndarray  # (H,), how far float32 may have t from here
+    peak_error: np.ndarray  # (H,)
+    surface: np.ndarray  # (H,), where the surface lies if it is this one's
+    surface_error: np.ndarray  # (H,)
     d2: np.ndarray  # (H,), squared canonical distance
     alpha: np.ndarray  # (H,)
     alpha_error: np.ndarray  # (H,)
@@ -64,7 +75,7 @@ class Hits:
 
 
 NONE = Hits(
-    *(np.zeros(shape) for shape in (0, 0, 0, 0, 0, 0, (0, 3), (0, 3), 0)),
+    *(np.zeros(shape) for shape in (0, 0, 0, 0, 0, 0, 0, 0, 0, (0, 3), (0, 3), 0)),
     index=np.zeros(0, int),
     counts=np.zeros(0, bool),
     doubtful=np.zeros(0, bool),
@@ -103,6 +114,9 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
         gaussians, count = instance.gaussians, instance.gaussians.count
         mean, axes, scales = world_gaussians(instance)
         opacity = gaussians.opacities.astype(np.float64)
+        antialiasing = config.trace.antialiasing
+        by_set = antialiasing is Antialiasing.AUTO and gaussians.antialiased
+        antialiased = by_set or antialiasing is Antialiasing.ON
         own, forced = gaussians.kernel_degree, config.response.kernel_degree
         degree = np.full(count, own if forced is None else forced)
         threshold = response_threshold(opacity, config.response)
@@ -121,6 +135,7 @@ def world_of(scene: Scene, config: RenderConfig | None) -> World:
             "gaussian": np.arange(count),
             "sharpest": 1.0 / scales.min(axis=1),
             "widest": scales.max(axis=1),
+            "dilation": np.full(count, 0.0 if antialiased else config.trace.dilation),
             "mean_size": np.abs(mean).max(axis=1),
         }
         for name, values in row.items():
@@ -139,13 +154,28 @@ def sh_color(world: World, rows: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("nk,nkc->nc", sh_basis(direction), world.sh[rows]) + 0.5, 0.0)
 
 
+def dilated(world: World, ray: Ray) -> np.ndarray:
+    """Canonical from world, (G, 3, 3), of the Gaussians as a ray finds them: widened by its footprint at their means.
+
+    A pixel's width there, but for those whose ellipsoid begins long before.
+    """
+    path = np.maximum(ray.path_length + (world.mean - ray.origin) @ ray.direction, 0.0)
+    begins = path - FOOTPRINT_REACH * world.widest
+    path = np.clip(FOOTPRINT_LEAD * begins, 0.0, path)
+    variance = (np.minimum(np.sqrt(world.dilation) * ray.spread, FOOTPRINT_MAX) * path) ** 2
+    # The rows are axes over scales.
+    narrower = 1.0 / np.sqrt(1.0 + variance[:, None] * (world.whiten**2).sum(axis=2))
+    return world.whiten * narrower[:, :, None]
+
+
 def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     """All Gaussians whose response peaks on the ray beyond ``t_min``, or their ``begin`` if that is nearer, sorted."""
     config = world.config.trace
     from_mean = ray.origin - world.mean
     distance = np.sqrt(np.einsum("ni,ni->n", from_mean, from_mean))
     off = ray.blur + ray.turn * distance + ROUNDING * world.mean_size
-    origin, direction = np.einsum("nij,nj->ni", world.whiten, from_mean), world.whiten @ ray.direction
+    whiten = dilated(world, ray)
+    origin, direction = np.einsum("nij,nj->ni", whiten, from_mean), whiten @ ray.direction
     speed2 = np.einsum("ni,ni->n", direction, direction)
     peak = -np.einsum("ni,ni->n", origin, direction) / speed2
     closest = origin + peak[:, None] * direction
@@ -155,7 +185,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     if not len(rows):
         return NONE
     off, origin, direction, closest = off[rows], origin[rows], direction[rows], closest[rows]
-    peak, speed2, d2, reach2, whiten = peak[rows], speed2[rows], d2[rows], world.reach[rows] ** 2, world.whiten[rows]
+    peak, speed2, d2, reach2, whiten = peak[rows], speed2[rows], d2[rows], world.reach[rows] ** 2, whiten[rows]
     opacity, degree = world.opacity[rows], world.degree[rows]
     t_min = np.minimum(ray.t_min, np.broadcast_to(begin, len(world.mean))[rows])
 
@@ -164,33 +194,44 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     slope = np.linalg.norm(np.einsum("nij,ni->nj", whiten, closest), axis=-1)
     spread = np.sqrt(np.maximum((whiten**2).sum(axis=(1, 2)) - along**2 / speed2, 0.0))
     d2_error = 2.0 * slope * off + (spread * off) ** 2 + ROUNDING * d2
-    t_error = (off * along + ray.turn * slope) / speed2
+    peak_error = (off * along + ray.turn * slope) / speed2
 
     def alpha_at(squared: np.ndarray) -> np.ndarray:
         return np.minimum(opacity * response(np.sqrt(np.maximum(squared, 0.0)), degree), ALPHA_MAX)
 
     counts = (response(np.sqrt(d2), degree) >= world.threshold[rows]) & (peak > t_min)
     inside2, inside2_error = reach2 - d2, d2_error + BAND * (1.0 + reach2)
-    possible = (inside2 >= -inside2_error) & (peak >= t_min - t_error)
-    doubtful = possible & ((inside2 <= inside2_error) | (peak <= t_min + t_error))
+    possible = (inside2 >= -inside2_error) & (peak >= t_min - peak_error)
+    doubtful = possible & ((inside2 <= inside2_error) | (peak <= t_min + peak_error))
 
     # Half the chord through the ellipsoid beyond which the Gaussian is ignored, in canonical space.
     half, most, least = (np.sqrt(np.maximum(inside2 + e, 0.0)) for e in (0.0, inside2_error, -inside2_error))
     speed = np.sqrt(speed2)
     if config.normal_method is NormalMethod.ELLIPSOID:
         seen_from = closest - (half / speed)[:, None] * direction
-        moved = world.sharpest[rows] * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
+        sharpest = np.sqrt((whiten**2).sum(axis=2)).max(axis=1)
+        moved = sharpest * spread * (off + ray.turn * half / speed) + along / speed * (most - least)
+        normal, normal_error = gradient_normal(whiten, seen_from, moved, ray)
     else:
-        seen_from = origin - ray.path_length * direction
-        moved = np.linalg.norm(whiten.transpose(0, 2, 1) @ whiten, axis=(1, 2)) * off
-    normal, normal_error = gradient_normal(whiten, seen_from, moved, ray)
-    t = peak
+        own = world.whiten[rows]  # no footprint widens it
+        moved = np.linalg.norm(own.transpose(0, 2, 1) @ own, axis=(1, 2)) * off
+        normal, normal_error = gradient_normal(
+            own, np.einsum("nij,nj->ni", own, ray.eye - world.mean[rows]), moved, ray
+        )
+    t, t_error = peak, peak_error
+    surface, surface_error = surfaces(world, ray, rows, off)
     if config.hit_distance is HitDistance.HULL:
-        t, t_error = peak - half / speed, t_error + (most - least) / speed
+        t, t_error = peak - half / speed, peak_error + (most - least) / speed
+        surface, surface_error = t, t_error
+    if config.hit_distance is HitDistance.MEAN:
+        t, t_error = -from_mean[rows] @ ray.direction, off
     found = Hits(
         t=t,
-        peak=peak,
         t_error=t_error,
+        peak=peak,
+        peak_error=peak_error,
+        surface=surface,
+        surface_error=surface_error,
         d2=d2,
         alpha=alpha_at(d2),
         alpha_error=alpha_at(d2 - d2_error) - alpha_at(d2 + d2_error),
@@ -204,6 +245,24 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     )
     order = np.lexsort((rows, t))
     return picked(found, order[(counts | doubtful)[order]])
+
+
+def surfaces(world: World, ray: Ray, rows: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where some Gaussians, which no footprint widens, respond most on a ray, (H,), and its error, (H,).
+
+    Not before the ray begins, and no farther from where their means project onto it than three of their scales.
+    """
+    whiten = world.whiten[rows]
+    from_mean = ray.origin - world.mean[rows]
+    origin, direction = np.einsum("nij,nj->ni", whiten, from_mean), whiten @ ray.direction
+    speed2 = np.einsum("ni,ni->n", direction, direction)
+    peak = -np.einsum("ni,ni->n", origin, direction) / speed2
+    closest = origin + peak[:, None] * direction
+    along = np.linalg.norm(np.einsum("nij,ni->nj", whiten, direction), axis=-1)
+    slope = np.linalg.norm(np.einsum("nij,ni->nj", whiten, closest), axis=-1)
+    middle, room = -from_mean @ ray.direction, 3.0 * world.widest[rows]
+    surface = np.maximum(np.clip(peak, middle - room, middle + room), ray.t_min)
+    return surface, np.minimum((off * along + ray.turn * slope) / speed2, 2.0 * room) + off
 
 
 def gradient_normal(

@@ -66,13 +66,13 @@ def one_light(world: World, ray: Ray, t_max: float) -> tuple[np.ndarray, float]:
     past_meshes, unsure = through_meshes(world.triangles, ray, t_max)
     shadow = world.config.shadow_rays
     every = hits(world, ray, shadow.offset * world.widest + shadow.offset_absolute)
-    error = every.t_error
+    error = every.peak_error
     doubtful = every.doubtful | (np.abs(every.peak - t_max) <= error)
     found = picked(every, every.counts & (every.peak < t_max))
     slack = float(every.alpha[doubtful & (every.peak < t_max + error)].sum() + found.alpha_error.sum())
     if shadow.method is ShadowMethod.FIRST_HITS and len(found) > shadow.hits:
         last, next_one = found.t[shadow.hits - 1 : shadow.hits + 1]
-        if next_one - last <= 2.0 * error.max() or doubtful.any():
+        if next_one - last <= 2.0 * every.t_error.max() or doubtful.any():
             return past_meshes, np.inf
         found = picked(found, slice(shadow.hits))
     by_chance = shadow.method is ShadowMethod.STOCHASTIC

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.config import RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.config import HitDistance, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, NORMAL_DEGENERATE
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.scene import Scene
@@ -80,12 +80,25 @@ def camera_rays(camera: Camera) -> list[Ray]:
         starts[..., 1] = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy)[:, None]
     origins, directions = eye + starts @ turn, local @ turn
     nears = camera.near if camera.model is CameraModel.FISHEYE else camera.near / local[..., 2]
+    columns = origins.reshape(-1, 3), directions.reshape(-1, 3), np.broadcast_to(nears, local.shape[:2]).flat
     return [
-        Ray(origin, direction, float(near), blur=ROUNDING * float(np.abs(origin).max()))
-        for origin, direction, near in zip(
-            origins.reshape(-1, 3), directions.reshape(-1, 3), np.broadcast_to(nears, local.shape[:2]).flat, strict=True
-        )
+        Ray(origin, direction, float(near), spread=float(spread), blur=ROUNDING * float(np.abs(origin).max()))
+        for origin, direction, near, spread in zip(*columns, pixel_spreads(camera, local).flat, strict=True)
     ]
+
+
+def pixel_spreads(camera: Camera, local: np.ndarray) -> np.ndarray:
+    """Roots of the solid angles of pixels whose rays have these directions in camera space, shape (H, W)."""
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        return np.zeros(local.shape[:2])
+    cosine = local[..., 2]
+    if camera.model is CameraModel.FISHEYE:
+        # A ring of angle theta is 2 pi sin(theta) long on the sphere, and 2 pi theta in the image.
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+        area = np.sinc(angle / np.pi)
+    else:
+        area = cosine**3
+    return np.sqrt(area / (camera.fx * camera.fy))
 
 
 # --- Blending ---
@@ -136,7 +149,7 @@ class Outcomes:
 
 def outcomes(found: Hits, ray: Ray, config: TraceConfig) -> Outcomes:
     """Outcomes of a random strategy for hits that all count."""
-    depth = np.maximum(found.t, 0.0)
+    depth = np.maximum(found.surface, 0.0)
     if config.strategy is TraceStrategy.STOCHASTIC_HIT:
         # Equations 7-8 of Hu et al.: it wins if it is accepted, and none before it is.
         chance = np.minimum(found.alpha / config.acceptance_scale, 1.0)
@@ -187,9 +200,12 @@ class Traced:
 def hits_before(world: World, ray: Ray, mesh: MeshHit) -> Hits:
     """The Gaussians that peak before the nearest mesh, those included that only float32 may find there."""
     every = hits(world, ray)
-    limit_error = every.t_error + mesh.error
+    limit_error = every.peak_error + mesh.error
     doubtful = every.doubtful | (np.abs(every.peak - mesh.t) <= limit_error)
-    every = replace(every, counts=every.counts & (every.peak < mesh.t), doubtful=doubtful)
+    surface = every.surface
+    if world.config.trace.hit_distance is not HitDistance.HULL:
+        surface = np.minimum(surface, mesh.t)
+    every = replace(every, counts=every.counts & (every.peak < mesh.t), doubtful=doubtful, surface=surface)
     return picked(every, every.peak < mesh.t + limit_error)
 
 
@@ -242,7 +258,10 @@ def trace(world: World, ray: Ray, sky: np.ndarray, bounces: int = 0, throughput:
     depth, depth_slack, gaussian, instance = mesh.t, mesh.error, -1, -1
     if blended.surface >= 0:
         index = found.index[blended.surface]
-        depth, depth_slack = max(float(found.t[blended.surface]), 0.0), float(found.t_error[blended.surface])
+        depth, depth_slack = (
+            max(float(found.surface[blended.surface]), 0.0),
+            float(found.surface_error[blended.surface]),
+        )
         gaussian, instance = int(world.gaussian[index]), int(world.instance[index])
     elif surface is not None:
         instance = world.splat_count + surface.instance

@@ -13,7 +13,7 @@ from lumisplat.device.gaussian.particle import (
 )
 from lumisplat.device.structs.bvh import Box, Children, Node, Particle
 from lumisplat.device.structs.packet import Slabs
-from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.rays import Ray, RayData
 from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -52,7 +52,10 @@ def probe_particles(
     i = wp.tid()
     particles[i] = particle_of(kernel, gaussians, i)
     boxes[i] = particle_box(kernel, gaussians, i)
-    normals[i] = ellipsoid_normal(kernel, gaussians, i, origins[i], directions[i])
+    instance = SplatInstanceData()
+    instance.kernel = kernel
+    instance.scale = 1.0
+    normals[i] = ellipsoid_normal(instance, gaussians, i, origins[i], directions[i], Ray())
 
 
 @wp.kernel

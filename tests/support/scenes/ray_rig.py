@@ -123,6 +123,7 @@ class RayRig:
         rays.t_min.assign(np.full(count, t_min, np.float32))
         rays.t_max.assign(np.full(count, t_max, np.float32))
         rays.path_length.zero_()
+        rays.spread.zero_()
         rays.sample_key.assign(np.arange(count, dtype=np.uint32))
         rays.pixel_key.assign(np.arange(count, dtype=np.uint32))
         return rays

@@ -87,6 +87,7 @@ class ShadowRig:
         rays.t_max.assign(_padded(np.broadcast_to(t_max, count), places))
         rays.is_active.assign(_padded(np.broadcast_to(np.greater(t_max, 0.0), count), places).astype(bool))
         rays.path_length.zero_()
+        rays.spread.zero_()
         rays.sample_key.zero_()
         skipping.assign(_padded(np.broadcast_to(skips, count), places).astype(bool))
         return rays, skipping

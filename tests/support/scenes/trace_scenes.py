@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from lumisplat.config import HitDistance, NormalMethod, Pipeline, RenderConfig
+from lumisplat.config import Antialiasing, HitDistance, NormalMethod, Pipeline, RenderConfig, TraceConfig
 from lumisplat.demo.shapes import icosphere
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
@@ -46,8 +46,9 @@ def side_camera(offset: tuple[float, float, float] = (0.0, 0.0, 0.0), width: int
 def trace_config(
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0), bounces: int = 3, **changes: object
 ) -> RenderConfig:
-    """Settings of a traced frame; ``changes`` as for ``changed_rays``."""
-    config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces)
+    """Settings of a traced frame, hits in the order of their peaks; ``changes`` as for ``changed_rays``."""
+    trace = TraceConfig(hit_distance=HitDistance.PEAK)
+    config = RenderConfig(pipeline=Pipeline.TRACE, background=background, max_bounces=bounces, trace=trace)
     return changed_rays(config, **changes)
 
 
@@ -195,7 +196,11 @@ def _setting_cases() -> list[Case]:
     plain, placed = Scene([random_gaussians(121, degree=1)]), placed_scene()
     linear = Scene([replace(random_gaussians(122), kernel_degree=0)])
     crossing = Scene([random_gaussians(123)], [quad(4.0, 1.2, tilt=0.9)])
-    hull, ellipsoid = HitDistance.HULL, NormalMethod.ELLIPSOID
+    around = Scene([random_gaussians(103, 500, degree=1, center=(0.0, 0.0, 0.0), extent=(2.0, 2.0, 2.0))])
+    fisheye = small_camera(fx=8.0, fy=7.0, near=0.2, model=CameraModel.FISHEYE)
+    needles = Scene([random_gaussians(106, 80, scale_range=(0.001, 0.8))])
+    far = Scene([random_gaussians(107, 400, center=(0.0, 0.0, 60.0), extent=(20.0, 20.0, 20.0))])
+    hull, ellipsoid, mean = HitDistance.HULL, NormalMethod.ELLIPSOID, HitDistance.MEAN
     both = {"hit_distance": hull, "normal_method": ellipsoid}
     return [
         Case("kernel degree set", placed, side_camera(), trace_config(kernel_degree=4)),
@@ -208,6 +213,20 @@ def _setting_cases() -> list[Case]:
         Case("hull, instances", placed, side_camera(), trace_config(hit_distance=hull)),
         Case("hull, mesh", crossing, side_camera(), trace_config(hit_distance=hull)),
         Case("hull, least response", plain, config=trace_config(hit_distance=hull, min_response=0.2)),
+        Case("mean", plain, config=trace_config(hit_distance=mean)),
+        Case("mean, linear", linear, config=trace_config(hit_distance=mean)),
+        Case("mean, instances", placed, side_camera(), trace_config(hit_distance=mean)),
+        Case("mean, mesh", crossing, side_camera(), trace_config(hit_distance=mean)),
+        Case("mean, mirror", mirror_scene(), config=trace_config(hit_distance=mean)),
+        Case("mean, around the camera", around, small_camera(near=0.2), trace_config(hit_distance=mean)),
+        Case("mean, passes of 4", placed, side_camera(), trace_config(hit_distance=mean, hits_per_pass=4)),
+        Case("antialiased", Scene([replace(plain.splats[0].gaussians, antialiased=True)]), config=trace_config()),
+        Case("antialiasing on", plain, config=trace_config(antialiasing=Antialiasing.ON)),
+        Case("no dilation", plain, config=trace_config(dilation=0.0)),
+        Case("wide dilation", needles, config=trace_config(dilation=8.0)),
+        Case("wide dilation, mirror", mirror_scene(), config=trace_config(dilation=8.0)),
+        Case("wide dilation, fisheye", around, fisheye, trace_config(dilation=8.0)),
+        Case("wide dilation, small in the image", far, config=trace_config(dilation=8.0, hit_distance=mean)),
         Case("ellipsoid normals", plain, config=trace_config(normal_method=ellipsoid)),
         Case("ellipsoid normals, instances", placed, side_camera(), trace_config(kernel_degree=3, **both)),
         Case("flat, ellipsoid normals", Scene([flattened(random_gaussians(104, 100), 1)]), config=trace_config(**both)),

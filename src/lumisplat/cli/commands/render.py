@@ -22,7 +22,7 @@ from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
 
-_OF_RASTER = ("raster_strategy", "antialiasing")
+_OF_RASTER = ("raster_strategy",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class Render(FrameCommand):
     """How the rasteriser resolves splats. sorted: front to back, without noise. stochastic: a random one of them,
     nothing is sorted; --samples average the noise."""
     antialiasing: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
-    """Mip-Splatting's opacity compensation; auto: as the capture was trained."""
+    """Whether splats are those of Mip-Splatting, which dilation does not widen; auto: as each capture says."""
     sh_degree: Annotated[int | None, setting("0..3", "3")] = None
     """Highest degree of view-dependent colour."""
     transmittance_min: Annotated[float | None, setting("0..1", "0.0001")] = None
@@ -112,11 +112,9 @@ class Render(FrameCommand):
         """The settings of this command's own options that were given."""
         end = without_none({"transmittance_min": self.transmittance_min})
         shared = without_none({"sh_degree": self.sh_degree, "depth_iso_transmittance": self.depth_iso}) | end
-        raster = {
-            "strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy),
-            "antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing),
-        }
-        return {"raster": without_none(raster) | shared, "trace": shared, "shadow_rays": end}
+        strategy = without_none({"strategy": self.raster_strategy and ls.RasterStrategy(self.raster_strategy)})
+        shared |= without_none({"antialiasing": self.antialiasing and ls.Antialiasing(self.antialiasing)})
+        return {"raster": strategy | shared, "trace": shared, "shadow_rays": end}
 
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
         """The cameras that are given, those of the frames along --path among them; none: one has to be made."""

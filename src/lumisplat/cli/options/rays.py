@@ -33,9 +33,13 @@ class RayOptions:
     """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
     """Gaussians end where their response times opacity falls to this, if they do not at 1/255 before."""
-    hit_distance: Annotated[Literal["peak", "hull"] | None, setting("{peak,hull}", "peak")] = None
-    """Where a ray hits a Gaussian: at its largest response, or where it enters it. Also which Gaussians are the first
-    for --shadow-method first-hits."""
+    hit_distance: Annotated[
+        Literal["auto", "mean", "peak", "hull"] | None, setting("{auto,mean,peak,hull}", "auto")
+    ] = None
+    """Where a ray hits a Gaussian, which decides what hides what. mean: at its centre, as captures are trained. peak:
+    at its largest response, better for large ones that cross. hull: where the ray enters it. auto: mean for what is
+    as captured, peak for what is relit. peak and hull also decide which Gaussians are the first for --shadow-method
+    first-hits."""
     normals: Annotated[Literal["plane", "ellipsoid"] | None, setting("{plane,ellipsoid}", "plane")] = None
     """Normal of a Gaussian: of its plane of largest density, or of its ellipsoid where the ray enters."""
     acceptance_scale: Annotated[float | None, setting("0.001..1", "1.0")] = None
@@ -49,7 +53,7 @@ class RayOptions:
 
     def changes(self) -> Changes:
         """The settings that were given."""
-        hit_distance = self.hit_distance and ls.HitDistance(self.hit_distance)
+        hit_distance = ls.HitDistance(self.hit_distance) if self.hit_distance not in (None, "auto") else None
         frame = {
             "samples": None if self.samples == "auto" else self.samples,
             "jitter": False if self.no_jitter else None,
@@ -69,10 +73,14 @@ class RayOptions:
                 "min_response": self.min_response,
                 "adaptive_clamping": False if self.no_adaptive_clamping else None,
             },
-            "shadow_rays": {"hit_distance": hit_distance},
+            "shadow_rays": {"hit_distance": None if hit_distance is ls.HitDistance.MEAN else hit_distance},
         }
-        chosen: Changes = {"samples": None} if self.samples == "auto" else {}
-        return chosen | without_none(frame) | {name: without_none(group) for name, group in groups.items()}
+        changes = without_none(frame) | {name: without_none(group) for name, group in groups.items()}
+        if self.samples == "auto":
+            changes["samples"] = None
+        if self.hit_distance == "auto":
+            changes["trace"]["hit_distance"] = None
+        return changes
 
 
 RayGroup = Annotated[RayOptions, arg(name="ray"), OmitArgPrefixes]

@@ -109,3 +109,39 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
         entry = wp.where(near > 0.0, near, -FAR)
         entries[c] = wp.where(lesser(far - near, far - begin) >= 0.0, entry, 2.0 * FAR)
     return entries
+
+
+@wp.func
+def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float) -> Children:
+    """No mean in a child's box projects onto a ray of the packet before these distances.
+
+    2 FAR: it is not entered, by ``entries``, or all its means project before ``begin``.
+    """
+    low_x = node.low_x
+    low_y = node.low_y
+    low_z = node.low_z
+    high_x = node.high_x
+    high_y = node.high_y
+    high_z = node.high_z
+    for c in range(WIDTH):
+        ax = low_x[c] - slabs.high[0]
+        bx = high_x[c] - slabs.low[0]
+        ay = low_y[c] - slabs.high[1]
+        by = high_y[c] - slabs.low[1]
+        az = low_z[c] - slabs.high[2]
+        bz = high_z[c] - slabs.low[2]
+        x = least_product(ax, bx, slabs.slow[0], slabs.fast[0])
+        y = least_product(ay, by, slabs.slow[1], slabs.fast[1])
+        z = least_product(az, bz, slabs.slow[2], slabs.fast[2])
+        farthest = -least_product(ax, bx, -slabs.fast[0], -slabs.slow[0])
+        farthest = farthest - least_product(ay, by, -slabs.fast[1], -slabs.slow[1])
+        farthest = farthest - least_product(az, bz, -slabs.fast[2], -slabs.slow[2])
+        margin = MARGIN * (wp.abs(x) + wp.abs(y) + wp.abs(z) + wp.abs(farthest))
+        entries[c] = wp.where(lesser(FAR - entries[c], farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
+    return entries
+
+
+@wp.func
+def least_product(a: float, b: float, c: float, d: float) -> float:
+    """The least product of a number between ``a`` and ``b`` and one between ``c`` and ``d``."""
+    return lesser(lesser(a * c, a * d), lesser(b * c, b * d))

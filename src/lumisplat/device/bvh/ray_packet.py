@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS
+from lumisplat.constants import COHERENT_SPREAD, FOOTPRINT_LEAD, FOOTPRINT_MAX, FOOTPRINT_REACH, FUSED_FLAGS
 from lumisplat.device.bvh.node_stack import push_children
-from lumisplat.device.bvh.node_test import enter_children, larger, slabs_around
+from lumisplat.device.bvh.node_test import enter_children, larger, lesser, mean_entries, slabs_around
 from lumisplat.device.math.aligned_memory import aligned_load_of
-from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Node, SceneBvh
+from lumisplat.device.structs.bvh import FAR, HIT_MEAN, WORLD, ChildLinks, Node, SceneBvh
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.packet import PacketPlace, PacketRays, Slabs, WaitingNode
 from lumisplat.device.structs.rays import RayData
@@ -29,6 +29,9 @@ PACKET_OPTIONS = {
 """Of the modules that trace packets."""
 
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
+WIDTH_MAX = wp.constant(wp.float32(FOOTPRINT_MAX))
+LEAD = wp.constant(wp.float32(FOOTPRINT_LEAD))
+REACH = wp.constant(wp.float32(FOOTPRINT_REACH))
 
 load_node = aligned_load_of(Node)
 
@@ -69,6 +72,9 @@ def packet_of(lanes: int) -> RayPacket:
         direction: Vec3s
         t_min: Floats
         limit: Floats
+        path_length: Floats
+        spread: Floats
+        footprint: Floats
         t_max: Floats
 
     @wp.func
@@ -79,6 +85,9 @@ def packet_of(lanes: int) -> RayPacket:
         packet.direction = wp.array(ptr=wp.address_of(storage.direction), shape=(3, LANES), dtype=float)
         packet.t_min = wp.array(ptr=wp.address_of(storage.t_min), shape=(LANES,), dtype=float)
         packet.limit = wp.array(ptr=wp.address_of(storage.limit), shape=(LANES,), dtype=float)
+        packet.path_length = wp.array(ptr=wp.address_of(storage.path_length), shape=(LANES,), dtype=float)
+        packet.spread = wp.array(ptr=wp.address_of(storage.spread), shape=(LANES,), dtype=float)
+        packet.footprint = wp.array(ptr=wp.address_of(storage.footprint), shape=(LANES,), dtype=float)
         packet.t_max = wp.array(ptr=wp.address_of(storage.t_max), shape=(LANES,), dtype=float)
         return packet
 
@@ -139,23 +148,39 @@ def packet_of(lanes: int) -> RayPacket:
             packet.t_min[lane] = rays.t_min[first + lane]
             packet.t_max[lane] = ends[lane]
             packet.limit[lane] = ends[lane]
+            packet.path_length[lane] = rays.path_length[first + lane]
+            packet.spread[lane] = rays.spread[first + lane]
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
-        """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes."""
+        """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes.
+
+        Footprints bound where the widened Gaussians of a box may be hit (docs/method/ray_tracing.md#footprints).
+        """
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)
         slow = wp.vec3(FAR)
         fast = wp.vec3(-FAR)
+        slowest = wp.vec3(FAR)
+        fastest = wp.vec3(-FAR)
+        length2 = float(1.0)
         for lane in range(LANES):
             if packet.limit[lane] > 0.0:
                 o = wp.vec3(packet.origin[0, lane], packet.origin[1, lane], packet.origin[2, lane])
                 d = wp.vec3(packet.direction[0, lane], packet.direction[1, lane], packet.direction[2, lane])
-                low = wp.min(low, o)
-                high = wp.max(high, o)
-                slow = wp.min(slow, d)
-                fast = wp.max(fast, d)
-        return slabs_around(low, high, slow, fast)
+                length2 = wp.length_sq(d)
+                ahead = LEAD * REACH * packet.footprint[lane]
+                slope = wp.vec3(ahead / (1.0 - ahead / wp.sqrt(length2)))
+                low = wp.min(low, o - packet.path_length[lane] * slope)
+                high = wp.max(high, o + packet.path_length[lane] * slope)
+                slow = wp.min(slow, d - slope)
+                fast = wp.max(fast, d + slope)
+                slowest = wp.min(slowest, d)
+                fastest = wp.max(fastest, d)
+        slabs = slabs_around(low, high, slow, fast)
+        slabs.slow = slowest / length2
+        slabs.fast = fastest / length2
+        return slabs
 
     @wp.func
     def enter_instance(
@@ -179,11 +204,16 @@ def packet_of(lanes: int) -> RayPacket:
         place.number = number
         object_from_world = wp.identity(n=3, dtype=wp.float32)
         offset = wp.vec3(0.0)
+        footprint = scene.footprint
+        scale = float(1.0)
         if number != WORLD:
             place.instance = scene.instances[number]
             object_from_world = place.instance.object_from_world
             offset = place.instance.object_from_world_offset
+            footprint = place.instance.footprint
+            scale = place.instance.scale
         for lane in range(LANES):
+            packet.footprint[lane] = lesser(footprint * packet.spread[lane], WIDTH_MAX) / scale
             o = object_from_world * rays.origin[first + lane] + offset
             d = object_from_world * rays.direction[first + lane]
             for k in range(3):
@@ -201,6 +231,7 @@ def packet_of(lanes: int) -> RayPacket:
         begin: float,
         reach: float,
         order: float,
+        hit_distance: int,
     ) -> int:
         """Pushes the children of the node just above the top of the stack, as ``push_children``.
 
@@ -213,6 +244,7 @@ def packet_of(lanes: int) -> RayPacket:
             begin: Children that the packet leaves nearer are left out.
             reach: Children that it enters farther away are left out.
             order: NEAR_FIRST or FAR_FIRST.
+            hit_distance: HIT_MEAN, or another one.
 
         Returns:
             The number of leaves.
@@ -223,7 +255,10 @@ def packet_of(lanes: int) -> RayPacket:
             nodes = scene.assets[place.instance.asset].nodes
         node = Node()
         load_node(nodes, link, node)
-        entries = enter_children(node, place.slabs, begin)
+        is_by_mean = hit_distance == HIT_MEAN
+        entries = enter_children(node, place.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
+        if is_by_mean:
+            entries = mean_entries(node, place.slabs, entries, begin)
         return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 
     return RayPacket(

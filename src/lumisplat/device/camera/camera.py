@@ -37,6 +37,21 @@ def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 
 @wp.func
+def pixel_spread(camera: CameraData, u: float, v: float) -> float:
+    """Root of the solid angle of the pixel at a point of the image plane, radians; 0 for parallel rays."""
+    per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
+    if camera.model == ORTHOGRAPHIC:
+        return float(0.0)
+    if camera.model == FISHEYE:
+        theta = wp.sqrt(u * u + v * v)
+        if theta > 0.0:
+            per_pixel *= wp.max(wp.sin(theta), 0.0) / theta
+        return wp.sqrt(per_pixel)
+    cosine = 1.0 / wp.sqrt(1.0 + u * u + v * v)
+    return wp.sqrt(per_pixel * cosine * cosine * cosine)
+
+
+@wp.func
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     """The ray of a sample through a pixel; its direction is zero where a fisheye or a distorting lens sees nothing.
 
@@ -55,6 +70,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
         if wp.isnan(u):
             return ray
 
+    ray.spread = pixel_spread(camera, u, v)
     start = wp.vec3(0.0, 0.0, 0.0)
     direction = wp.vec3(0.0, 0.0, 1.0)
     right = wp.vec3(1.0, 0.0, 0.0)

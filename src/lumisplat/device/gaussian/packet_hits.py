@@ -7,9 +7,9 @@ import warp as wp
 
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
-from lumisplat.device.gaussian.particle import alpha_of_degree
+from lumisplat.device.gaussian.particle import REACH, alpha_of_degree, footprint_variance
 from lumisplat.device.gaussian.projection import alpha_from_log
-from lumisplat.device.structs.bvh import FAR, Particle
+from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Particle
 from lumisplat.device.structs.packet import PacketRays
 from lumisplat.device.structs.scene import KernelData
 
@@ -31,16 +31,22 @@ def packet_hits_of(lanes: int) -> PacketHits:
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
 
     @wp.func
-    def hit_distances(particle: Particle, hull: int, begin: float, packet: PacketRays):
-        """Where each ray hits a Gaussian, FAR where it does not, and the squared canonical distance there.
+    def hit_distances(particle: Particle, scale: float, hit_distance: int, begin: float, packet: PacketRays):
+        """Where each ray hits a Gaussian, widened by the ray's footprint.
 
-        Its response must peak between ``t_min``, or ``begin`` if that is nearer, and ``t_max``, wherever on its hull it
-        counts as hit.
+        Returns the distance by which hits are ordered, FAR where there is none, and the squared canonical distance at
+        the peak of the response. That must lie between ``t_min``, or ``begin`` if that is nearer, and ``t_max``,
+        wherever the Gaussian counts as hit.
         """
         origin = packet.origin
         direction = packet.direction
         w = particle.canonical_from_object
         mean = particle.mean
+        sharp_x = w[0, 0] * w[0, 0] + w[0, 1] * w[0, 1] + w[0, 2] * w[0, 2]
+        sharp_y = w[1, 0] * w[1, 0] + w[1, 1] * w[1, 1] + w[1, 2] * w[1, 2]
+        sharp_z = w[2, 0] * w[2, 0] + w[2, 1] * w[2, 1] + w[2, 2] * w[2, 2]
+        per_length2 = scale * scale
+        extent = REACH * scale * particle.largest_scale
         t = Floats()
         distance2 = Floats()
         for lane in range(LANES):
@@ -53,7 +59,15 @@ def packet_hits_of(lanes: int) -> PacketHits:
             ex = w[0, 0] * direction[0, lane] + w[0, 1] * direction[1, lane] + w[0, 2] * direction[2, lane]
             ey = w[1, 0] * direction[0, lane] + w[1, 1] * direction[1, lane] + w[1, 2] * direction[2, lane]
             ez = w[2, 0] * direction[0, lane] + w[2, 1] * direction[1, lane] + w[2, 2] * direction[2, lane]
-            per_unit = 1.0 / wp.sqrt(ex * ex + ey * ey + ez * ez)
+            dx = direction[0, lane]
+            dy = direction[1, lane]
+            dz = direction[2, lane]
+            middle = -(x * dx + y * dy + z * dz) * per_length2
+            variance = footprint_variance(packet.footprint[lane], packet.path_length[lane] + middle, extent)
+            fx = 1.0 / (1.0 + variance * sharp_x)
+            fy = 1.0 / (1.0 + variance * sharp_y)
+            fz = 1.0 / (1.0 + variance * sharp_z)
+            per_unit = 1.0 / wp.sqrt(fx * ex * ex + fy * ey * ey + fz * ez * ez)
             ex = ex * per_unit
             ey = ey * per_unit
             ez = ez * per_unit
@@ -61,13 +75,13 @@ def packet_hits_of(lanes: int) -> PacketHits:
             kx = cy * ez - cz * ey
             ky = cz * ex - cx * ez
             kz = cx * ey - cy * ex
-            d2 = kx * kx + ky * ky + kz * kz
-            peak = -(cx * ex + cy * ey + cz * ez) * per_unit
+            d2 = fy * fz * kx * kx + fz * fx * ky * ky + fx * fy * kz * kz
+            peak = -(fx * cx * ex + fy * cy * ey + fz * cz * ez) * per_unit
             inside = particle.reach2 - d2
-            back = wp.where(hull != 0, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
+            back = wp.where(hit_distance == HIT_HULL, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)
             is_hit = wp.where(inside >= 0.0, 1, 0) & wp.where(peak > lesser(packet.t_min[lane], begin), 1, 0)
             is_hit = is_hit & wp.where(peak < packet.t_max[lane], 1, 0)
-            t[lane] = wp.where(is_hit != 0, peak - back, FAR)
+            t[lane] = wp.where(is_hit != 0, wp.where(hit_distance == HIT_MEAN, middle, peak - back), FAR)
             distance2[lane] = d2
         return t, distance2
 

@@ -14,10 +14,22 @@ from lumisplat.device.bvh.hit_list import empty_list, is_before, keep_hit
 from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
+from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
 from lumisplat.device.gaussian.ray_compositing import add_relit, blend_hit, close_pass, load_pixel, store_pixel
+from lumisplat.device.gaussian.surface_depth import surface_peak
 from lumisplat.device.math.random import draw_mixed, mix
-from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, Particle, SceneBvh, TraceData
+from lumisplat.device.structs.bvh import (
+    FAR,
+    HIT_HULL,
+    HIT_MEAN,
+    HIT_PEAK,
+    STRATEGY_HIT,
+    STRATEGY_PASS,
+    Particle,
+    SceneBvh,
+    TraceData,
+)
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.packet import Hit, HitList, PacketRays
 from lumisplat.device.structs.rays import GaussianHits, Ray, RayData
@@ -68,10 +80,40 @@ def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
 
 
 @wp.func
+def ray_of(rays: RayData, i: int) -> Ray:
+    """Ray ``i``."""
+    ray = Ray()
+    ray.origin = rays.origin[i]
+    ray.direction = rays.direction[i]
+    ray.t_min = rays.t_min[i]
+    ray.path_length = rays.path_length[i]
+    ray.spread = rays.spread[i]
+    return ray
+
+
+@wp.func
+def surface_distance(scene: SceneBvh, ray: Ray, t_max: float, index: int, t: float) -> float:
+    """Distance of the surface of the Gaussian ``index`` of the scene, which a ray hits at ``t``; at least 0."""
+    instance = scene.instances[instance_of(scene.instances, index)]
+    if instance.hit_distance == HIT_HULL:
+        return larger(t, 0.0)
+    gaussians = scene.assets[instance.asset].gaussians
+    i = index - instance.first
+    scale = gaussians.scales[i]
+    origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
+    along = instance.object_from_world * ray.direction
+    away = gaussians.means[i] - origin
+    middle = wp.dot(away, along) * instance.scale * instance.scale
+    depth = surface_peak(gaussians.rotations[i], scale, away, along, middle, instance.scale * wp.max(scale))
+    return wp.clamp(depth, ray.t_min, t_max)
+
+
+@wp.func
 def blend_hits(
     progress: wp.ref[RayProgress],
     hits: wp.array[Hit],
     bound: float,
+    t_max: float,
     config: TraceData,
     scene: SceneBvh,
     rays: RayData,
@@ -79,10 +121,7 @@ def blend_hits(
     radiance: GaussianHits,
 ) -> bool:
     """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether it is opaque then."""
-    ray = Ray()
-    ray.origin = rays.origin[i]
-    ray.direction = rays.direction[i]
-    ray.path_length = rays.path_length[i]
+    ray = ray_of(rays, i)
     pixel = load_pixel(radiance, i)
     is_opaque = bool(False)
     head = int(progress.kept.head)
@@ -97,7 +136,7 @@ def blend_hits(
         if radiance.relit_weight:
             add_relit(radiance, i, scene.instances, before, pixel, index)
         if pixel.surface == index:
-            radiance.depth[i] = larger(t, 0.0)
+            radiance.depth[i] = surface_distance(scene, ray, t_max, index, t)
         # Rounding may deliver a hit after one that is farther.
         if is_before(progress.last_t, progress.last_index, t, index):
             progress.last_t = t
@@ -106,7 +145,8 @@ def blend_hits(
             progress.blended += 1
             if progress.blended == config.hits_per_pass:
                 progress.blended = 0
-                pixel = close_pass(pixel, radiance, i, rays.sample_key[i], t, index)
+                depth = surface_distance(scene, ray, t_max, index, t)
+                pixel = close_pass(pixel, radiance, i, rays.sample_key[i], depth, index)
         if pixel.transmittance <= config.transmittance_min:
             is_opaque = True
             head = tail
@@ -130,18 +170,28 @@ def begin_rays(traced: TracedPacket):
 
 
 @wp.func
-def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData) -> float:
+def end_of_hits(limit: float, scene: SceneBvh) -> float:
+    """The distance before which a ray's hits are ordered; a mean may lie behind the limit before which it responds."""
+    return wp.where(scene.hit_distance == HIT_MEAN and limit > 0.0, FAR, limit)
+
+
+@wp.func
+def begin_pass(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> float:
     """Begins a pass of all rays; returns the least distance at which a hit may count."""
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
     for lane in range(traced.rays.shape[0]):
         begin_ray_pass(traced.rays[lane], lane * slots)
-        traced.cut_t[lane] = packet.limit[lane]
+        traced.cut_t[lane] = end_of_hits(packet.limit[lane], scene)
         traced.cut_index[lane] = -1
         if packet.limit[lane] > 0.0:
             start = traced.rays[lane].start_t
-            before = wp.where(config.hull != 0, -FAR, start - REWIND * wp.abs(start))
-            begin = lesser(begin, larger(packet.t_min[lane], before))
+            before = start - REWIND * wp.abs(start)
+            if scene.hit_distance == HIT_PEAK:
+                before = larger(packet.t_min[lane], before)
+            if scene.hit_distance == HIT_HULL:
+                before = packet.t_min[lane]
+            begin = lesser(begin, before)
     return begin
 
 
@@ -160,7 +210,8 @@ def blend_final_hits(
     nearest = float(FAR)
     for lane in range(traced.rays.shape[0]):
         if traced.rays[lane].next_t < bound:
-            if blend_hits(traced.rays[lane], traced.hits, bound, config, scene, rays, first + lane, radiance):
+            t_max = packet.t_max[lane]
+            if blend_hits(traced.rays[lane], traced.hits, bound, t_max, config, scene, rays, first + lane, radiance):
                 packet.limit[lane] = -FAR
                 traced.cut_t[lane] = -FAR
         nearest = lesser(nearest, traced.rays[lane].next_t)
@@ -168,20 +219,28 @@ def blend_final_hits(
 
 
 @wp.func
-def is_cut(traced: TracedPacket, packet: PacketRays) -> bool:
+def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
     """Whether a ray has hits that are left to another pass."""
     found = int(0)
     for lane in range(traced.rays.shape[0]):
-        found = found | wp.where(traced.cut_t[lane] < packet.limit[lane], 1, 0)
+        found = found | wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1, 0)
     return found != 0
 
 
 @wp.func
-def close_last_pass(progress: wp.ref[RayProgress], rays: RayData, i: int, radiance: GaussianHits):
+def close_last_pass(
+    progress: wp.ref[RayProgress],
+    t_max: float,
+    scene: SceneBvh,
+    rays: RayData,
+    i: int,
+    radiance: GaussianHits,
+):
     """Draws the last stochastic pass of ray ``i``, which has fewer hits."""
     if progress.blended > 0:
-        pixel = load_pixel(radiance, i)
-        pixel = close_pass(pixel, radiance, i, rays.sample_key[i], progress.last_t, progress.last_index)
+        index = progress.last_index
+        depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
+        pixel = close_pass(load_pixel(radiance, i), radiance, i, rays.sample_key[i], depth, index)
         store_pixel(radiance, i, pixel)
 
 
@@ -253,7 +312,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     ) -> float:
         """Adds the hits of a Gaussian to the lists of their rays; returns the distance of the nearest first hit."""
         index = instance.first + particle.index
-        t, distance2 = hit_distances(particle, config.hull, FAR, packet)
+        t, distance2 = hit_distances(particle, instance.scale, instance.hit_distance, FAR, packet)
         t, found = hits_before_cut(traced, t, index)
         nearest = float(FAR)
         if found == 0:

@@ -5,7 +5,6 @@ The equations are in docs/method/ray_tracing.md#strategies.
 
 import warp as wp
 
-from lumisplat.device.bvh.node_test import larger
 from lumisplat.device.gaussian.compositing import empty_pixel, instance_of, lay_behind
 from lumisplat.device.gaussian.particle import ellipsoid_normal, gaussian_color, gaussian_facing
 from lumisplat.device.gaussian.projection import towards
@@ -71,7 +70,7 @@ def blend_hit(
     if instance.own_normals != 0:
         normal = towards(gaussians.normals[i], -direction)
     elif view.ellipsoid_normal != 0:
-        normal = ellipsoid_normal(instance.kernel, gaussians, i, origin, direction)
+        normal = ellipsoid_normal(instance, gaussians, i, origin, direction, ray)
     else:
         normal = gaussian_facing(gaussians, i, eye)
     normal = instance.world_from_object * normal
@@ -125,7 +124,7 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
 
 @wp.func
 def close_pass(
-    pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, t: float, last: int
+    pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, depth: float, last: int
 ) -> BlendState:
     """``end_pass`` of a ray, whose depth follows the pixel's surface.
 
@@ -134,7 +133,7 @@ def close_pass(
         hits: Receives the depth.
         ray: The ray.
         sample_key: Key of its random numbers.
-        t: Distance of the pass's farthest Gaussian.
+        depth: Distance of the surface of the pass's farthest Gaussian.
         last: That Gaussian.
     """
     opacity = 1.0 - pixel.transmittance
@@ -148,5 +147,5 @@ def close_pass(
     if pixel.surface < 0:
         hits.depth[ray] = wp.inf
     elif pixel.surface == last:
-        hits.depth[ray] = larger(t, 0.0)
+        hits.depth[ray] = depth
     return pixel

@@ -1,4 +1,4 @@
-"""Depth of the rasterised surface: where the picked Gaussian responds most on the pixel's ray.
+"""Depth of the surface: where the picked Gaussian itself, whatever footprint widens it, responds most on the ray.
 
 The equations are in docs/method/rasterisation.md#iso-opacity-surface.
 """
@@ -15,6 +15,31 @@ SCALES_MAX = wp.constant(wp.float32(SURFACE_DEPTH_SCALES))
 
 
 @wp.func
+def surface_peak(
+    rotation: wp.quat, scale: wp.vec3, away: wp.vec3, along: wp.vec3, middle: float, largest_scale: float
+) -> float:
+    """Where a Gaussian responds most on a ray, no farther from its mean than it reaches: footprints show it beyond.
+
+    Args:
+        rotation: Of the Gaussian.
+        scale: Its scales.
+        away: Its mean from the ray's origin, object space.
+        along: Direction of the ray, object space; its length is the unit of distance.
+        middle: Distance of the mean.
+        largest_scale: Its largest scale, in the unit of distance.
+    """
+    # Canonical space times the smallest scale: flat Gaussians stay inside float32.
+    ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
+    canonical = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, along))
+    start = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, away))
+    beyond = wp.dot(start, canonical) / wp.length_sq(canonical) - middle
+    if not wp.isfinite(beyond):
+        beyond = float(0.0)
+    reach = SCALES_MAX * largest_scale
+    return middle + wp.clamp(beyond, -reach, reach)
+
+
+@wp.func
 def peak_depth(
     camera: wp.array[CameraData],
     instances: wp.array[SplatInstanceData],
@@ -26,8 +51,6 @@ def peak_depth(
     mesh_z: float,
 ) -> float:
     """View depth at which a Gaussian responds most on a pixel's ray, before the mesh behind it.
-
-    No farther from the Gaussian's mean than it reaches: dilated splats show in pixels that their Gaussian misses.
 
     Args:
         camera: The camera.
@@ -42,14 +65,8 @@ def peak_depth(
     # Fields are read one by one: copying these structs for each pixel would cost more than the depth.
     asset = instances[number].asset
     scale = assets[asset].scales[i]
-    turn = assets[asset].rotations[i]
-    along = wp.quat_rotate_inv(turn, instances[number].object_from_world * (camera[0].world_from_camera * ray))
-    away = wp.quat_rotate_inv(turn, assets[asset].means[i] - instances[number].eye)
-    # Canonical space times the smallest scale: flat Gaussians stay inside float32.
-    ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
-    along = wp.cw_mul(ratio, along)
-    beyond = wp.dot(wp.cw_mul(ratio, away), along) / wp.length_sq(along) - mean_z
-    if not wp.isfinite(beyond):
-        beyond = float(0.0)
-    reach = SCALES_MAX * instances[number].scale * wp.max(scale) / wp.length(ray)
-    return wp.clamp(mean_z + wp.clamp(beyond, -reach, reach), camera[0].near, mesh_z)
+    along = instances[number].object_from_world * (camera[0].world_from_camera * ray)
+    away = assets[asset].means[i] - instances[number].eye
+    largest_scale = instances[number].scale * wp.max(scale) / wp.length(ray)
+    depth = surface_peak(assets[asset].rotations[i], scale, away, along, mean_z, largest_scale)
+    return wp.clamp(depth, camera[0].near, mesh_z)

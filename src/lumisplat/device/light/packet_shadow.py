@@ -258,7 +258,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
     ) -> int:
         """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
-        t, distance2 = hit_distances(particle, config.hull, begin, packet)
+        t, distance2 = hit_distances(particle, instance.scale, config.hit_distance, begin, packet)
         found = int(0)
         for lane in range(LANES):
             found = found | wp.where(t[lane] < FAR, 1, 0)

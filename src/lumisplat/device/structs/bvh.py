@@ -58,6 +58,14 @@ class Node:
     """Child node, or ~place of an item in the order of the tree; NO_CHILD and an inverted box where there is none."""
 
 
+HIT_PEAK: int = wp.constant(0)
+"""Gaussians are hit where they respond most."""
+HIT_HULL: int = wp.constant(1)
+"""They are hit where rays enter their ellipsoid."""
+HIT_MEAN: int = wp.constant(2)
+"""They are ordered by where their mean projects onto the ray, and lie where they respond most."""
+
+
 @struct
 class AssetBvh:
     """A Gaussian set as rays hit it."""
@@ -79,6 +87,10 @@ class SceneBvh:
     assets: wp.array[AssetBvh]
     packet_radius: float
     """Rays that start farther apart than this are not traced together, world space."""
+    footprint: float
+    """The largest of the instances'."""
+    hit_distance: int
+    """HIT_MEAN if that is any instance's, else that of all."""
 
 
 DRAWS_NONE: int = wp.constant(0)
@@ -99,8 +111,8 @@ class ShadowData:
     """One of the constants above."""
     acceptance_scale: float
     """Of random numbers, 0..1: below 1, rays are blocked sooner."""
-    hull: int
-    """1: Gaussians are hit where rays enter their ellipsoid, which decides the first ones."""
+    hit_distance: int
+    """HIT_PEAK or HIT_HULL, which decides the first ones."""
     transmittance_min: float
     """A transmittance up to this counts as black."""
     threshold: float
@@ -130,8 +142,6 @@ class TraceData:
     """Of the stochastic pass."""
     hits_kept: int
     """How many of its nearest hits a ray keeps sorted while it traverses the trees."""
-    hull: int
-    """1: Gaussians are hit where rays enter their ellipsoid."""
     ellipsoid_normal: int
     """1: normals are those of that ellipsoid."""
     transmittance_min: float

@@ -16,8 +16,12 @@ class Slabs:
     """
 
     low: wp.vec3
-    """Lower corner of a box around the origins."""
+    """Lower corner of a box around the origins, widened by the rays' footprints."""
     high: wp.vec3
+    slow: wp.vec3
+    """Least components of the directions, over their squared length: what they are long where a mean is projected."""
+    fast: wp.vec3
+    """Largest components, likewise."""
     up_far: wp.vec3
     up_far_void: wp.vec3
     up_near: wp.vec3
@@ -38,6 +42,12 @@ class PacketRays:
     t_min: wp.array[float]
     limit: wp.array[float]
     """How far the ray is traced; -FAR: no farther, or not at all."""
+    path_length: wp.array[float]
+    """Length of the path before the origin."""
+    spread: wp.array[float]
+    """Width of the footprint over the length of the path."""
+    footprint: wp.array[float]
+    """Standard deviation by which Gaussians are widened over that length, in the space of the tree."""
     t_max: wp.array[float]
     """Gaussians of the tree that is traversed count up to here; -FAR: none does."""
 
@@ -73,6 +83,7 @@ class Hit:
     """Where a ray hits a Gaussian."""
 
     t: float
+    """The distance by which hits are ordered."""
     alpha: float
     index: int
     """Among all Gaussians of the scene."""

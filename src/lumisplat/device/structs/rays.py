@@ -16,6 +16,9 @@ class Ray:
     """Distance up to which hits do not count."""
     path_length: float
     """Length of the path from the eye to the origin, over all bounces."""
+    spread: float
+    """Width of the ray's footprint over the length of its path: the root of the solid angle of its pixel; 0: it
+    has no width."""
 
 
 @struct
@@ -30,6 +33,7 @@ class RayData:
     t_max: wp.array[float]
     """Where the ray ends; inf: nowhere. Shadow rays end at their light."""
     path_length: wp.array[float]
+    spread: wp.array[float]
     sample_key: wp.array[wp.uint32]
     """Key of the ray's random numbers."""
     pixel_key: wp.array[wp.uint32]

@@ -60,6 +60,10 @@ class SplatInstanceData:
     kernel: KernelData
     antialiased: int
     """1: compensate opacity for the dilation (Mip-Splatting)."""
+    footprint: float
+    """Standard deviation by which rays find Gaussians widened, in widths of a pixel; 0: not at all."""
+    hit_distance: int
+    """Where rays hit Gaussians: one of HIT_PEAK, HIT_HULL, HIT_MEAN."""
     sh_degree: int
     """Highest that is evaluated."""
     own_colors: int

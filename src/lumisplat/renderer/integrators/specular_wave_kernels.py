@@ -55,6 +55,7 @@ def spawn_rays(
     rays_out.t_min[child] = 0.0
     rays_out.t_max[child] = wp.inf
     rays_out.path_length[child] = wave[0].rays.path_length[i] + wave[0].meshes.t[i]
+    rays_out.spread[child] = wave[0].rays.spread[i]
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], refracted)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], refracted)
     weights_out[child] = weight

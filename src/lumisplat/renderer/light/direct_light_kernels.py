@@ -64,6 +64,7 @@ def spawn_shadow_rays(
             rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
             rays_out.t_max[j] = contribution.distance
             rays_out.path_length[j] = 0.0
+            rays_out.spread[j] = 0.0
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
             rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node, SceneBvh
+from lumisplat.device.structs.bvh import FAR, HIT_MEAN, HIT_PEAK, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
-from lumisplat.renderer.scene.instance_tables import kernel_data
+from lumisplat.renderer.scene.instance_tables import footprint_of, hit_distance_of, kernel_data
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
@@ -49,6 +49,10 @@ class BvhScene:
         self.tlas_nodes: DeviceArray
         """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
         self._placed: object = None
+        self.footprint = 0.0
+        """The widest footprint of the instances, in widths of a pixel."""
+        self.hit_distance = HIT_PEAK
+        """That of the instances; HIT_MEAN if it is that of any."""
         self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
@@ -67,7 +71,7 @@ class BvhScene:
         row.tlas_nodes, row.instances = self.tlas_nodes, instances
         if self.assets is not None:
             row.assets = self.assets
-        row.packet_radius = self.packet_radius
+        row.packet_radius, row.footprint, row.hit_distance = self.packet_radius, self.footprint, self.hit_distance
         return row
 
     @property
@@ -75,13 +79,14 @@ class BvhScene:
         """The assets' BVHs, in their order."""
         return self._held
 
-    def sync(self, scene: Scene, assets: list[SplatAsset], config: RenderConfig) -> None:
+    def sync(self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool) -> None:
         """Builds or refits what changed, and the top level if an instance has moved.
 
         Args:
             scene: What places the assets.
             assets: Its Gaussians on the device.
             config: Its kernel settings are those that the bounds follow.
+            is_lit: Whether the frame is lit.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -100,6 +105,9 @@ class BvhScene:
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
         placed = places, [instance.transform.tobytes() for instance in scene.splats]
+        self.footprint = max((footprint_of(instance.gaussians, config) for instance in scene.splats), default=0.0)
+        hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
+        self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
         if placed == self._placed:
             return  # nothing has moved
         self._placed = None  # until all of it is there

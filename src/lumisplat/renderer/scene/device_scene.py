@@ -108,7 +108,7 @@ class DeviceScene:
                 )
         if plan.follows_rays:
             with self._launcher.stage("build"):
-                self.bvh.sync(scene, self.assets, self._config)
+                self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit)
 
     def begin_sample(self, index: int, *, is_last: bool) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lumisplat.config import Antialiasing, RenderConfig
+from lumisplat.config import Antialiasing, HitDistance, RenderConfig
 from lumisplat.constants import KERNEL_LINEAR_SLOPE
+from lumisplat.device.structs.bvh import HIT_HULL, HIT_MEAN, HIT_PEAK
 from lumisplat.device.structs.scene import KernelData, MeshInstanceData, SplatInstanceData
 from lumisplat.renderer.scene.materials import is_relit, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
@@ -15,7 +16,9 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import MaterialPbr
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.scene import Scene, SplatInstance
+
+_HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}
 
 
 def splat_instance_table(
@@ -52,14 +55,35 @@ def splat_instance_table(
     table["relit"] = [is_lit and is_relit(instance) for instance in scene.splats]
     for name, values in shading_overrides(scene, is_lit).items():
         table[name] = values
-    forced = config.raster.antialiasing is Antialiasing.ON
-    by_file = config.raster.antialiasing is Antialiasing.AUTO
-    table["antialiased"] = [forced or (by_file and instance.gaussians.antialiased) for instance in scene.splats]
+    antialiasing = config.raster.antialiasing
+    table["antialiased"] = [is_antialiased(instance.gaussians, antialiasing) for instance in scene.splats]
+    table["footprint"] = [footprint_of(instance.gaussians, config) for instance in scene.splats]
+    table["hit_distance"] = [hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats]
     for row, instance in zip(table, scene.splats, strict=True):
         kernel = kernel_data(instance.gaussians, config)
         for name in ("degree", "falloff", "min_response", "adaptive"):
             row["kernel"][name] = getattr(kernel, name)
     return table
+
+
+def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bool) -> int:
+    """Where rays hit the Gaussians of an instance, one of HIT_PEAK, HIT_HULL, HIT_MEAN.
+
+    Unless the settings say so: what is as captured is ordered as in training, what is relit as it is seen.
+    """
+    if config.trace.hit_distance is not None:
+        return _HIT_DISTANCES[config.trace.hit_distance]
+    return HIT_PEAK if is_lit and is_relit(instance) else HIT_MEAN
+
+
+def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
+    """Whether the Gaussians of a set are antialiased, by a setting."""
+    return antialiasing is Antialiasing.ON or (antialiasing is Antialiasing.AUTO and gaussians.antialiased)
+
+
+def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
+    """Standard deviation by which rays find Gaussians of a set widened, in widths of a pixel."""
+    return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
 def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.ndarray:

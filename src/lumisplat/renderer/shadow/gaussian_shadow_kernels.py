@@ -30,7 +30,7 @@ from lumisplat.device.light.packet_shadow import (
     shadow_of_list,
 )
 from lumisplat.device.light.shadow import passed_share, shadow_key, shadow_of
-from lumisplat.device.structs.bvh import FAR, WORLD, ChildLinks, Particle, SceneBvh, ShadowData
+from lumisplat.device.structs.bvh import FAR, HIT_PEAK, WORLD, ChildLinks, Particle, SceneBvh, ShadowData
 from lumisplat.device.structs.packet import PacketPlace
 from lumisplat.device.structs.rays import RayData
 
@@ -87,7 +87,7 @@ def shadow_kernel(lanes: int) -> Any:
                 if number != place.number:
                     enter_instance(place, packet, number, scene, rays, first)
                     reach = end_rays(packet, place, skips, first)
-                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST)
+                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST, HIT_PEAK)
                 found = int(0)
                 for leaf in range(leaf_count):
                     load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
@@ -156,7 +156,7 @@ def first_hits_shadow_kernel(lanes: int) -> Any:
                         enter_instance(place, packet, number, scene, rays, first)
                         counted = end_rays(packet, place, skips, first)
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST, HIT_PEAK)
                     found = int(0)
                     for leaf in range(leaf_count):
                         load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)

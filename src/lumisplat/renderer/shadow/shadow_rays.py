@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
 from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, ShadowData
+from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, HIT_HULL, HIT_PEAK, ShadowData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
@@ -138,7 +138,7 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
     row["acceptance_scale"] = config.shadow_rays.acceptance_scale
     is_first = config.shadow_rays.method is ShadowMethod.FIRST_HITS
     row["hits"] = config.shadow_rays.hits
-    row["hull"] = is_first and config.shadow_rays.hit_distance is HitDistance.HULL
+    row["hit_distance"] = HIT_HULL if is_first and config.shadow_rays.hit_distance is HitDistance.HULL else HIT_PEAK
     row["transmittance_min"] = config.shadow_rays.transmittance_min
     row["threshold"] = config.shadow_rays.transmittance_threshold
     row["color_strength"] = config.shadow_rays.color_strength

@@ -30,6 +30,7 @@ def start_rays(start: int, cameras: wp.array[CameraData], samples: wp.array[Samp
     rays_out.t_min[i] = ray.t_min
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
+    rays_out.spread[i] = ray.spread
     rays_out.sample_key[i] = sample_key_of(y * camera.width + x, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(y * camera.width + x, sample.seed)
 
@@ -57,5 +58,6 @@ def load_rays(
     rays_out.t_min[i] = 0.0
     rays_out.t_max[i] = distances[i]
     rays_out.path_length[i] = 0.0
+    rays_out.spread[i] = 0.0
     rays_out.sample_key[i] = sample_key_of(first + i, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(first + i, sample.seed)

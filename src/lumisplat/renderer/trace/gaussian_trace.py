@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
+from lumisplat.device.structs.bvh import (
+    STRATEGY_HIT,
+    STRATEGY_PASS,
+    STRATEGY_SORTED,
+    TraceData,
+)
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
@@ -74,7 +79,6 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     row["strategy"] = _STRATEGIES[config.strategy]
     row["hits_per_pass"] = config.hits_per_pass
     row["hits_kept"] = 1 if is_hit else hits_kept
-    row["hull"] = config.hit_distance is HitDistance.HULL
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
     # Ending early would bias a stochastic ray: it ends at a transmittance of 0 only.
     row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0

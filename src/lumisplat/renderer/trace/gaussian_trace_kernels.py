@@ -79,7 +79,7 @@ def gaussian_trace_kernel(lanes: int) -> Any:
             begin_rays(traced)
             again = bool(True)
             while again:
-                begin = begin_pass(traced, packet, config)
+                begin = begin_pass(traced, packet, scene)
                 reach = largest(traced.cut_t)
                 nearest = float(FAR)  # of the hits in the lists
                 top = push_root(stack)
@@ -90,7 +90,12 @@ def gaussian_trace_kernel(lanes: int) -> Any:
                         number = stack[top].instance
                         if number != place.number:
                             enter_instance(place, packet, number, scene, rays, first)
-                        leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, NEAR_FIRST)
+                        hit_distance = scene.hit_distance
+                        if number != WORLD:
+                            hit_distance = place.instance.hit_distance
+                        leaf_count = visit_node(
+                            stack, top, leaves, place, scene, begin, reach, NEAR_FIRST, hit_distance
+                        )
                         for leaf in range(leaf_count):
                             load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
                             first_t = keep_hits(traced, packet, particle, place.instance, config, rays, first)
@@ -106,9 +111,9 @@ def gaussian_trace_kernel(lanes: int) -> Any:
                         reach = largest(traced.cut_t)
                         if reach < 0.0:
                             top = int(0)
-                again = config.strategy != STRATEGY_HIT and is_cut(traced, packet)
+                again = config.strategy != STRATEGY_HIT and is_cut(traced, packet, scene)
             for lane in range(LANES):
                 if packet.limit[lane] > 0.0:
-                    close_last_pass(traced.rays[lane], rays, first + lane, radiance_out)
+                    close_last_pass(traced.rays[lane], packet.t_max[lane], scene, rays, first + lane, radiance_out)
 
     return trace_gaussians

@@ -1,0 +1,145 @@
+"""The footprints of rays in closed form: how wide a pixel finds a Gaussian, also placed and mirrored, and where not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.raster_scenes import front_camera, one_gaussian, quad, random_gaussians, similarity
+from support.scenes.trace_scenes import MIRROR
+
+SMALL = 1e-3
+"""Scale of a Gaussian that is a tenth of a pixel wide."""
+MEAN = np.array([0.31, -0.18, 2.0])
+FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
+
+
+def traced(scene: ls.Scene, camera: ls.Camera, **changes: object) -> ls.Frame:
+    """A traced frame; ``changes`` are fields of ``TraceConfig``."""
+    trace = replace(ls.TraceConfig(), **changes)
+    return ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace), device="cpu")
+
+
+def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.ndarray:
+    """Alpha of a ball around MEAN in each pixel, whose solid angle is ``area`` times that on the axis."""
+    directions = camera.ray_directions()
+    along = directions @ MEAN
+    off2 = MEAN @ MEAN - along**2
+    variance = SMALL**2 + dilation * area / (camera.fx * camera.fy) * along**2
+    alpha = 0.8 * np.exp(-0.5 * off2 / variance)
+    return np.where((alpha >= 1.0 / 255.0) & (along > 0.0), alpha, 0.0)
+
+
+@pytest.mark.parametrize("dilation", [0.3, 2.0])
+@pytest.mark.parametrize("placed", [False, True])
+def test_a_pixel_widens_a_pinholes_gaussians(dilation: float, placed: bool) -> None:
+    """By its solid angle at the mean's distance, whatever the placement scales."""
+    camera = front_camera(96, 64, 100.0)
+    instance = ls.SplatInstance(one_gaussian(MEAN, (SMALL,) * 3, 0.8))
+    if placed:
+        turn = similarity((1.0, 2.0, 0.5), 0.7, 40.0, MEAN)
+        instance = ls.SplatInstance(one_gaussian((0.0, 0.0, 0.0), (SMALL / 40.0,) * 3, 0.8), turn)
+    frame = traced(ls.Scene([instance]), camera, dilation=dilation)
+    expected = expected_alpha(camera, camera.ray_directions()[..., 2] ** 3, dilation)
+    assert (expected > 0.0).sum() > 5
+    np.testing.assert_allclose(frame.alpha, expected, atol=2e-4)
+
+
+def test_a_pixel_widens_a_fisheyes_gaussians() -> None:
+    """By its solid angle, which shrinks off the axis."""
+    camera = front_camera(96, 64, 30.0, model=FISHEYE)
+    angle = np.arccos(camera.ray_directions()[..., 2])
+    frame = traced(ls.Scene([one_gaussian(MEAN, (SMALL,) * 3, 0.8)]), camera)
+    np.testing.assert_allclose(frame.alpha, expected_alpha(camera, np.sinc(angle / np.pi), 0.3), atol=2e-4)
+
+
+def test_mirrors_show_what_is_as_far_behind_them() -> None:
+    """The footprint goes on widening behind the mirror: the image is that of a mirrored camera, left for right."""
+    splats = random_gaussians(61, 200, center=(0.0, 0.0, -2.0), extent=(1.5, 1.0, 0.5), scale_range=(0.002, 0.02))
+    mirror = quad(1.0, 3.0, material=MIRROR)
+    seen = traced(ls.Scene([splats], [mirror]), front_camera(64, 48, 60.0)).color
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])  # looks back from where the mirror shows the camera
+    behind[2, 3] = 2.0
+    direct = traced(ls.Scene([splats]), front_camera(64, 48, 60.0, camera_from_world=behind)).color[:, ::-1]
+    thin = traced(ls.Scene([splats]), front_camera(64, 48, 60.0, camera_from_world=behind), dilation=0.0).color[:, ::-1]
+    # At alphas of just 1/255 rounding decides.
+    assert np.abs(seen - direct).max() < 1.1 / 255.0 and np.abs(seen - direct).mean() < 1e-5
+    assert np.abs(seen - thin).mean() > 1e-3
+
+
+@pytest.mark.parametrize("why", ["antialiased", "antialiasing on", "orthographic"])
+def test_some_rays_have_no_footprint(why: str) -> None:
+    """The frame is that without dilation, to the bit."""
+    gaussians = random_gaussians(62, 200, scale_range=(0.005, 0.05))
+    camera, changes = front_camera(48, 32, 40.0), {}
+    if why == "antialiased":
+        gaussians = replace(gaussians, antialiased=True)
+    elif why == "antialiasing on":
+        changes = {"antialiasing": ls.Antialiasing.ON}
+    else:
+        camera = front_camera(48, 32, 8.0, model=ORTHOGRAPHIC)
+    frame = traced(ls.Scene([gaussians]), camera, **changes)
+    thin = traced(ls.Scene([gaussians]), camera, dilation=0.0)
+    assert thin.alpha.max() > 0.2
+    for image in ("color", "alpha", "depth", "normal", "gaussian_index"):
+        np.testing.assert_array_equal(getattr(frame, image), getattr(thin, image))
+
+
+def test_antialiasing_off_widens_all() -> None:
+    """Also captures that are antialiased by their own account."""
+    plain = random_gaussians(63, 200, scale_range=(0.005, 0.05))
+    camera = front_camera(48, 32, 40.0)
+    off = traced(ls.Scene([replace(plain, antialiased=True)]), camera, antialiasing=ls.Antialiasing.OFF)
+    np.testing.assert_array_equal(off.color, traced(ls.Scene([plain]), camera).color)
+
+
+def test_given_rays_have_no_footprint() -> None:
+    """What `trace_rays` and `transmittance` see does not depend on the dilation."""
+    scene = ls.Scene([random_gaussians(64, 200, scale_range=(0.005, 0.05))])
+    directions = front_camera(48, 32, 40.0).ray_directions().reshape(-1, 3)
+    wide, thin = (
+        ls.trace_rays(scene, np.zeros(3), directions, ls.RenderConfig(trace=ls.TraceConfig(dilation=d)), device="cpu")
+        for d in (8.0, 0.0)
+    )
+    assert thin.transmittance.min() < 0.8
+    np.testing.assert_array_equal(wide.radiance, thin.radiance)
+
+
+def test_shadows_have_no_footprint() -> None:
+    """A Gaussian of a tenth of a pixel darkens as much of the floor with a wide dilation as with none."""
+    lights = [ls.LightDirectional(direction=(0.0, 0.0, 1.0), intensity=3.0)]
+    above = random_gaussians(65, 300, center=(0.0, 0.0, 2.0), extent=(1.0, 1.0, 0.5), scale_range=(0.002, 0.01))
+    below = np.eye(4)
+    below[2, 3] = -4.0
+    scene, camera = ls.Scene([above], [quad(6.0, 3.0)], lights), front_camera(48, 32, 40.0, camera_from_world=below)
+    wide, thin = (
+        ls.render(
+            scene, camera, ls.RenderConfig(pipeline="trace", trace=ls.TraceConfig(dilation=d)), device="cpu"
+        ).color
+        for d in (8.0, 0.0)
+    )
+    np.testing.assert_array_equal(wide, thin)
+    lit = ls.render(replace(scene, splats=()), camera, ls.RenderConfig(pipeline="trace"), device="cpu").color
+    assert np.abs(lit - thin).max() > 0.01
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
+def test_depth_is_that_of_the_gaussian_itself(pipeline: ls.Pipeline) -> None:
+    """A thin tilted disc lies in its plane, however wide the pixels find it."""
+    tilt = 0.6
+    disc = one_gaussian(
+        (0.0, 0.0, 3.0), (0.8, 0.8, 1e-4), 0.95, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0)
+    )
+    camera = front_camera(48, 32, 20.0)
+    config = ls.RenderConfig(
+        pipeline=pipeline, raster=ls.RasterConfig(dilation=8.0), trace=ls.TraceConfig(dilation=8.0)
+    )
+    frame = ls.render(ls.Scene([disc]), camera, config, device="cpu")
+    normal = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    expected = 3.0 * normal[2] / (camera.ray_directions() @ normal)
+    found = np.isfinite(frame.depth)
+    assert found.sum() > 50
+    np.testing.assert_allclose(frame.depth[found], expected[found], rtol=1e-4)
