@@ -167,11 +167,18 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan) -> PrimaryHits:
-        """The hits of the camera's rays of the current sample, rasterised or traced."""
-        rays = self._camera_rays.start(self._scene)
-        if plan.rasterises:
-            return self._raster.find_hits(self._scene, rays)
-        return self._tracer.find_hits(self._scene, rays, "camera")
+        """The hits of the camera's rays of the current sample, rasterised or traced; on CUDA by a captured graph."""
+
+        def find() -> PrimaryHits:
+            rays = self._camera_rays.start(self._scene)
+            if plan.rasterises:
+                return self._raster.find_hits(self._scene, rays)
+            return self._tracer.find_hits(self._scene, rays, "camera")
+
+        while True:
+            hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth), find)
+            if not plan.rasterises or self._binning.finish():
+                return hits
 
     def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         missing = [module for module in modules if id(module) not in self._loaded]

@@ -16,9 +16,8 @@ from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import upload_structs
 
 
 class Film:
@@ -44,13 +43,16 @@ class Film:
             row.lit = self._lit.data
         if plan.has_shadow_only:
             row.capture_factor = self._image("capture_factor")
-        self._data = upload_structs([row], FilmData, self._launcher.device)
+        self._data = self._buffers.upload("film", FilmData, rows_of([row]))
         self._nonfinite.zero_()
         if resume is not None:
             self._restore(resume)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the scene's current sample: the first wave, with one ray a pixel."""
+        """Adds the scene's current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
+        self._launcher.replay("store", scene.graph_key, lambda: self._store(scene, wave, lights))
+
+    def _store(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         with self._launcher.stage("store"):
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
             for name, values in self._sampled_images(wave, lights).items():

@@ -71,6 +71,13 @@ class BvhScene:
         return row
 
     @property
+    def graph_key(self) -> object:
+        """What kernels get of it by value: captured graphs are stale after a change."""
+        if self.assets is None:
+            return None
+        return [(a.ptr, a.shape) for a in (self.assets, self.tlas_nodes)], self.packet_radius
+
+    @property
     def held(self) -> list[HeldBvh]:
         """The assets' BVHs, in their order."""
         return self._held

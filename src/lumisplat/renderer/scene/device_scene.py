@@ -61,7 +61,10 @@ class DeviceScene:
         self.mixes_sets = False
         """What Gaussians of relit sets show is told apart from what others do: `FramePlan.mixes_sets`."""
         self.version = 0
-        """Changes with the arrays of assets: captured graphs are then stale."""
+        """Changes with the arrays of assets."""
+        self._plan: FramePlan | None = None
+        self._synced: object = None
+        """`graph_key` of the last frame."""
 
     @property
     def mesh_data(self) -> MeshData:
@@ -77,6 +80,15 @@ class DeviceScene:
     def lights(self) -> ShadingTables:
         """The lights of the scene, and their names."""
         return self._shading
+
+    @property
+    def graph_key(self) -> object:
+        """Changes with everything that a captured graph of the passes of a frame has frozen: it is then stale.
+
+        What changes from frame to frame and sample to sample is in arrays, whose addresses stay.
+        """
+        tables = self.bvh.graph_key, self._shading.graph_key
+        return self.image_size, self._plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
@@ -109,6 +121,10 @@ class DeviceScene:
         if plan.follows_rays:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config)
+        self._plan = plan
+        if self._synced != self.graph_key:
+            self._launcher.drop_graphs()
+            self._synced = self.graph_key
 
     def begin_sample(self, index: int, *, is_last: bool) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""

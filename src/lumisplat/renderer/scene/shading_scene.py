@@ -22,10 +22,10 @@ from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.renderer.scene.upload import as_device_array
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.lights import Light
+from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 
@@ -54,6 +54,11 @@ class ShadingTables:
     def names(self) -> tuple[str, ...]:
         """Names of the enabled lights, in order."""
         return self._table.names
+
+    @property
+    def graph_key(self) -> object:
+        """What the passes of a frame depend on among its lights: which kernels run, and for which light."""
+        return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
 
     def sync(
         self,
@@ -90,7 +95,7 @@ class ShadingTables:
         row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(plan))
         row.lights = self._table.lights
         row.environment = self._table.environment
-        self.data = upload_structs([row], ShadingScene, self._device)
+        self.data = self._buffers.upload("shading", ShadingScene, rows_of([row]))
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
         config = self._config
