@@ -17,7 +17,7 @@ from lumisplat.renderer.scene.instance_tables import kernel_data
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import table_dtype, upload_structs
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 
@@ -75,7 +75,8 @@ class BvhScene:
         """What kernels get of it by value: captured graphs are stale after a change."""
         if self.assets is None:
             return None
-        return [(a.ptr, a.shape) for a in (self.assets, self.tlas_nodes)], self.packet_radius
+        arrays = [(array.ptr, array.shape) for array in (self.assets, self.tlas_nodes)]
+        return arrays, [held.bvh.build for held in self._held], self.packet_radius
 
     @property
     def held(self) -> list[HeldBvh]:
@@ -93,13 +94,13 @@ class BvhScene:
         Raises:
             DeviceError: The device is out of memory.
         """
-        if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
+        wanted = [(id(asset.gaussians), id(asset.data)) for asset in assets]
+        if wanted != [(id(held.gaussians), id(held.data)) for held in self._held]:
             before, self._held = self._held, []  # until all are there: one may be refitted when the next one fails
             self._placed = None
             try:
                 self._held = [self._bvh_of(place, assets, before, config) for place in range(len(assets))]
-                rows = self._asset_rows()
-                self.assets = upload_structs(rows, AssetBvh, self._launcher.device)
+                self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
             except DeviceError:
                 raise
             except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate

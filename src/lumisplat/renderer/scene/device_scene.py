@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 
 from lumisplat.config import RenderConfig
@@ -35,6 +37,8 @@ class DeviceScene:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
+        self._layout: list[object] | None = None
+        """What says where the assets are, compared by identity."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
@@ -148,14 +152,12 @@ class DeviceScene:
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
         try:
             if structure != self._structure:
+                same_meshes = self._structure is not None and structure[1] == self._structure[1]
                 self._structure = None  # a failed upload does not count as finished
                 self.assets = sync_splat_assets(scene, self.assets, self._launcher.device)
-                self.gaussians = upload_structs(
-                    [asset.data for asset in self.assets], GaussianData, self._launcher.device
-                )
                 self._meshes.sync(scene)
+                self._note_layout(same_meshes=same_meshes)
                 self._structure = structure
-                self.version += 1
             if plan.is_sampled and self._meshes.sync_bvhs():
                 self.version += 1
         except DeviceError:
@@ -163,6 +165,17 @@ class DeviceScene:
         except RuntimeError as error:
             raise DeviceError(f"{self._launcher.device} has no room for the scene: {error}") from None
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
+
+    def _note_layout(self, *, same_meshes: bool) -> None:
+        """After uploads: sets that were copied to where others had been leave all addresses as they are."""
+        layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
+        before = self._layout
+        same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))
+        if not same_splats:
+            self.gaussians = upload_structs([asset.data for asset in self.assets], GaussianData, self._launcher.device)
+        if not (same_splats and same_meshes):
+            self.version += 1
+        self._layout = layout
 
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]

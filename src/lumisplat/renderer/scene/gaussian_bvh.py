@@ -9,6 +9,7 @@ come after their parents and a refit runs backwards through the levels.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 MORTON_CELLS = 1024.0
 BOUNDS_SAMPLES = 65536
+_BUILDS = itertools.count()
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 
 
@@ -93,6 +95,8 @@ class GaussianBvh:
 
     def _build(self, gaussians: GaussianData) -> None:
         count = len(gaussians.means)
+        self.build = next(_BUILDS)
+        """Number of the build, other than that of any other: its levels and the addresses of its nodes stay."""
         scratch = Buffers(self._launcher.device)
         self._items = self._buffers.get("items", wp.int32, count)
         split = self._split_by_code if self._launcher.is_parallel else self._split_by_area
