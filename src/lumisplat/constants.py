@@ -599,8 +599,12 @@ SHADE_BANDS_PER_THREAD = 4
 COMPOSITE_BATCH = 32
 """Splats composited in a tile between two checks of which pixels are still unfinished."""
 
-PAIR_SUM_THREADS = 4096
-"""Items that add up the (tile, item) pairs of a frame in 64 bits, in the parallel schedule."""
+COUNT_SUM_THREADS = 4096
+"""Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
+
+SCRATCH_BYTES_KEPT = 2**30
+"""Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
+sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
 # --- Editing captures ---
 

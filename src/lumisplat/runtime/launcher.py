@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 
 import warp as wp
 
-from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S
+from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S, SCRATCH_BYTES_KEPT
 from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
@@ -58,6 +58,13 @@ def resolve_device(name: str = "auto") -> str:
     if wanted not in available:
         raise DeviceError(f"no device '{name}' here: use auto or one of {', '.join(available)}")
     return wanted
+
+
+def keep_scratch(device: str) -> None:
+    """Lets the memory pool of a GPU keep what frames allocate and free; a program that lets it keep more is obeyed."""
+    pool: Any = wp.get_device(device)
+    if pool.is_mempool_enabled and wp.get_mempool_release_threshold(device) < SCRATCH_BYTES_KEPT:
+        wp.set_mempool_release_threshold(device, SCRATCH_BYTES_KEPT)
 
 
 def usable_cores() -> int:
@@ -123,6 +130,8 @@ class Launcher:
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
+        if self.is_cuda:
+            keep_scratch(self.device)
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from lumisplat.constants import COUNT_SUM_THREADS
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
@@ -55,6 +56,9 @@ class Film:
     def _store(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         with self._launcher.stage("store"):
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
+            if self._launcher.is_parallel:  # then the frame's count is one number to download
+                self._nonfinite_total.zero_()
+                self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._nonfinite, self._nonfinite_total)
             for name, values in self._sampled_images(wave, lights).items():
                 self._launcher.run_banded(
                     film_kernels.add_image, wave.count, scene.shading, self._data, values, self._image(name)
@@ -79,7 +83,10 @@ class Film:
     @property
     def nonfinite_count(self) -> int:
         """Samples since ``begin`` whose colour was NaN or infinite."""
-        return int(self._nonfinite.numpy().sum())
+        if self._launcher.is_parallel:
+            return int(self._nonfinite_total.numpy()[0])
+        counts = self._nonfinite.numpy()
+        return int(counts.sum()) if counts.any() else 0
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
         """The layers of the sample, an array of wp.vec3 each."""
@@ -141,6 +148,10 @@ class Film:
     @property
     def _nonfinite(self) -> DeviceArray:
         return self._buffers.get("film.nonfinite", wp.int32, self._pixel_count)
+
+    @property
+    def _nonfinite_total(self) -> DeviceArray:
+        return self._buffers.get("film.nonfinite_total", wp.int64, 1)
 
 
 def images_of_pixels(pixels: PixelBuffers[PixelData]) -> dict[str, Any]:
