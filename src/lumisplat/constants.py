@@ -562,8 +562,9 @@ TILE_PX = 16
 STRIP_PX = 8
 """Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
 
-HOST_BLOCKS_MAX = 3
-"""Frames of a renderer that may hold page-locked memory at a time: one that is shown, one saved, one to come."""
+FRAME_BLOCKS_MAX = 3
+"""Frames of a renderer that may hold page-locked memory, and as many that may hold a copy on the GPU, at a time: one
+that is shown, one saved, one to come."""
 
 BLOCK_THREADS = 256
 """CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""

@@ -107,7 +107,8 @@ class Renderer:
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
-                return self._frame(scene, camera, images_of_pixels(pixels), self._binning.counts, samples=0)
+                images = images_of_pixels(pixels, self._buffers.downloads.copies({"pixels": pixels.block}))
+                return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
@@ -189,8 +190,8 @@ class Renderer:
     def _frame(
         self, scene: Scene, camera: Camera, images: dict[str, Any], counts: BinningCounts, *, samples: int
     ) -> Frame:
-        return Frame(
-            **images,
+        return Frame.of(
+            images,
             camera=camera,
             background=self.config.background,
             samples=samples,

@@ -109,7 +109,7 @@ class Buffers:
         self._device = device
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
-        self.downloads = Downloads()
+        self.downloads = Downloads(is_lazy=device != "cpu")
         """Copies arrays to the host."""
         self._rows: dict[str, bytes] = {}
         self.allocations = 0
@@ -197,8 +197,8 @@ class Buffers:
 
     @property
     def bytes(self) -> int:
-        """Memory held, bytes."""
-        return sum(array.capacity for array in self._arrays.values())
+        """Memory held on the device, bytes."""
+        return sum(array.capacity for array in self._arrays.values()) + self.downloads.device_bytes
 
     def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:
         self._rows.pop(name, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
+from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -65,19 +67,28 @@ class Film:
                 )
 
     def images(self, light_count: int) -> dict[str, Any]:
-        """The images of the frame, by the names of `Frame`'s fields."""
-        images = images_of_pixels(self._pixels)
+        """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them."""
+        layers = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
+        if "lights" in self._plan.aovs:
+            layers += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(light_count)]
+        arrays = {"pixels": self._pixels.block} | {name: self._image(name) for name in layers}
         if self._plan.is_lit:
-            lit = self._lit.download()
+            arrays["lit"] = self._lit.block
+        copies = self._buffers.downloads.copies(arrays)
+        images = images_of_pixels(self._pixels, copies)
+        if self._plan.is_lit:
+            lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
             images |= {"color": lit["color"], "color_space": "linear"}
         for name in ("albedo", "emission", "reflection"):
             if name in self._plan.aovs:
-                images[name] = self._download(name)
+                images[name] = copies.give(partial(self._layer, self._size, copies, name))
+        size = self._size
         if "hits" in self._plan.aovs:
-            images["hits"] = self._download("hits")[..., 0]
+            images["hits"] = copies.give(lambda: self._layer(size, copies, "hits")[..., 0])
         if "lights" in self._plan.aovs:
-            images |= self._light_images(light_count)
+            images["light_direct"] = copies.give(lambda: self._layers(size, copies, "direct", light_count))
+            images["light_shadow"] = copies.give(lambda: self._shadow_shares(size, copies, light_count))
         return images
 
     @property
@@ -101,15 +112,20 @@ class Film:
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
 
-    def _light_images(self, count: int) -> dict[str, FloatArray]:
-        shape = (0, *reversed(self._size), 3)
-        direct = [self._download(f"direct{n}") for n in range(count)]
-        arrived = [self._download(f"arrived{n}") for n in range(count)]
-        shares = [np.divide(a, d, out=np.ones_like(a), where=d > 0.0) for a, d in zip(arrived, direct, strict=True)]
-        return {
-            "light_direct": np.stack(direct) if direct else np.zeros(shape, np.float32),
-            "light_shadow": np.clip(np.stack(shares), 0.0, 1.0) if shares else np.zeros(shape, np.float32),
-        }
+    @staticmethod
+    def _layer(size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
+        return copies.words(name).reshape(*reversed(size), 3)
+
+    @classmethod
+    def _layers(cls, size: tuple[int, int], copies: Copies, kind: str, count: int) -> FloatArray:
+        layers = [cls._layer(size, copies, f"{kind}{n}") for n in range(count)]
+        return np.stack(layers) if layers else np.zeros((0, *reversed(size), 3), np.float32)
+
+    @classmethod
+    def _shadow_shares(cls, size: tuple[int, int], copies: Copies, count: int) -> FloatArray:
+        """What of the direct light of each light arrives."""
+        direct, arrived = (cls._layers(size, copies, kind, count) for kind in ("direct", "arrived"))
+        return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
     def _restore(self, frame: Frame) -> None:
         """Uploads the images of a frame whose samples are continued."""
@@ -126,9 +142,6 @@ class Film:
         if frame.light is not None and frame.captured_weight is not None:
             lit = {"captured_weight": frame.captured_weight, "light": frame.light, "color": frame.color}
             self._lit.upload(lit)
-
-    def _download(self, name: str) -> FloatArray:
-        return self._image(name).numpy().reshape(*reversed(self._size), 3).copy()
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)
@@ -154,8 +167,8 @@ class Film:
         return self._buffers.get("film.nonfinite_total", wp.int64, 1)
 
 
-def images_of_pixels(pixels: PixelBuffers[PixelData]) -> dict[str, Any]:
-    """Downloads the images of a frame, by the names of `Frame`'s fields."""
-    images: dict[str, Any] = pixels.download()
+def images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
+    """The images of a frame, by the names of `Frame`'s fields, in copies of its ``pixels``."""
+    images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images
