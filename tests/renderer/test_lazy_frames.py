@@ -14,7 +14,10 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.runtime.downloads import Downloads
+from lumisplat.renderer.film.picture import encoded_pixels, picture_of
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.downloads import CopiesLater, Downloads
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
@@ -47,7 +50,7 @@ def other_camera() -> ls.Camera:
 
 def unread(frame: ls.Frame) -> set[str]:
     """Images that have not been downloaded."""
-    return set(frame._fetches())
+    return set(frame._fetches()) - {"picture"}
 
 
 def assert_same(frame: Any, expected: ls.Frame) -> None:
@@ -146,6 +149,74 @@ def test_threads_may_read_a_frame() -> None:
     for thread in threads:
         thread.join()
     assert not problems
+
+
+# --- Pictures ---
+
+
+def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tuple[np.ndarray | None, np.ndarray]:
+    """The bytes of an unlit frame as a device encodes them, and as the host does."""
+    launcher, buffers = Launcher("cpu", parallel=True), Buffers("cpu")
+    pixels = PixelBuffers.of(buffers, (color.shape[1], color.shape[0]))
+    shape = alpha.shape
+    index = np.zeros(shape, np.int32)
+    images = {"color": color, "alpha": alpha, "depth": alpha, "normal": color, "gaussian": index, "instance": index}
+    pixels.upload(images)
+    encoded = encoded_pixels(launcher, buffers, pixels, transparent=transparent)
+    copies = Downloads().copies({"picture": encoded})
+    picture = picture_of(copies, "picture", pixels.size, transparent=transparent)()
+    view = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=shape[1], height=shape[0])
+    background = None if transparent else (0.0, 0.0, 0.0)
+    frame = ls.Frame(color, alpha, alpha, color, index, index, camera=view, background=background)
+    return picture, np.asarray(frame, dtype=np.uint8)
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_devices_encode_the_bytes_of_the_host(transparent: bool) -> None:
+    """To the bit, also next to where bytes change, beyond 0..1, and where alpha is 0 or tiny."""
+    rng = np.random.default_rng(4)
+    edges = ((np.arange(256) + 0.5) / 255.0).astype(np.float32)
+    for _ in range(3):
+        edges = np.concatenate([edges, np.nextafter(edges, np.float32(2.0)), np.nextafter(edges, np.float32(-1.0))])
+    values = np.concatenate([edges, rng.uniform(-0.5, 1.5, 60_000).astype(np.float32), [1e30, -1e30, 0.0, -0.0, 1e-40]])
+    color = np.resize(rng.permutation(values), (150, 200, 3)).astype(np.float32)
+    alpha = rng.uniform(-0.1, 1.1, (150, 200)).astype(np.float32)
+    alpha[:20] = rng.choice(np.array([0.0, 1e-6, 1.0, 1.0 - 2**-24], np.float32), (20, 200))
+    picture, expected = pictures(color, alpha, transparent=transparent)
+    assert picture is not None and picture.dtype == np.uint8
+    np.testing.assert_array_equal(picture, expected)
+
+
+def test_pixels_that_are_not_finite_are_left_to_the_host() -> None:
+    """One is enough, of colour or alpha: they are black, and counted when they are saved."""
+    for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
+        color = np.full((4, 5, 3), 0.5, np.float32)
+        color[2, 3, channel] = value
+        assert pictures(color, np.ones((4, 5), np.float32), transparent=False)[0] is None
+    assert pictures(np.ones((4, 5, 3), np.float32), np.full((4, 5), np.nan, np.float32), transparent=False)[0] is None
+
+
+@pytest.mark.parametrize("name", ["unlit", "unlit rays", "transparent"])
+def test_a_picture_is_all_that_is_downloaded(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an unlit frame that is saved, shown, or taken for bytes: 4 a pixel."""
+    renderer, view = lazy_renderer(SETTINGS[name]), camera()
+    copied: list[int] = []
+    words = CopiesLater.words
+
+    def counting(copies: CopiesLater, name: str, first: int = 0, count: int | None = None) -> np.ndarray:
+        part = words(copies, name, first, count)
+        copied.append(part.size)
+        return part
+
+    monkeypatch.setattr(CopiesLater, "words", counting)
+    frame = renderer.render(scene(*LAMPS, SKY), view)
+    everything = unread(frame)
+    frame.save(tmp_path / "a.png")
+    np.asarray(frame, dtype=np.uint8)
+    frame._repr_png_()
+    assert unread(frame) == everything
+    assert set(copied) == {view.width * view.height + 1}
+    np.testing.assert_array_equal(np.asarray(frame, np.uint8), np.asarray(eager_frame(SETTINGS[name], view), np.uint8))
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.exr", "a.npz"])

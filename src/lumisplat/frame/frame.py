@@ -28,6 +28,8 @@ from lumisplat.math.tone_map import lit_picture
 
 _log = logging.getLogger("lumisplat")
 
+_PICTURE = "picture"
+"""What fetches the bytes of a picture, among the functions that fetch images."""
 _LIT_PARTS = ("captured", "captured_weight", "light")
 
 
@@ -47,11 +49,18 @@ class Frame(FrameData):
     """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
 
     @classmethod
-    def of(cls, images: Mapping[str, Any], **fields: Any) -> Frame:
+    def of(
+        cls,
+        images: Mapping[str, Any],
+        picture: Callable[[], npt.NDArray[np.uint8] | None] | None = None,
+        **fields: Any,
+    ) -> Frame:
         """A frame whose images may be functions that fetch them: each is called when its image is first read.
 
         Args:
             images: Fields that are images, or such functions.
+            picture: Fetches the bytes of `pixels_srgb`, which it returns unless some pixel is not finite; None: nothing
+                has encoded them yet.
             fields: The other fields.
         """
         frame = cls(**images, **fields)
@@ -59,6 +68,8 @@ class Frame(FrameData):
         object.__setattr__(frame, "_unread", unread)
         for name in unread:
             object.__delattr__(frame, name)
+        if picture is not None:
+            unread[_PICTURE] = picture
         return frame
 
     if not TYPE_CHECKING:  # type checkers would take it for all attributes that there may be
@@ -70,7 +81,10 @@ class Frame(FrameData):
                 return object.__getattribute__(self, name)  # an error, unless another thread has fetched it
             image = fetch()
             object.__setattr__(self, name, image)
-            self._fetches().pop(name, None)
+            unread = self._fetches()
+            unread.pop(name, None)
+            if unread.keys() == {_PICTURE}:
+                unread.clear()  # all is on the host: the device's memory is not needed any more
             return image
 
     def has(self, field: str) -> bool:
@@ -104,7 +118,7 @@ class Frame(FrameData):
             pictures: dict[str, FloatArray] = {}
             for layer in layers or ():
                 pictures |= layer_pictures(self, layer)
-            write_png(path, self.pixels_srgb())
+            write_png(path, self._picture())
             for name, picture in pictures.items():
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
             if "depth" in pictures:
@@ -190,24 +204,24 @@ class Frame(FrameData):
         """
         if copy is False:
             raise ValueError("the picture of a frame is computed: there is no array of it without a copy")
+        if dtype is not None and np.dtype(dtype) == np.uint8:
+            return to_bytes(self._picture(), "a frame")
         pixels = self.pixels_srgb()
-        if dtype is None:
-            return pixels
-        return to_bytes(pixels, "a frame") if np.dtype(dtype) == np.uint8 else pixels.astype(dtype)
+        return pixels if dtype is None else pixels.astype(dtype)
 
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> MimeBundle:
         """The frame in a notebook: a picture and a line of text. It never raises: without a picture, there is text."""
         try:
-            return mime_bundle(self.pixels_srgb(), repr(self), include, exclude)
+            return mime_bundle(self._picture(), repr(self), include, exclude)
         except Exception as error:  # a notebook would show a traceback in place of the cell's result
             return {"text/plain": f"{self!r} (no picture: {error})"}, {}
 
     def _repr_png_(self) -> bytes | None:
         """A PNG, for notebooks that take no bundle; None for a frame that the bundle shows as JPEG, or cannot show."""
         try:
-            pixels = self.pixels_srgb()
+            pixels = self._picture()
             return encoded(pixels, "image/png") if mime_type(pixels) == "image/png" else None
         except Exception:
             return None
@@ -234,6 +248,12 @@ class Frame(FrameData):
         present = [name for name in (*_LIT_PARTS, *RADIANCE) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*always, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
+
+    def _picture(self) -> npt.NDArray[Any]:
+        """What a PNG shows: its bytes, if a device has encoded them, else `pixels_srgb`."""
+        fetch = self._fetches().get(_PICTURE)
+        picture = None if fetch is None else fetch()
+        return self.pixels_srgb() if picture is None else picture
 
     def _fetches(self) -> dict[str, Callable[[], Any]]:
         """What fetches unread images; a frame that was made of arrays has nothing of the kind."""
@@ -262,7 +282,8 @@ class Frame(FrameData):
 
     def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
         """Logs how many pixels of the saved images are not finite, and how many samples the renderer left out."""
-        bad = ~self._finite()
+        encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
+        bad = np.zeros((self.camera.height, self.camera.width), bool) if encoded_finite else ~self._finite()
         fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]
         for name in fields:
             values: FloatArray | None = getattr(self, name)

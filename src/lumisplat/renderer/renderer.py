@@ -15,7 +15,7 @@ from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
-from lumisplat.renderer.film.film import Film, images_of_pixels
+from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
@@ -107,7 +107,7 @@ class Renderer:
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
-                images = images_of_pixels(pixels, self._buffers.downloads.copies({"pixels": pixels.block}))
+                images = self._film.unlit_images(pixels, transparent=self.config.background is None)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
         self._film.begin(self._scene, plan, resume)
@@ -123,7 +123,7 @@ class Renderer:
             if progress:
                 progress("tracing", (sample - first + 1) / plan.samples)
         with self._launcher.stage("download"):
-            images = self._film.images(len(self._scene.lights.names))
+            images = self._film.images(len(self._scene.lights.names), transparent=self.config.background is None)
             if "lights" in plan.aovs:
                 images["light_names"] = self._scene.lights.names
             counts = self._binning.counts if plan.rasterises else BinningCounts()
@@ -192,6 +192,7 @@ class Renderer:
     ) -> Frame:
         return Frame.of(
             images,
+            images.pop("picture", None),
             camera=camera,
             background=self.config.background,
             samples=samples,

@@ -13,6 +13,7 @@ from lumisplat.device.structs.film import FilmData, LitPixels, PixelData
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.film.picture import encoded_pixels, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -66,16 +67,24 @@ class Film:
                     film_kernels.add_image, wave.count, scene.shading, self._data, values, self._image(name)
                 )
 
-    def images(self, light_count: int) -> dict[str, Any]:
-        """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them."""
+    def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool) -> dict[str, Any]:
+        """As ``images``, of a frame whose ``pixels`` were drawn in one go."""
+        return self._copied(pixels, {}, encoded=True, transparent=transparent)[1]
+
+    def images(self, light_count: int, *, transparent: bool) -> dict[str, Any]:
+        """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them.
+
+        Args:
+            light_count: Lights of the frame, for its layers.
+            transparent: Pictures have no background; those of unlit frames are encoded on CUDA, as ``picture``.
+        """
         layers = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
         if "lights" in self._plan.aovs:
             layers += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(light_count)]
-        arrays = {"pixels": self._pixels.block} | {name: self._image(name) for name in layers}
+        arrays = {name: self._image(name) for name in layers}
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
-        copies = self._buffers.downloads.copies(arrays)
-        images = images_of_pixels(self._pixels, copies)
+        copies, images = self._copied(self._pixels, arrays, encoded=not self._plan.is_lit, transparent=transparent)
         if self._plan.is_lit:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
@@ -111,6 +120,20 @@ class Film:
             self._launcher.run_banded(film_kernels.count_hits, wave.count, wave.data, images["hits"])
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
+
+    def _copied(
+        self, pixels: PixelBuffers[PixelData], arrays: dict[str, DeviceArray], *, encoded: bool, transparent: bool
+    ) -> tuple[Copies, dict[str, Any]]:
+        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA ``encoded`` as a picture, too."""
+        arrays = {"pixels": pixels.block} | arrays
+        encoded &= self._buffers.downloads.is_lazy
+        if encoded:
+            arrays["picture"] = encoded_pixels(self._launcher, self._buffers, pixels, transparent=transparent)
+        copies = self._buffers.downloads.copies(arrays)
+        images = _images_of_pixels(pixels, copies)
+        if encoded:
+            images["picture"] = picture_of(copies, "picture", pixels.size, transparent=transparent)
+        return copies, images
 
     @staticmethod
     def _layer(size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
@@ -167,7 +190,7 @@ class Film:
         return self._buffers.get("film.nonfinite_total", wp.int64, 1)
 
 
-def images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
+def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
     """The images of a frame, by the names of `Frame`'s fields, in copies of its ``pixels``."""
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
