@@ -65,6 +65,10 @@ TREE_SURFACE_LEVELS = 10
 TRAVERSE_STACK = 256
 """Entries of the stack: the levels of both hierarchies, times a node's children but the one that is visited."""
 
+TRAVERSE_STACK_SMALL = 96
+"""Entries of the stack of CUDA's kernels for scenes whose hierarchies need no more, which is known once they are built:
+49 in a million Gaussians spread evenly, 57 in the biker; 106 in a million that crowd together a thousandfold."""
+
 REBUILD_COST = 1.5
 """A refitted hierarchy is rebuilt once its cost, relative to its root's surface, has grown by this factor."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH
+from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
@@ -49,6 +49,8 @@ class BvhScene:
         self.tlas_nodes: DeviceArray
         """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
         self._placed: object = None
+        self.stack = TRAVERSE_STACK_SMALL
+        """Entries of the stack with which CUDA's kernels traverse the trees: enough, and one of two numbers."""
         self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
@@ -75,8 +77,9 @@ class BvhScene:
         """What kernels get of it by value: captured graphs are stale after a change."""
         if self.assets is None:
             return None
+        # `stack` follows from the builds and from the tree over the instances, which may keep its memory.
         arrays = [(array.ptr, array.shape) for array in (self.assets, self.tlas_nodes)]
-        return arrays, [held.bvh.build for held in self._held], self.packet_radius
+        return arrays, [held.bvh.build for held in self._held], self.stack, self.packet_radius
 
     @property
     def held(self) -> list[HeldBvh]:
@@ -114,6 +117,8 @@ class BvhScene:
         extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
+        needed = waiting_in_tree(nodes) - 1 + max((held.bvh.waiting for held in self._held), default=1)
+        self.stack = TRAVERSE_STACK_SMALL if needed <= TRAVERSE_STACK_SMALL else TRAVERSE_STACK
         self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
         assign_table(self.tlas_nodes, nodes)
         self._placed = placed
@@ -183,6 +188,16 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
 
     add(np.flatnonzero((lows <= highs).all(axis=1)))
     return np.concatenate(rows)
+
+
+def waiting_in_tree(nodes: np.ndarray) -> int:
+    """How many nodes of a small tree may wait at a time, its leaves among them, whatever the order of visits."""
+    waiting = np.ones(len(nodes), dtype=np.int64)
+    for number in reversed(range(len(nodes))):  # children come after their parents
+        links: list[int] = nodes["link"][number].tolist()
+        below = [int(waiting[link]) if link >= 0 else 1 for link in links if link != NO_CHILD]
+        waiting[number] = max(1, len(below) - 1 + max(below, default=0))
+    return int(waiting[0])
 
 
 def empty_node() -> np.ndarray:
