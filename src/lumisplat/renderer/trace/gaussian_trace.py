@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import HitDistance, NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK_SMALL
+from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -36,6 +36,8 @@ class GaussianTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
+        stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
+        self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
         self._settings = buffers.get("trace.settings", TraceData, 1)
         assign_table(self._settings, trace_table(launcher, config.trace))
 
@@ -51,7 +53,7 @@ class GaussianTracer:
         count = len(rays.t_max)
         hits = self._buffers.struct(name, GaussianHits, count, () if scene.mixes_sets else RELIT_FIELDS)
         self._launcher.run_banded(
-            trace_kernel_of(self._launcher, stack=scene.bvh.stack),
+            self._kernels[scene.bvh.stack],
             count // self._lanes,
             *(self._settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
