@@ -69,9 +69,10 @@ class TimedRenderer:
         self._profiled: ls.Renderer | None = None
 
     def render(self, scene: ls.Scene, camera: ls.Camera) -> TimedFrame:
-        """One frame, on a GPU two."""
+        """One frame, its colours on the host; on a GPU two."""
         begun = time.perf_counter()
         frame = self._renderer.render(scene, camera)
+        assert frame.color.size
         wall_ms = 1e3 * (time.perf_counter() - begun)
         return TimedFrame(frame, wall_ms, stage_ms(frame) or self._stages(scene, camera))
 

@@ -7,7 +7,8 @@ of a round. Needs ``cuobjdump``, of the CUDA toolkit or of its wheels::
     export PATH=$PATH:$(echo $PWD/cuda/lib/python3*/site-packages/nvidia/cu13/bin)
     .venv/bin/python tools/count_instructions.py lumisplat.renderer.raster.splat_block_kernels
 
-A name with a colon is that of a function that makes a kernel, for one ray a packet as on CUDA.
+A name with a colon is that of a function that makes a kernel, for one ray a packet as on CUDA; numbers after further
+colons are its other arguments, such as the entries of a stack.
 """
 
 from __future__ import annotations
@@ -54,9 +55,11 @@ def main() -> None:
 
 def module_of(name: str) -> Any:
     """A module of kernels, or of the kernel that a function makes."""
-    module, _, function = name.partition(":")
+    module, *function = name.split(":")
     found = importlib.import_module(module)
-    return getattr(found, function)(1).module if function else found
+    if not function:
+        return found
+    return getattr(found, function[0])(1, *map(int, function[1:])).module
 
 
 def dumped(what: str, cubin: Path) -> str:

@@ -75,6 +75,10 @@ TREE_SURFACE_LEVELS = 10
 TRAVERSE_STACK = 256
 """Entries of the stack: the levels of both hierarchies, times a node's children but the one that is visited."""
 
+TRAVERSE_STACK_SMALL = 96
+"""Entries of the stack of CUDA's kernels for scenes whose hierarchies need no more, which is known once they are built:
+49 in a million Gaussians spread evenly, 57 in the biker; 106 in a million that crowd together a thousandfold."""
+
 REBUILD_COST = 1.5
 """A refitted hierarchy is rebuilt once its cost, relative to its root's surface, has grown by this factor."""
 
@@ -586,8 +590,9 @@ TILE_PX = 16
 STRIP_PX = 8
 """Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
 
-HOST_BLOCKS_MAX = 3
-"""Frames of a renderer that may hold page-locked memory at a time: one that is shown, one saved, one to come."""
+FRAME_BLOCKS_MAX = 3
+"""Frames of a renderer that may hold page-locked memory, and as many that may hold a copy on the GPU, at a time: one
+that is shown, one saved, one to come."""
 
 BLOCK_THREADS = 256
 """CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
@@ -623,8 +628,12 @@ SHADE_BANDS_PER_THREAD = 4
 COMPOSITE_BATCH = 32
 """Splats composited in a tile between two checks of which pixels are still unfinished."""
 
-PAIR_SUM_THREADS = 4096
-"""Items that add up the (tile, item) pairs of a frame in 64 bits, in the parallel schedule."""
+COUNT_SUM_THREADS = 4096
+"""Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
+
+SCRATCH_BYTES_KEPT = 2**30
+"""Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
+sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
 # --- Editing captures ---
 

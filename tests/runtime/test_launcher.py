@@ -118,6 +118,18 @@ def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
     assert runs == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize(("enabled", "before", "after"), [(True, 0, 2**30), (True, 2**31, 2**31), (False, 0, 0)])
+def test_pools_keep_scratch_memory(monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int) -> None:
+    """A GPU with memory pools does not give it back at every wait; nothing is taken from what the program has set."""
+    thresholds = {"cuda:0": before}
+    monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=enabled))
+    monkeypatch.setattr(wp, "get_mempool_release_threshold", thresholds.__getitem__)
+    monkeypatch.setattr(wp, "set_mempool_release_threshold", thresholds.__setitem__)
+    monkeypatch.setattr("lumisplat.runtime.launcher.resolve_device", lambda _: "cuda:0")
+    Launcher("cuda")
+    assert thresholds == {"cuda:0": after}
+
+
 # --- Loading kernels ---
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 import lumisplat
-from lumisplat.constants import PACKET_RAYS
+from lumisplat.constants import PACKET_RAYS, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.renderer.shadow.gaussian_shadow_kernels import first_hits_shadow_kernel, shadow_kernel
 from lumisplat.renderer.trace.gaussian_trace_kernels import gaussian_trace_kernel
 from lumisplat.runtime.launcher import Launcher
@@ -38,9 +38,11 @@ def cuda_modules() -> list[Any]:
 
 def generated_modules(*, parallel: bool) -> list[Any]:
     """Warp modules of the kernels that are made for a schedule: of rays through Gaussians, and of their shadows."""
-    lanes = 1 if parallel else PACKET_RAYS
     kernels_of_lanes = (gaussian_trace_kernel, shadow_kernel, first_hits_shadow_kernel)
-    return [kernel_of(lanes).module for kernel_of in kernels_of_lanes]
+    if not parallel:
+        return [kernel_of(PACKET_RAYS).module for kernel_of in kernels_of_lanes]
+    stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
+    return [kernel_of(1, stack).module for kernel_of in kernels_of_lanes for stack in stacks]
 
 
 def probe_modules() -> list[Any]:

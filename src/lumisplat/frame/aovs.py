@@ -42,7 +42,7 @@ class LightLayers(NamedTuple):
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
     """The layers that ``frame`` has, in the order of `LAYERS`."""
-    return tuple(layer for layer in LAYERS if layer not in AOVS or getattr(frame, _field(layer)) is not None)
+    return tuple(layer for layer in LAYERS if layer not in AOVS or frame.has(_field(layer)))
 
 
 def layer_names(layers: object) -> tuple[str, ...]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,13 +28,18 @@ from lumisplat.math.tone_map import lit_picture
 
 _log = logging.getLogger("lumisplat")
 
+_PICTURE = "picture"
+"""What fetches the bytes of a picture, among the functions that fetch images."""
 _LIT_PARTS = ("captured", "captured_weight", "light")
 
 
 class Frame(FrameData):
     """Images of one camera, all of shape (H, W, ...)."""
 
-    __slots__ = ()
+    __slots__ = ("_unread",)
+
+    _unread: dict[str, Callable[[], Any]]
+    """What fetches the images that nobody has read yet, by field; such fields are unset."""
 
     LAYERS: ClassVar[tuple[str, ...]] = LAYERS
     """Images that can be saved beside the colour."""
@@ -42,6 +47,49 @@ class Frame(FrameData):
     """Pictures that explain the frame, see `view`."""
     NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {"shadow": "lights"}
     """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
+
+    @classmethod
+    def of(
+        cls,
+        images: Mapping[str, Any],
+        picture: Callable[[], npt.NDArray[np.uint8] | None] | None = None,
+        **fields: Any,
+    ) -> Frame:
+        """A frame whose images may be functions that fetch them: each is called when its image is first read.
+
+        Args:
+            images: Fields that are images, or such functions.
+            picture: Fetches the bytes of `pixels_srgb`, which it returns unless some pixel is not finite; None: nothing
+                has encoded them yet.
+            fields: The other fields.
+        """
+        frame = cls(**images, **fields)
+        unread = {name: image for name, image in images.items() if callable(image)}
+        object.__setattr__(frame, "_unread", unread)
+        for name in unread:
+            object.__delattr__(frame, name)
+        if picture is not None:
+            unread[_PICTURE] = picture
+        return frame
+
+    if not TYPE_CHECKING:  # type checkers would take it for all attributes that there may be
+
+        def __getattr__(self, name: str) -> Any:
+            """Fetches an image that is read for the first time: only fields that are unset come here."""
+            fetch = self._fetches().get(name)
+            if fetch is None:
+                return object.__getattribute__(self, name)  # an error, unless another thread has fetched it
+            image = fetch()
+            object.__setattr__(self, name, image)
+            unread = self._fetches()
+            unread.pop(name, None)
+            if unread.keys() == {_PICTURE}:
+                unread.clear()  # all is on the host: the device's memory is not needed any more
+            return image
+
+    def has(self, field: str) -> bool:
+        """Whether the frame has an image, which is not fetched for that."""
+        return field in self._fetches() or super().has(field)
 
     def save(self, path: str | os.PathLike[str], layers: Collection[str] | str | None = None) -> None:
         """Writes the frame in the format that the extension names.
@@ -66,12 +114,11 @@ class Frame(FrameData):
         """
         suffix = Path(path).suffix.lower()
         layers = None if layers is None else layer_names(layers)
-        layers = None if layers is None else layer_names(layers)
         if suffix == ".png":
             pictures: dict[str, FloatArray] = {}
             for layer in layers or ():
                 pictures |= layer_pictures(self, layer)
-            write_png(path, self.pixels_srgb())
+            write_png(path, self._picture())
             for name, picture in pictures.items():
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
             if "depth" in pictures:
@@ -82,7 +129,8 @@ class Frame(FrameData):
             write_npz(path, self.arrays())
         else:
             raise FormatError(path, f"unknown image extension '{suffix}', expected .png, .exr or .npz")
-        self._warn_of_nonfinite(path)
+        shown = () if suffix == ".png" and layers is None else layers
+        self._warn_of_nonfinite(path, LAYERS if shown is None or suffix == ".npz" else shown)
 
     def save_view(self, path: str | os.PathLike[str], view: str, limits: tuple[float, float] | None = None) -> None:
         """Writes a view, see `view`, as a PNG.
@@ -94,7 +142,7 @@ class Frame(FrameData):
         if Path(path).suffix.lower() != ".png":
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for the view of a frame, expected .png")
         write_png(path, self.view(view, limits))
-        self._warn_of_nonfinite(path)
+        self._warn_of_nonfinite(path, (self.NEEDS.get(view, ""),))
 
     @property
     def depth_range(self) -> tuple[float, float] | None:
@@ -156,24 +204,24 @@ class Frame(FrameData):
         """
         if copy is False:
             raise ValueError("the picture of a frame is computed: there is no array of it without a copy")
+        if dtype is not None and np.dtype(dtype) == np.uint8:
+            return to_bytes(self._picture(), "a frame")
         pixels = self.pixels_srgb()
-        if dtype is None:
-            return pixels
-        return to_bytes(pixels, "a frame") if np.dtype(dtype) == np.uint8 else pixels.astype(dtype)
+        return pixels if dtype is None else pixels.astype(dtype)
 
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> MimeBundle:
         """The frame in a notebook: a picture and a line of text. It never raises: without a picture, there is text."""
         try:
-            return mime_bundle(self.pixels_srgb(), repr(self), include, exclude)
+            return mime_bundle(self._picture(), repr(self), include, exclude)
         except Exception as error:  # a notebook would show a traceback in place of the cell's result
             return {"text/plain": f"{self!r} (no picture: {error})"}, {}
 
     def _repr_png_(self) -> bytes | None:
         """A PNG, for notebooks that take no bundle; None for a frame that the bundle shows as JPEG, or cannot show."""
         try:
-            pixels = self.pixels_srgb()
+            pixels = self._picture()
             return encoded(pixels, "image/png") if mime_type(pixels) == "image/png" else None
         except Exception:
             return None
@@ -197,9 +245,22 @@ class Frame(FrameData):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Every image by name, and the lights' names if there are any."""
         always = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
-        present = [name for name in (*_LIT_PARTS, *RADIANCE) if getattr(self, name) is not None]
+        present = [name for name in (*_LIT_PARTS, *RADIANCE) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*always, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
+
+    def _picture(self) -> npt.NDArray[Any]:
+        """What a PNG shows: its bytes, if a device has encoded them, else `pixels_srgb`."""
+        fetch = self._fetches().get(_PICTURE)
+        picture = None if fetch is None else fetch()
+        return self.pixels_srgb() if picture is None else picture
+
+    def _fetches(self) -> dict[str, Callable[[], Any]]:
+        """What fetches unread images; a frame that was made of arrays has nothing of the kind."""
+        try:
+            return object.__getattribute__(self, "_unread")
+        except AttributeError:
+            return {}
 
     def _finite(self) -> npt.NDArray[np.bool_]:
         """Where no radiance is NaN or infinite, (H, W)."""
@@ -219,10 +280,12 @@ class Frame(FrameData):
             blackened[name] = np.where(finite if values.ndim == 2 else finite[..., None], values, np.float32(0.0))
         return replace(self, **blackened)
 
-    def _warn_of_nonfinite(self, path: str | os.PathLike[str]) -> None:
+    def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
         """Logs how many pixels of the saved images are not finite, and how many samples the renderer left out."""
-        bad = ~self._finite()
-        for name in RADIANCE:
+        encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
+        bad = np.zeros((self.camera.height, self.camera.width), bool) if encoded_finite else ~self._finite()
+        fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]
+        for name in fields:
             values: FloatArray | None = getattr(self, name)
             if values is not None:
                 per_light = values.reshape(-1, *bad.shape, 1 if name == "hits" else 3)

@@ -101,7 +101,7 @@ class FrameData:
 
     def __repr__(self) -> str:
         camera = self.camera
-        how = "unlit" if self.light is None else "lit"
+        how = "lit" if self.has("light") else "unlit"
         if self.config is not None:
             how = f"{self.config.pipeline.value}, {how}"
         samples = f", samples={self.samples}" * bool(self.samples)
@@ -112,6 +112,10 @@ class FrameData:
             f"Frame({camera.width} x {camera.height}, name={camera.name!r}, background={self.background}, "
             f"{how}{samples}{held})"
         )
+
+    def has(self, field: str) -> bool:
+        """Whether the frame has an image, one of the fields."""
+        return getattr(self, field) is not None
 
     @property
     def depth_z(self) -> FloatArray:
@@ -149,7 +153,7 @@ class FrameData:
 
     def _lit_parts(self) -> LitParts | None:
         """What a lit frame is composed of; None: the frame is unlit."""
-        if self.captured is None or self.captured_weight is None or self.light is None:
+        if not self.has("light") or self.captured is None or self.captured_weight is None or self.light is None:
             return None
         return LitParts(self.captured, self.captured_weight, self.light)
 

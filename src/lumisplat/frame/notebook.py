@@ -7,8 +7,8 @@ import io
 from collections.abc import Collection
 
 from lumisplat.constants import NOTEBOOK_PNG_PIXELS_MAX
+from lumisplat.frame.aovs import Image
 from lumisplat.io.images.png import to_bytes
-from lumisplat.math.arrays import FloatArray
 
 MimeBundle = tuple[dict[str, str], dict[str, dict[str, int]]]
 """Representations by MIME type, pictures in base64, and what is known about them."""
@@ -17,24 +17,24 @@ _FORMAT_OF = {"image/png": "PNG", "image/jpeg": "JPEG"}
 _JPEG_QUALITY = 92
 
 
-def mime_type(pixels: FloatArray) -> str:
+def mime_type(pixels: Image) -> str:
     """PNG for what is small or transparent, which JPEG cannot hold; JPEG for the rest, so that notebooks stay small."""
     height, width, channels = pixels.shape
     return "image/png" if channels == 4 or height * width <= NOTEBOOK_PNG_PIXELS_MAX else "image/jpeg"
 
 
-def encoded(pixels: FloatArray, mime: str) -> bytes:
-    """A file of display-referred pixels, shape (H, W, 3 or 4), 0..1."""
-    from PIL import Image
+def encoded(pixels: Image, mime: str) -> bytes:
+    """A file of display-referred pixels, shape (H, W, 3 or 4), 0..1 or bytes."""
+    from PIL import Image as Picture
 
     stream = io.BytesIO()
     # PNG ignores the quality.
-    Image.fromarray(to_bytes(pixels, "a frame")).save(stream, _FORMAT_OF[mime], quality=_JPEG_QUALITY)
+    Picture.fromarray(to_bytes(pixels, "a frame")).save(stream, _FORMAT_OF[mime], quality=_JPEG_QUALITY)
     return stream.getvalue()
 
 
 def mime_bundle(
-    pixels: FloatArray, text: str, include: Collection[str] | None, exclude: Collection[str] | None
+    pixels: Image, text: str, include: Collection[str] | None, exclude: Collection[str] | None
 ) -> MimeBundle:
     """A picture of the frame and its text, without what the notebook does not want.
 

@@ -25,9 +25,8 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity, rows_of
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import upload_structs
 
 _log = logging.getLogger("lumisplat")
 _INPUTS = ("origins", "directions", "distances")
@@ -130,7 +129,7 @@ class RayQueries:
         nonfinite.zero_()
         row = FilmData()
         row.pixels, row.nonfinite = pixels.data, nonfinite
-        film = upload_structs([row], FilmData, self._launcher.device)
+        film = self._buffers.upload("rays.film", FilmData, rows_of([row]))
         for sample in range(samples):
             scene.begin_sample(sample, is_last=sample == samples - 1)
             self._load(scene, first, count, inputs, rays)

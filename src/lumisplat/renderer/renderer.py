@@ -15,7 +15,7 @@ from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
-from lumisplat.renderer.film.film import Film, images_of_pixels
+from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
@@ -107,7 +107,8 @@ class Renderer:
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
-                return self._frame(scene, camera, images_of_pixels(pixels), self._binning.counts, samples=0)
+                images = self._film.unlit_images(pixels, transparent=self.config.background is None)
+                return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
@@ -122,7 +123,7 @@ class Renderer:
             if progress:
                 progress("tracing", (sample - first + 1) / plan.samples)
         with self._launcher.stage("download"):
-            images = self._film.images(len(self._scene.lights.names))
+            images = self._film.images(len(self._scene.lights.names), transparent=self.config.background is None)
             if "lights" in plan.aovs:
                 images["light_names"] = self._scene.lights.names
             counts = self._binning.counts if plan.rasterises else BinningCounts()
@@ -169,11 +170,18 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan) -> PrimaryHits:
-        """The hits of the camera's rays of the current sample, rasterised or traced."""
-        rays = self._camera_rays.start(self._scene)
-        if plan.rasterises:
-            return self._raster.find_hits(self._scene, rays)
-        return self._tracer.find_hits(self._scene, rays, "camera")
+        """The hits of the camera's rays of the current sample, rasterised or traced; on CUDA by a captured graph."""
+
+        def find() -> PrimaryHits:
+            rays = self._camera_rays.start(self._scene)
+            if plan.rasterises:
+                return self._raster.find_hits(self._scene, rays)
+            return self._tracer.find_hits(self._scene, rays, "camera")
+
+        while True:
+            hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth), find)
+            if not plan.rasterises or self._binning.finish():
+                return hits
 
     def _load(self, modules: list[KernelModule], progress: Progress | None = None) -> None:
         missing = [module for module in modules if id(module) not in self._loaded]
@@ -184,8 +192,9 @@ class Renderer:
     def _frame(
         self, scene: Scene, camera: Camera, images: dict[str, Any], counts: BinningCounts, *, samples: int
     ) -> Frame:
-        return Frame(
-            **images,
+        return Frame.of(
+            images,
+            images.pop("picture", None),
             camera=camera,
             background=self.config.background,
             samples=samples,

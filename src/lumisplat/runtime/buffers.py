@@ -66,6 +66,13 @@ def assign_table(array: DeviceArray, table: npt.NDArray[np.void]) -> None:
     array.assign(DeviceArray(ptr=table.ctypes.data, dtype=array.dtype, shape=len(table), device="cpu", copy=False))
 
 
+def rows_of(structs: Sequence[object]) -> npt.NDArray[np.void]:
+    """Structs as the rows of a table, byte by byte; arrays among their fields as the addresses that kernels follow."""
+    instances: Any = structs
+    data = b"".join(bytes(row.__ctype__()) for row in instances)
+    return np.frombuffer(data, dtype=f"V{len(data) // len(structs)}")
+
+
 def bytes_of(*arrays: wp.array[Any]) -> int:
     """Memory of arrays, bytes."""
     return sum(device_array(array).capacity for array in arrays)
@@ -102,8 +109,9 @@ class Buffers:
         self._device = device
         self._arrays: dict[str, DeviceArray] = {}
         self._views: dict[tuple[str, tuple[int, ...]], DeviceArray] = {}
-        self.downloads = Downloads()
+        self.downloads = Downloads(is_lazy=device != "cpu")
         """Copies arrays to the host."""
+        self._rows: dict[str, bytes] = {}
         self.allocations = 0
         """How often memory was allocated: captured graphs are stale after a change."""
 
@@ -132,10 +140,23 @@ class Buffers:
             DeviceError: The device is out of memory.
         """
         array = self.get(name, dtype, len(values))
-        if values.dtype.names:
+        if values.dtype.kind == "V":
             assign_table(array, values)
         elif len(values):
             array.assign(values)
+        return array
+
+    def table(self, name: str, struct: type[object], rows: Sequence[object]) -> DeviceArray:
+        """An array of structs whose fields may be arrays of these buffers; written only if it has other rows.
+
+        So passes may be captured that write it each time: nothing else than they may write it between two replays.
+        """
+        data = rows_of(rows)
+        array = self.get(name, struct, len(rows))
+        written = data.tobytes()
+        if self._rows.get(name) != written:
+            assign_table(array, data)
+            self._rows[name] = written
         return array
 
     def split(
@@ -176,10 +197,11 @@ class Buffers:
 
     @property
     def bytes(self) -> int:
-        """Memory held, bytes."""
-        return sum(array.capacity for array in self._arrays.values())
+        """Memory held on the device, bytes."""
+        return sum(array.capacity for array in self._arrays.values()) + self.downloads.device_bytes
 
     def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:
+        self._rows.pop(name, None)
         self._arrays.pop(name, None)  # freed before its successor is allocated: the peak is one of them, not both
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         needed = size * wp.types.type_size_in_bytes(dtype)

@@ -15,12 +15,13 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import warp as wp
 
-from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S
+from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S, SCRATCH_BYTES_KEPT
 from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
@@ -37,6 +38,8 @@ Progress = Callable[[str, float], None]
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""
 
+
+Result = TypeVar("Result")
 
 _CPU_BLOCKS = threading.Lock()
 """Held by who has changed a setting of Warp's, which is the process's."""
@@ -55,6 +58,13 @@ def resolve_device(name: str = "auto") -> str:
     if wanted not in available:
         raise DeviceError(f"no device '{name}' here: use auto or one of {', '.join(available)}")
     return wanted
+
+
+def keep_scratch(device: str) -> None:
+    """Lets the memory pool of a GPU keep what frames allocate and free; a program that lets it keep more is obeyed."""
+    pool: Any = wp.get_device(device)
+    if pool.is_mempool_enabled and wp.get_mempool_release_threshold(device) < SCRATCH_BYTES_KEPT:
+        wp.set_mempool_release_threshold(device, SCRATCH_BYTES_KEPT)
 
 
 def usable_cores() -> int:
@@ -84,6 +94,16 @@ def _blocks_on_cpus() -> Generator[None]:
             wp.config.enable_cpu_blocks = before
 
 
+@dataclass(slots=True)
+class _Replayed:
+    """Work that has run with a key, and its graph once it has been captured."""
+
+    key: object
+    graph: wp.Graph | None = None
+    result: object = None
+    """What the work returned when it was captured."""
+
+
 class Launcher:
     """Launches kernels on one device.
 
@@ -109,7 +129,9 @@ class Launcher:
         self.stage_ms: dict[str, float] = {}
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
         self._pool = ThreadPoolExecutor(cores)
-        self._graphs: dict[str, tuple[object, wp.Graph | None]] = {}
+        self._graphs: dict[str, _Replayed] = {}
+        if self.is_cuda:
+            keep_scratch(self.device)
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
         """Compiles and loads kernel modules, as many at once as there are threads.
@@ -200,26 +222,31 @@ class Launcher:
                 elapsed = 1e3 * (time.perf_counter() - started) - (sum(self.stage_ms.values()) - before)
                 self.stage_ms[name] = self.stage_ms.get(name, 0.0) + elapsed
 
-    def replay(self, name: str, key: object, work: Callable[[], None]) -> None:
-        """Runs ``work``; on CUDA as a graph, captured anew when ``key`` changes.
+    def replay(self, name: str, key: object, work: Callable[[], Result]) -> Result:
+        """Runs ``work`` and returns its result; on CUDA as a graph, captured anew when ``key`` changes.
 
         ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
-        The first call with a key runs it directly, which allocates and compiles; the second captures.
+        So must what it returns: a graph returns what its capture has returned. The first call with a key runs the work
+        directly, which allocates and compiles; the second captures.
         """
         if not self.can_capture:
-            work()
-            return
-        seen, graph = self._graphs.get(name, (None, None))
-        if seen != key:
-            work()
-            self._graphs[name] = (key, None)
-            return
-        if graph is None:
+            return work()
+        held = self._graphs.get(name)
+        if held is None or held.key != key:
+            self._graphs.pop(name, None)  # what its result holds is freed before the work allocates
+            result = work()
+            self._graphs[name] = _Replayed(key)
+            return result
+        if held.graph is None:
             with wp.ScopedCapture(device=self.device) as capture:
-                work()
-            graph = capture.graph
-            self._graphs[name] = (key, graph)
-        wp.capture_launch(graph)  # pyright: ignore[reportArgumentType]
+                held.result = work()
+            held.graph = capture.graph
+        wp.capture_launch(held.graph)  # pyright: ignore[reportArgumentType]
+        return cast(Result, held.result)
+
+    def drop_graphs(self) -> None:
+        """Frees all graphs, and what their work has returned."""
+        self._graphs.clear()
 
     @property
     def can_capture(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.runtime.buffers import DeviceArray, assign_table
+from lumisplat.runtime.buffers import DeviceArray, assign_table, rows_of
 
 
 @cache
@@ -25,8 +25,7 @@ def upload_structs(rows: Sequence[object], struct: type[object], device: str) ->
     Without rows it has one empty struct: an array without elements has no address.
     """
     instances: Any = list(rows) or [struct()]
-    bytes_of_rows = b"".join(bytes(row.__ctype__()) for row in instances)
     table = DeviceArray(shape=len(instances), dtype=struct, device=device)
-    assign_table(table, np.frombuffer(bytes_of_rows, dtype=f"V{len(bytes_of_rows) // len(instances)}"))
+    assign_table(table, rows_of(instances))
     table.kept = instances
     return table

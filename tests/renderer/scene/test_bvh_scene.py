@@ -9,10 +9,11 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.constants import NODE_WIDTH
+from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
 from lumisplat.renderer.scene import bvh_scene, splat_assets
-from lumisplat.renderer.scene.bvh_scene import tree_of_boxes
+from lumisplat.renderer.scene.bvh_scene import tree_of_boxes, waiting_in_tree
+from support.compare.graph_launcher import GraphLauncher
 from support.compare.images import assert_close, assert_images_alike
 from support.compare.ways import renderer_of
 from support.kinds import present
@@ -154,6 +155,42 @@ def test_strays_beyond_float32_hide_nothing(way: str, stray: ls.Gaussians) -> No
         frame = renderer.render(scene, view())
         assert_close(frame.alpha, expected.alpha, atol=0.021, name="alpha")
         assert_close(frame.color, expected.color, atol=0.05, name="color")
+
+
+# --- Stacks ---
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
+def test_deep_trees_get_a_larger_stack(pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels with the stack that any tree fits in show the same, also in frames from graphs."""
+    ball = ls.gaussians_from_mesh(ls.sphere(), 900, seed=3)
+    places = [similarity(offset=(0.3 * i - 1.5, 0.0, 4.0 + 0.1 * i), scale=0.5) for i in range(12)]
+    lamp = ls.LightPoint((0.0, -3.0, 0.0), intensity=20.0)
+    few, many = (ls.Scene([ls.SplatInstance(ball, place) for place in places[:n]], lights=[lamp]) for n in (1, 12))
+    settings = ls.RenderConfig(pipeline=pipeline, samples=1)
+    frames = []
+    for limit in (TRAVERSE_STACK_SMALL, 0):
+        monkeypatch.setattr(bvh_scene, "TRAVERSE_STACK_SMALL", limit)
+        renderer = ls.Renderer(settings, GraphLauncher())
+        frames.append([renderer.render(scene, view()).color for scene in (few, few, few, many, many, many, few)])
+        assert renderer._scene.bvh.stack == (limit or TRAVERSE_STACK)
+    np.testing.assert_array_equal(*frames)
+
+
+def test_the_stack_is_for_the_deepest_way() -> None:
+    """Through the tree over the instances, and the deepest tree of an asset."""
+    renderer = renderer_of("cpu", TRACE)
+    small, large = random_gaussians(1, 5), random_gaussians(2, 3000)
+    needed = []
+    for sets in ([small], [large], [small, large], [small] * 9):
+        places = [ls.SplatInstance(one, similarity(offset=(0.1 * i, 0.0, 0.0))) for i, one in enumerate(sets)]
+        renderer.render(ls.Scene(places), view())
+        bvh = renderer._scene.bvh
+        needed.append(waiting_in_tree(bvh.tlas_nodes.numpy()) - 1 + max(held.bvh.waiting for held in bvh.held))
+        assert bvh.stack >= needed[-1]
+    assert needed[1] > needed[0] == 1
+    assert needed[2] == needed[1] + 1
+    assert needed[3] == 9, "seven beside a pair"
 
 
 # --- What fails half-way ---

@@ -13,10 +13,12 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.demo.shapes import sphere
 from lumisplat.renderer import checks
-from lumisplat.renderer.scene import shading_scene, upload
+from lumisplat.renderer.scene import splat_assets, upload
 from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
 from support.scenes.lit_scene import config
-from support.scenes.raster_scenes import random_gaussians
+from support.scenes.raster_scenes import front_camera, joined, random_gaussians
 
 
 def polished() -> ls.Scene:
@@ -45,8 +47,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         weakref.finalize(array, memory.fill, np.nan)
         return array
 
-    for module in (upload, shading_scene):
-        monkeypatch.setattr(module, "as_device_array", copy)
+    monkeypatch.setattr(upload, "as_device_array", copy)
     return kept
 
 
@@ -60,11 +61,129 @@ def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list
     assert len(copies) >= 6, "means, scales, opacities, colours, roughness and metallic are copied"
     assert all(np.isfinite(memory).all() for memory in copies), "a copy was freed while tables point to it"
     with pytest.MonkeyPatch.context() as undo:
-        for module in (upload, shading_scene):
-            undo.setattr(module, "as_device_array", lambda values, dtype, device: DeviceArray(values, dtype=dtype))
+        undo.setattr(upload, "as_device_array", lambda values, dtype, device: DeviceArray(values, dtype=dtype))
         expected = ls.create_renderer(config(pipeline), "cpu", threads=1).render(scene, camera)
     np.testing.assert_array_equal(copied.color, expected.color)
     np.testing.assert_array_equal(again.color, expected.color)
+
+
+def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
+    """Its capture, with other values in all arrays."""
+    capture = shown.splats[0].gaussians
+    assert capture.normals is not None and capture.albedo is not None
+    assert capture.roughness is not None and capture.metallic is not None
+    turn = np.array([np.cos(amount), np.sin(amount), 0.0, 0.0], np.float32)
+    changed = dataclasses.replace(
+        capture,
+        means=capture.means + np.float32(amount) * np.sin(capture.means[:, ::-1]),
+        rotations_wxyz=np.broadcast_to(turn, (capture.count, 4)).copy(),
+        scales=capture.scales * np.float32(1.0 + 0.3 * amount),
+        opacities=capture.opacities * np.float32(1.0 - amount),
+        sh=capture.sh * np.float32(1.0 - amount),
+        normals=capture.normals[:, ::-1],
+        albedo=capture.albedo * np.float32(1.0 - amount),
+        roughness=capture.roughness + np.float32(amount),
+        metallic=capture.metallic * np.float32(1.0 - amount),
+    )
+    return dataclasses.replace(shown, splats=[dataclasses.replace(shown.splats[0], gaussians=changed)])
+
+
+@pytest.fixture
+def copied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes assets copies, as on a GPU, which renderers may write to."""
+    for module in (upload, splat_assets):
+        monkeypatch.setattr(module, "shares_memory", lambda _: False)
+
+
+@pytest.mark.usefixtures("copied")
+@pytest.mark.parametrize("lighting", [False, True], ids=["unlit", "lit"])
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_animated_sets_keep_their_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
+    """New values every frame come to where the last ones were: graphs stay, and only hierarchies are refitted."""
+    shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
+    settings, launcher = config(pipeline, lighting=lighting, samples=1), GraphLauncher()
+    renderer = ls.Renderer(settings, launcher)
+    for amount in (0.0, 0.05, 0.1, 0.15, 0.2):
+        before = launcher.launches
+        moving = wavy(shown, amount)
+        frame = renderer.render(moving, camera)
+        held = renderer._scene.bvh.held
+        refit = 1 + len(held[0].bvh.levels) if held else 0
+        expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(moving, camera)
+        np.testing.assert_allclose(frame.color, expected.color, atol=2e-5)
+    assert launcher.launches - before == refit
+    assert np.abs(frame.color - renderer.render(shown, camera).color).max() > 0.05, "nothing has changed"
+
+
+@pytest.mark.usefixtures("copied")
+@pytest.mark.parametrize("change", ["albedo", "roughness", "degree", "count"])
+def test_other_sets_get_their_own_memory(change: str) -> None:
+    """A set with other arrays than the last one, or of other sizes, is uploaded anew, and no frame sees the old one."""
+    shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)
+    capture = shown.splats[0].gaussians
+    others = {
+        "albedo": dataclasses.replace(capture, albedo=None),
+        "roughness": dataclasses.replace(capture, roughness=None),
+        "degree": dataclasses.replace(capture, sh=np.pad(capture.sh, ((0, 0), (0, 3), (0, 0)))),
+        "count": joined(capture, capture),
+    }
+    other = dataclasses.replace(shown, splats=[dataclasses.replace(shown.splats[0], gaussians=others[change])])
+    settings = config(ls.Pipeline.RASTER, samples=1)
+    renderer = ls.Renderer(settings, GraphLauncher())
+    for each in (shown, shown, shown, other, other, other, shown, other, wavy(shown, 0.1)):
+        frame = renderer.render(each, camera)
+        expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(each, camera)
+        np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)
+
+
+@pytest.mark.usefixtures("copied")
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+def test_a_set_that_comes_back_is_uploaded_again(pipeline: ls.Pipeline) -> None:
+    """Its memory has another set's values; sets that are still placed keep theirs, wherever they are."""
+    a, b, c = (
+        dataclasses.replace(random_gaussians(7, 40), opacities=np.full(40, o, np.float32)) for o in (0.3, 0.6, 0.9)
+    )
+    settings = config(pipeline, samples=1)
+    renderer = ls.Renderer(settings, GraphLauncher())
+    camera = front_camera()
+    for sets in ([a, b], [c, a], [c, b], [b, c], [a], [c], [a, c], [b, b], [b, a, b], [a, b]):
+        frame = renderer.render(ls.Scene(sets), camera)
+        expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(ls.Scene(sets), camera)
+        np.testing.assert_allclose(frame.alpha, expected.alpha, atol=1e-5)
+
+
+@pytest.mark.usefixtures("copied")
+def test_rebuilt_hierarchies_are_shrunk_anew() -> None:
+    """Shared draws shrink the nodes of a hierarchy level by level: one that was rebuilt has other levels."""
+    shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=144, height=96)
+    shown = dataclasses.replace(shown, meshes=[sphere(0.1, rows=6, columns=8)])
+    shared = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+    settings = config(ls.Pipeline.HYBRID, samples=2, shadow_rays=shared)
+    renderer = ls.Renderer(settings, GraphLauncher())
+    capture, rng = shown.splats[0].gaussians, np.random.default_rng(5)
+    means = rng.uniform(-0.5, 0.5, (capture.count, 3)).astype(np.float32)
+    means[np.arange(400), rng.integers(0, 3, 400)] = rng.choice([-0.5, 0.5], 400)  # of all sets: their bounds are equal
+    clumped = np.concatenate([means[:400], means[400:] * np.float32(0.05)])
+    shuffled = np.concatenate([means[:400], rng.permutation(means[400:])])
+    builds = set()
+    for moved in (means, means, means, clumped, shuffled, clumped, means):
+        moving = dataclasses.replace(shown.splats[0], gaussians=dataclasses.replace(capture, means=moved))
+        other = dataclasses.replace(shown, splats=[moving])
+        frame = renderer.render(other, camera)
+        builds.add(renderer._scene.bvh.held[0].bvh.build)
+        expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(other, camera)
+        np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)
+    assert len(builds) > 1, "no hierarchy was rebuilt"
+
+
+def test_renderers_do_not_write_to_captures() -> None:
+    """On the CPU, renderers read the arrays of captures where they are: the next capture does not come there."""
+    first, second = random_gaussians(7, 40), random_gaussians(8, 40)
+    before = first.means.copy()
+    renderer = ls.create_renderer(config(ls.Pipeline.TRACE, samples=1), "cpu")
+    for capture in (first, second):
+        renderer.render(ls.Scene([capture]), front_camera())
+    np.testing.assert_array_equal(first.means, before)
 
 
 def test_parts_of_a_block_keep_it() -> None:

@@ -150,6 +150,43 @@ def test_depths_fit_the_stack() -> None:
     assert (NODE_WIDTH - 1) * (asset + most) + 1 <= TRAVERSE_STACK
 
 
+def waiting_of(links: np.ndarray) -> list[int]:
+    """The most nodes that wait while a tree is traversed: siblings in their order, the other way round, at random."""
+    most = []
+    for order in ("first", "last", *range(20)):
+        rng = np.random.default_rng(order if isinstance(order, int) else 0)
+        stack, height = [0], 1
+        while stack:
+            children = [link for link in links[stack.pop()].tolist() if link >= 0 and link != NO_CHILD]
+            if order == "last":
+                children.reverse()
+            elif order != "first":
+                rng.shuffle(children)
+            stack += children
+            height = max(height, len(stack))
+        most.append(height)
+    return most
+
+
+def test_no_more_nodes_wait_than_the_tree_says(launcher: Launcher) -> None:
+    """In any order of visits; and in the worst one, along the path that leaves most behind, as many."""
+    rng = np.random.default_rng(8)
+    clumps = (rng.normal(size=(3000, 3)) * np.exp(-rng.uniform(0.0, 12.0, (3000, 1)))).astype(np.float32)
+    for count, means in ((1, None), (2, None), (9, None), (700, None), (3000, clumps)):
+        gaussians = random_gaussians(9, count)
+        gaussians = gaussians if means is None else replace(gaussians, means=means)
+        tree = tree_of(launcher, gaussians)
+        links = tree.nodes.numpy()["link"]
+        assert max(waiting_of(links)) <= tree.waiting <= TRAVERSE_STACK
+        assert tree.waiting == worst(links, 0)
+
+
+def worst(links: np.ndarray, node: int) -> int:
+    """The most nodes that wait below a node: its children, or all of them but one and what that one leaves waiting."""
+    children = [link for link in links[node].tolist() if link >= 0 and link != NO_CHILD]
+    return max([1, len(children), *(len(children) - 1 + worst(links, child) for child in children)])
+
+
 def test_trees_are_good(launcher: Launcher) -> None:
     """A random ray visits a small share of the nodes; in a tree over items at random it would visit most of them."""
     gaussians = random_gaussians(7, 4000, extent=(4.0, 4.0, 4.0), scale_range=(0.01, 0.03))

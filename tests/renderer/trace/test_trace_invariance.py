@@ -60,11 +60,11 @@ make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
 
 
 @functools.cache
-def unfused_kernel(lanes: int) -> wp.Kernel:
+def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
     """The tracing kernel with every multiplication and addition rounded by itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PACKET_OPTIONS, "cpu_compiler_flags", "-march=native -ffp-contract=off")
-        return make_kernel(lanes)
+        return make_kernel(lanes, *stack)
 
 
 @functools.cache

@@ -11,8 +11,10 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.constants import SAMPLES_MAX
+from lumisplat.constants import COUNT_SUM_THREADS, SAMPLES_MAX
+from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.scene.camera_table import subpixel
+from lumisplat.runtime.launcher import Launcher
 from support.compare.images import assert_close
 from support.compare.ways import renderer_of
 from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian, quad, random_gaussians
@@ -260,6 +262,17 @@ def test_progress_counts_the_samples() -> None:
     calls.clear()
     renderer("cpu", 2).render(scene(), view(), resume=frame, progress=lambda *call: calls.append(call))
     assert calls == [("tracing", 0.5), ("tracing", 1.0)]
+
+
+def test_counts_add_up_on_a_gpu() -> None:
+    """Whatever their number, beyond 32 bits."""
+    for size in (1, 4096, 4097, 10_000):
+        counts = np.random.default_rng(size).integers(0, 2**31, size, dtype=np.int32)
+        total = wp.zeros(1, dtype=wp.int64, device="cpu")
+        Launcher("cpu", parallel=True).run(
+            film_kernels.sum_counts, COUNT_SUM_THREADS, wp.array(counts, dtype=wp.int32, device="cpu"), total
+        )
+        assert total.numpy()[0] == counts.sum(dtype=np.int64)
 
 
 def test_what_is_not_finite_is_black_and_counted(way: str) -> None:

@@ -105,6 +105,7 @@ class Bench(LoadingCommand, DeviceCommand):
             report("timing", done / self.repeats)
             begun = time.perf_counter()
             frame = renderer.render(scene, camera)
+            assert frame.color.size  # downloaded
             frame_ms.append(1e3 * (time.perf_counter() - begun))
             stage_ms.append(stage_times(frame))
         assert frame is not None

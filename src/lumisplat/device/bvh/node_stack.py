@@ -1,8 +1,12 @@
 """The nodes that a packet of rays still has to visit, the next one on top of a stack."""
 
+import functools
+from dataclasses import dataclass
+from typing import Any
+
 import warp as wp
 
-from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
+from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.bvh.local_arrays import storage_of
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, WORLD, ChildLinks, Children, Node
@@ -11,7 +15,6 @@ from lumisplat.device.structs.packet import WaitingNode
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 WIDTH = wp.constant(NODE_WIDTH)
-STACK = wp.constant(TRAVERSE_STACK)
 
 NEAR_FIRST = wp.constant(wp.float32(1.0))
 """Order of siblings: the one that is entered nearest is visited first."""
@@ -19,13 +22,28 @@ NEAR_FIRST = wp.constant(wp.float32(1.0))
 FAR_FIRST = wp.constant(wp.float32(-1.0))
 """It is visited last."""
 
-NodeStackStorage = storage_of(WaitingNode, TRAVERSE_STACK)
+
+@dataclass(frozen=True, slots=True)
+class NodeStack:
+    """What stacks of a size need."""
+
+    storage: Any
+    """The type of a variable in which the nodes lie."""
+    node_stack: Any
 
 
-@wp.func
-def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
-    """The stack whose nodes lie in a variable."""
-    return wp.array(ptr=wp.address_of(storage), shape=(STACK,), dtype=WaitingNode)
+@functools.cache
+def node_stack_of(entries: int) -> NodeStack:
+    """What stacks of so many entries need."""
+    ENTRIES = entries
+    NodeStackStorage = storage_of(WaitingNode, entries)
+
+    @wp.func
+    def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
+        """The stack whose nodes lie in a variable."""
+        return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingNode)
+
+    return NodeStack(NodeStackStorage, node_stack)
 
 
 @wp.func

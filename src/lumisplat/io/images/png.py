@@ -22,7 +22,7 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
     Args:
         path: The file to write. It appears complete or not at all.
         srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and one
-            log line counts such values.
+            log line counts such values. Or bytes.
 
     Raises:
         SceneError: The shape is not that of an image.
@@ -59,12 +59,17 @@ def write_gray_png(path: PathLike, values: npt.NDArray[np.uint16], texts: Mappin
 def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     """Converts display-referred values, 0..1, shape (H, W, 3 or 4), to 8 bits; ``path`` is named in the log.
 
+    Values that are bytes already are returned as they are.
+
     Raises:
         SceneError: The shape is not that of an image.
     """
-    pixels = np.asarray(srgb, dtype=np.float32)
-    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.size == 0:
-        raise SceneError(f"a picture takes (H, W, 3 or 4), got {pixels.shape}")
+    given = np.asarray(srgb)
+    if given.ndim != 3 or given.shape[2] not in (3, 4) or given.size == 0:
+        raise SceneError(f"a picture takes (H, W, 3 or 4), got {given.shape}")
+    if given.dtype == np.uint8:
+        return given.astype(np.uint8, copy=False)
+    pixels = np.asarray(given, dtype=np.float32)
     nan_count = np.count_nonzero(np.isnan(pixels))
     if nan_count:
         _log.warning("%s: %d NaN values written as 0", os.fspath(path), nan_count)

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.constants import COUNT_SUM_THREADS
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
 from lumisplat.device.film.first_surface import first_surface
 from lumisplat.device.film.running_mean import add_color, add_light, add_sample, develop, is_finite
@@ -11,6 +12,8 @@ from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
+
+SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 
 @wp.func
@@ -58,6 +61,17 @@ def add_samples(
             add_color(pixel, sample, wave[0].radiance.capture_factor[i], film_inout[0].capture_factor)
         if scene[0].sample[0].is_last != 0:
             develop(pixel, film_inout)
+
+
+@wp.kernel
+def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
+    """Adds up counts in 64 bits; one item adds every 4096th. Not to be banded: atomic."""
+    total = wp.int64(0)
+    i = wp.tid()
+    while i < counts.shape[0]:
+        total += wp.int64(counts[i])
+        i += SUM_THREADS
+    wp.atomic_add(total_inout, 0, total)
 
 
 @wp.kernel

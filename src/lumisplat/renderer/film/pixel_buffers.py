@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,7 +13,7 @@ import warp as wp
 
 from lumisplat.device.structs.film import LitPixels, PixelData
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.downloads import Downloads
+from lumisplat.runtime.downloads import Copies, Downloads
 
 Pixels = TypeVar("Pixels", PixelData, LitPixels)
 
@@ -55,22 +57,41 @@ class PixelBuffers(Generic[Pixels]):
         return _split_block(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
     def upload(self, images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads images that ``download`` returned."""
+        """Uploads images, by the names of the fields."""
         self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
     def download(self) -> dict[str, npt.NDArray[Any]]:
-        """Copies all images to the host at once; shapes (H, W) or (H, W, 3)."""
-        words = self.downloads.numpy(self.block)
+        """Copies all images to the host; shapes (H, W) or (H, W, 3)."""
+        copies = self.downloads.copies({"pixels": self.block})
+        return {name: read() for name, read in self._reads(copies, "pixels").items()}
+
+    def images(self, copies: Copies, name: str) -> dict[str, Any]:
+        """The images in copies of these arrays, or functions that download them; shapes (H, W) or (H, W, 3).
+
+        Args:
+            copies: Of ``block`` and others.
+            name: Of ``block`` among them.
+        """
+        return {field: copies.give(read) for field, read in self._reads(copies, name).items()}
+
+    def _reads(self, copies: Copies, name: str) -> dict[str, Callable[[], npt.NDArray[Any]]]:
         width, height = self.size
-        images: dict[str, npt.NDArray[Any]] = {}
+        reads: dict[str, Callable[[], npt.NDArray[Any]]] = {}
         first = 0
-        for name, dtype, channels in self.fields:
-            image = words[first : first + height * width * channels]
-            images[name] = image.reshape((height, width) if channels == 1 else (height, width, channels))
-            if dtype is wp.int32:
-                images[name] = images[name].view(np.int32)
-            first += image.size
-        return images
+        for field, dtype, channels in self.fields:
+            count = width * height * channels
+            shape = (height, width) if channels == 1 else (height, width, channels)
+            number = np.int32 if dtype is wp.int32 else np.float32
+            reads[field] = partial(_image, copies, (name, first, count), shape, number)
+            first += count
+        return reads
+
+
+def _image(
+    copies: Copies, place: tuple[str, int, int], shape: tuple[int, ...], number: type[np.generic]
+) -> npt.NDArray[Any]:
+    """An image among the words of copies: name, first word and count."""
+    return copies.words(*place).view(number).reshape(shape)
 
 
 def _split_block(

@@ -30,16 +30,21 @@ class SpecularWaves:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def count(self, wave: RayWave) -> int:
-        """Number of rays of the next wave. The host waits for it, so such a frame cannot be captured as a graph."""
-        branches, ends = device_array(wave.row.branches), device_array(wave.row.branch_ends)
-        prefix_sum(branches, ends, inclusive=True)
-        return int(ends[-1:].numpy()[0])
+    def number(self, wave: RayWave) -> None:
+        """Numbers the branches of a wave: they are the rays of the next one."""
+        prefix_sum(device_array(wave.row.branches), device_array(wave.row.branch_ends), inclusive=True)
 
-    def spawn(self, scene: DeviceScene, wave: RayWave, count: int) -> tuple[RayData, DeviceArray]:
-        """The ``count`` rays of the next wave, and their weights; also writes their path weights."""
+    def capacity(self, wave: RayWave) -> int:
+        """Room for the rays of the next wave, 0 if there are none. The host waits for their number.
+
+        There are a few capacities instead of one per frame.
+        """
+        count = int(device_array(wave.row.branch_ends)[-1:].numpy()[0])
+        return grown_capacity(count)
+
+    def spawn(self, scene: DeviceScene, wave: RayWave, capacity: int) -> tuple[RayData, DeviceArray]:
+        """The rays of the next wave, and their weights; also writes their path weights."""
         number = wave.number + 1
-        capacity = grown_capacity(count)  # a few array sizes instead of one per frame
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()
         weights = self._buffers.get(f"wave.{number}.weights", wp.vec3, capacity)

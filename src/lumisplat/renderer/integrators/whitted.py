@@ -37,6 +37,8 @@ class WhittedIntegrator:
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays over all bounces.
 
+        On CUDA, each wave is a captured graph; the host waits for the number of its rays, for which it needs room.
+
         Args:
             scene: The scene on the device, synced.
             plan: Plan of the frame.
@@ -45,29 +47,59 @@ class WhittedIntegrator:
         """
         self._direct_light.begin_sample(sample)
         with self._launcher.stage("light" if plan.is_lit else "bounce"):
-            waves = [self._shade_wave(scene, plan, hits, 0)]
-            while count := self._branch_count(waves[-1]):
-                rays, weights = self._specular.spawn(scene, waves[-1], count)
-                hits = self._tracer.find_hits(scene, rays, "wave")
-                waves.append(self._shade_wave(scene, plan, hits, len(waves), weights))
-            for near, far in reversed(list(itertools.pairwise(waves))):
-                self._specular.gather(scene, near, far)
+            waves, sizes = [self._first_wave(scene, plan, hits)], [hits.count]
+            while capacity := self._branch_capacity(waves[-1]):
+                sizes.append(capacity)
+                waves.append(self._next_wave(scene, plan, waves[-1], sizes))
+            if len(waves) > 1:
+                self._launcher.replay("gather", (scene.graph_key, sizes), lambda: self._gather(scene, waves))
         return waves[0]
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """The light of each light that the rays of these hits see, if the frame asks for it."""
         return self._direct_light.images(scene, plan, hits.count)
 
+    def _first_wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
+        """The wave of the rays of these hits."""
+        return self._launcher.replay(
+            "wave 0", (scene.graph_key, hits.count), lambda: self._shade_wave(scene, plan, hits, 0)
+        )
+
+    def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
+        """The wave of the rays that branch off another one.
+
+        Args:
+            scene: The scene on the device.
+            plan: Plan of the frame.
+            wave: The last wave.
+            sizes: Rays of each wave, for which there is room, up to the new one.
+        """
+        number = len(sizes) - 1
+
+        def work() -> RayWave:
+            rays, weights = self._specular.spawn(scene, wave, sizes[number])
+            hits = self._tracer.find_hits(scene, rays, "wave")
+            return self._shade_wave(scene, plan, hits, number, weights)
+
+        return self._launcher.replay(f"wave {number}", (scene.graph_key, list(sizes)), work)
+
     def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None = None
     ) -> RayWave:
-        """A wave with emission and direct light."""
+        """A wave with emission and direct light, and its branches numbered."""
         may_branch = number < plan.max_bounces and hits.count > 0
         wave = self._surfaces.shade(scene, plan, hits, number, weights=weights, may_branch=may_branch)
         if plan.is_lit:
             self._direct_light.add(scene, plan, wave)
+        if may_branch:
+            self._specular.number(wave)
         return wave
 
-    def _branch_count(self, wave: RayWave) -> int:
-        """Number of rays of the next wave; 0 if they would exceed ``max_bounces``."""
-        return self._specular.count(wave) if wave.row.may_branch else 0
+    def _branch_capacity(self, wave: RayWave) -> int:
+        """Room for the rays of the next wave; 0 if there are none, or they would exceed ``max_bounces``."""
+        return self._specular.capacity(wave) if wave.row.may_branch else 0
+
+    def _gather(self, scene: DeviceScene, waves: list[RayWave]) -> None:
+        """Adds up the radiance of waves, from the last one to the first."""
+        for near, far in reversed(list(itertools.pairwise(waves))):
+            self._specular.gather(scene, near, far)

@@ -13,7 +13,6 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import upload_structs
 
 SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_height")
 """Fields of interactions that only shadow rays need."""
@@ -76,7 +75,7 @@ class Surfaces:
             row.weights = weights
         row.branches = get(f"wave.{number}.branches", wp.int32, 2 * count)
         row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, 2 * count)
-        return RayWave(number, hits, row, upload_structs([row], WaveData, self._launcher.device))
+        return RayWave(number, hits, row, self._buffers.table(f"wave.{number}", WaveData, [row]))
 
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
         if not plan.is_lit:

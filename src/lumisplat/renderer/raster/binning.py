@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import warp as wp
 
-from lumisplat.constants import ITEMS_MAX, PAIR_SUM_THREADS, SORT_DIGIT_BITS_MAX
+from lumisplat.constants import COUNT_SUM_THREADS, ITEMS_MAX, SORT_DIGIT_BITS_MAX
 from lumisplat.device.structs.raster import ChunkData, TileRect
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.raster import binning_kernels as kernels
@@ -212,7 +212,7 @@ class BinningParallel(Binning):
         starts = buffers.get(f"{name}.starts", wp.int32, tile_count + 1)
         run(kernels.count_pairs, count + 1, 0, depth_order.order, rects, counts)
         prefix_sum(counts, offsets, inclusive=False)
-        run(kernels.sum_pairs, PAIR_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
+        run(kernels.sum_pairs, COUNT_SUM_THREADS, 0, counts, self._SLOTS[name], self._totals)
         run(kernels.clear_pairs, capacity, 0, tile_count, tiles)
         run(kernels.emit_pairs, count, 0, tiles_x, capacity, depth_order.order, rects, offsets, tiles, items)
         sort_pairs(tiles, items, capacity, bits=tile_count.bit_length())

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS, PAIR_SUM_THREADS
+from lumisplat.constants import COUNT_SUM_THREADS, DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
 # Flags of the splat kernels, though there is nothing to fuse: an unlit raster frame then needs one precompiled header.
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
-SUM_THREADS = wp.constant(PAIR_SUM_THREADS)
+SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 
 @wp.func

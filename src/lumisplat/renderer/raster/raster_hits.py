@@ -39,18 +39,12 @@ class RasterHits:
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
-        """What the rays of the scene's current sample hit.
+        """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
 
         Args:
             scene: The scene on the device, at this sample, with a pinhole camera without aperture.
             rays: The rays of its pixels.
         """
-        hits = self._draw(scene, rays)
-        while not self._binning.finish():
-            hits = self._draw(scene, rays)
-        return hits
-
-    def _draw(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
         stage = self._launcher.stage
         is_sorted = self._config.raster.strategy is RasterStrategy.SORTED
         gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max), RELIT_FIELDS)

@@ -46,8 +46,7 @@ class UnlitRaster:
         return pixels
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
-        key = (*scene.image_size, scene.version, self._buffers.allocations, self._binning.growth)
-        self._launcher.replay("frame", key, lambda: self._passes(scene, pixels))
+        self._launcher.replay("frame", (scene.graph_key, self._binning.growth), lambda: self._passes(scene, pixels))
 
     def _passes(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:
         stage = self._launcher.stage

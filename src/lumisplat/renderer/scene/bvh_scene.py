@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH
+from lumisplat.constants import BOX_MARGIN, COHERENT_RADIUS, NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, HIT_PEAK, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
@@ -17,7 +17,7 @@ from lumisplat.renderer.scene.instance_tables import footprint_of, hit_distance_
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import table_dtype, upload_structs
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
 
@@ -53,6 +53,8 @@ class BvhScene:
         """The widest footprint of the instances, in widths of a pixel."""
         self.hit_distance = HIT_PEAK
         """That of the instances; HIT_MEAN if it is that of any."""
+        self.stack = TRAVERSE_STACK_SMALL
+        """Entries of the stack with which CUDA's kernels traverse the trees: enough, and one of two numbers."""
         self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
@@ -75,6 +77,16 @@ class BvhScene:
         return row
 
     @property
+    def graph_key(self) -> object:
+        """What kernels get of it by value: captured graphs are stale after a change."""
+        if self.assets is None:
+            return None
+        # `stack` follows from the builds and from the tree over the instances, which may keep its memory.
+        arrays = [(array.ptr, array.shape) for array in (self.assets, self.tlas_nodes)]
+        rays = self.packet_radius, self.footprint, self.hit_distance
+        return arrays, [held.bvh.build for held in self._held], self.stack, rays
+
+    @property
     def held(self) -> list[HeldBvh]:
         """The assets' BVHs, in their order."""
         return self._held
@@ -91,13 +103,13 @@ class BvhScene:
         Raises:
             DeviceError: The device is out of memory.
         """
-        if [id(asset.data) for asset in assets] != [id(held.data) for held in self._held]:
+        wanted = [(id(asset.gaussians), id(asset.data)) for asset in assets]
+        if wanted != [(id(held.gaussians), id(held.data)) for held in self._held]:
             before, self._held = self._held, []  # until all are there: one may be refitted when the next one fails
             self._placed = None
             try:
                 self._held = [self._bvh_of(place, assets, before, config) for place in range(len(assets))]
-                rows = self._asset_rows()
-                self.assets = upload_structs(rows, AssetBvh, self._launcher.device)
+                self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
             except DeviceError:
                 raise
             except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate
@@ -114,6 +126,8 @@ class BvhScene:
         extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
         nodes = tree_of_boxes(*self._world_boxes(scene, places))
+        needed = waiting_in_tree(nodes) - 1 + max((held.bvh.waiting for held in self._held), default=1)
+        self.stack = TRAVERSE_STACK_SMALL if needed <= TRAVERSE_STACK_SMALL else TRAVERSE_STACK
         self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
         assign_table(self.tlas_nodes, nodes)
         self._placed = placed
@@ -183,6 +197,16 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
 
     add(np.flatnonzero((lows <= highs).all(axis=1)))
     return np.concatenate(rows)
+
+
+def waiting_in_tree(nodes: np.ndarray) -> int:
+    """How many nodes of a small tree may wait at a time, its leaves among them, whatever the order of visits."""
+    waiting = np.ones(len(nodes), dtype=np.int64)
+    for number in reversed(range(len(nodes))):  # children come after their parents
+        links: list[int] = nodes["link"][number].tolist()
+        below = [int(waiting[link]) if link >= 0 else 1 for link in links if link != NO_CHILD]
+        waiting[number] = max(1, len(below) - 1 + max(below, default=0))
+    return int(waiting[0])
 
 
 def empty_node() -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 
 from lumisplat.config import RenderConfig
@@ -35,6 +37,8 @@ class DeviceScene:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
+        self._layout: list[object] | None = None
+        """What says where the assets are, compared by identity."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
@@ -61,7 +65,10 @@ class DeviceScene:
         self.mixes_sets = False
         """What Gaussians of relit sets show is told apart from what others do: `FramePlan.mixes_sets`."""
         self.version = 0
-        """Changes with the arrays of assets: captured graphs are then stale."""
+        """Changes with the arrays of assets."""
+        self._plan: FramePlan | None = None
+        self._synced: object = None
+        """`graph_key` of the last frame."""
 
     @property
     def mesh_data(self) -> MeshData:
@@ -77,6 +84,15 @@ class DeviceScene:
     def lights(self) -> ShadingTables:
         """The lights of the scene, and their names."""
         return self._shading
+
+    @property
+    def graph_key(self) -> object:
+        """Changes with everything that a captured graph of the passes of a frame has frozen: it is then stale.
+
+        What changes from frame to frame and sample to sample is in arrays, whose addresses stay.
+        """
+        tables = self.bvh.graph_key, self._shading.graph_key
+        return self.image_size, self._plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
@@ -109,6 +125,10 @@ class DeviceScene:
         if plan.follows_rays:
             with self._launcher.stage("build"):
                 self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit)
+        self._plan = plan
+        if self._synced != self.graph_key:
+            self._launcher.drop_graphs()
+            self._synced = self.graph_key
 
     def begin_sample(self, index: int, *, is_last: bool) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
@@ -132,14 +152,12 @@ class DeviceScene:
         structure = [id(i.gaussians) for i in scene.splats], [id(i.mesh) for i in scene.meshes]
         try:
             if structure != self._structure:
+                same_meshes = self._structure is not None and structure[1] == self._structure[1]
                 self._structure = None  # a failed upload does not count as finished
                 self.assets = sync_splat_assets(scene, self.assets, self._launcher.device)
-                self.gaussians = upload_structs(
-                    [asset.data for asset in self.assets], GaussianData, self._launcher.device
-                )
                 self._meshes.sync(scene)
+                self._note_layout(same_meshes=same_meshes)
                 self._structure = structure
-                self.version += 1
             if plan.is_sampled and self._meshes.sync_bvhs():
                 self.version += 1
         except DeviceError:
@@ -147,6 +165,17 @@ class DeviceScene:
         except RuntimeError as error:
             raise DeviceError(f"{self._launcher.device} has no room for the scene: {error}") from None
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
+
+    def _note_layout(self, *, same_meshes: bool) -> None:
+        """After uploads: sets that were copied to where others had been leave all addresses as they are."""
+        layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
+        before = self._layout
+        same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))
+        if not same_splats:
+            self.gaussians = upload_structs([asset.data for asset in self.assets], GaussianData, self._launcher.device)
+        if not (same_splats and same_meshes):
+            self.version += 1
+        self._layout = layout
 
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]

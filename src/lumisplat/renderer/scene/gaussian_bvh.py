@@ -9,10 +9,12 @@ come after their parents and a refit runs backwards through the levels.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from lumisplat.constants import REBUILD_COST, STRAY_SHARE, TREE_SURFACE_LEVELS
@@ -25,6 +27,7 @@ from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 MORTON_CELLS = 1024.0
 BOUNDS_SAMPLES = 65536
+_BUILDS = itertools.count()
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 
 
@@ -93,6 +96,8 @@ class GaussianBvh:
 
     def _build(self, gaussians: GaussianData) -> None:
         count = len(gaussians.means)
+        self.build = next(_BUILDS)
+        """Number of the build, other than that of any other: its levels and the addresses of its nodes stay."""
         scratch = Buffers(self._launcher.device)
         self._items = self._buffers.get("items", wp.int32, count)
         split = self._split_by_code if self._launcher.is_parallel else self._split_by_area
@@ -149,6 +154,7 @@ class GaussianBvh:
         self.levels: list[tuple[int, int]] = []
         """First node and number of nodes of each level, from the root on."""
         first, nodes = 0, 1
+        inner_counts: list[npt.NDArray[np.int32]] = []
         while nodes:
             edges = scratch.get("edges", kernels.Edges, nodes)
             inner, inner_ends = (scratch.get(name, wp.int32, nodes) for name in ("inner", "inner_ends"))
@@ -158,8 +164,11 @@ class GaussianBvh:
                 kernels.link_nodes, nodes, first, first + nodes, edges, inner_ends, inner, begins, ends, links
             )
             self.levels.append((first, nodes))
+            inner_counts.append(np.array(inner.numpy()))
             first, nodes = first + nodes, int(inner_ends[nodes - 1 : nodes].numpy()[0])
         self._node_count = first
+        self.waiting = waiting_nodes(inner_counts)
+        """How many nodes may wait at a time while the tree is traversed, in any order."""
         return links
 
     def _fit(self, gaussians: GaussianData) -> None:
@@ -172,6 +181,23 @@ class GaussianBvh:
         )
         for first, nodes in reversed(self.levels):
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
+
+
+def waiting_nodes(inner_counts: list[npt.NDArray[np.int32]]) -> int:
+    """How many nodes of a tree may wait at a time: those beside the path to the node that is visited, and its children.
+
+    Args:
+        inner_counts: Number of children that are nodes, of all nodes, one array a level; the root's is the first. The
+            children of a level's nodes are the next level's, in their order.
+    """
+    below = np.zeros(0, np.int64)
+    for counts in reversed(inner_counts):
+        deepest, parents = np.zeros(len(counts), np.int64), np.flatnonzero(counts)
+        if len(parents):
+            firsts = np.cumsum(counts, dtype=np.int64) - counts
+            deepest[parents] = np.maximum.reduceat(below, firsts[parents])
+        below = np.maximum(counts, counts - 1 + deepest)
+    return max(1, int(below[0]))
 
 
 def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from lumisplat.config import RenderConfig, Shadows
 from lumisplat.device.structs.shading import (
@@ -21,11 +20,10 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
-from lumisplat.renderer.scene.upload import as_device_array
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.lights import Light
+from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 
@@ -55,6 +53,11 @@ class ShadingTables:
         """Names of the enabled lights, in order."""
         return self._table.names
 
+    @property
+    def graph_key(self) -> object:
+        """What the passes of a frame depend on among its lights: which kernels run, and for which light."""
+        return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
+
     def sync(
         self,
         scene: Scene,
@@ -81,7 +84,7 @@ class ShadingTables:
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()
         self.has_headlight = plan.is_lit and not scene.lights
         if version != self._version:
-            rows = [attribute_row(asset, self._device) for asset in assets]
+            rows = [asset.attributes for asset in assets]
             self._attributes = upload_structs(rows, SplatAttributes, self._device)
             self._version = version
         row.attributes = self._attributes
@@ -90,7 +93,7 @@ class ShadingTables:
         row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(plan))
         row.lights = self._table.lights
         row.environment = self._table.environment
-        self.data = upload_structs([row], ShadingScene, self._device)
+        self.data = self._buffers.upload("shading", ShadingScene, rows_of([row]))
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
         config = self._config
@@ -107,14 +110,3 @@ class ShadingTables:
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
         return table
-
-
-def attribute_row(asset: SplatAsset, device: str) -> SplatAttributes:
-    """The attributes of an asset's Gaussians that shading reads."""
-    row = SplatAttributes()
-    row.means, row.scales = asset.data.means, asset.data.scales
-    for name in ("roughness", "metallic"):
-        values = getattr(asset.gaussians, name)
-        if values is not None:
-            setattr(row, name, as_device_array(values, wp.float32, device))
-    return row

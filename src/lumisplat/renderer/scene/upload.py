@@ -10,8 +10,9 @@ import warp as wp
 
 from lumisplat.constants import TRIANGLE_BOX_MARGIN
 from lumisplat.device.structs.scene import GaussianData, MeshData
+from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.runtime.buffers import DeviceArray
+from lumisplat.runtime.buffers import DeviceArray, device_array
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
@@ -23,17 +24,60 @@ TextureKey = tuple[int, tuple[int, ...]]
 def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
     """Copies an asset to the device; on the CPU its arrays are shared where their layout allows."""
     data = GaussianData()
-    data.means = as_device_array(gaussians.means, wp.vec3, device)
-    data.rotations = wp.array(gaussians.rotations_wxyz[:, [1, 2, 3, 0]], dtype=wp.quat, device=device)
-    data.scales = as_device_array(gaussians.scales, wp.vec3, device)
-    data.opacities = as_device_array(gaussians.opacities, wp.float32, device)
-    data.sh = as_device_array(gaussians.sh.reshape(-1, 3), wp.vec3, device)
     data.sh_count = gaussians.sh.shape[1]
-    if gaussians.normals is not None:
-        data.normals = as_device_array(gaussians.normals, wp.vec3, device)
-    if gaussians.albedo is not None:
-        data.albedo = wp.array(encode_srgb(gaussians.albedo), dtype=wp.vec3, device=device)
+    for name, dtype, values in _arrays_of(gaussians):
+        setattr(data, name, as_device_array(values, dtype, device))
     return data
+
+
+def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> SplatAttributes:
+    """The attributes of an asset's Gaussians that shading reads, some of which are in ``data``."""
+    row = SplatAttributes()
+    row.means, row.scales = data.means, data.scales
+    for name, dtype, values in _materials_of(gaussians):
+        setattr(row, name, as_device_array(values, dtype, device))
+    return row
+
+
+def are_alike(one: Gaussians, other: Gaussians) -> bool:
+    """Whether two sets have the same arrays, of the same sizes: as many Gaussians, harmonics and further attributes."""
+    names = ("normals", "albedo", "roughness", "metallic")
+    absent = [[getattr(gaussians, name) is None for name in names] for gaussians in (one, other)]
+    return one.sh.shape == other.sh.shape and absent[0] == absent[1]
+
+
+def overwrite_gaussians(data: GaussianData, attributes: SplatAttributes, gaussians: Gaussians) -> None:
+    """Copies a set to where one like it has been; kernels find it at the same addresses."""
+    for owner, arrays in ((data, _arrays_of(gaussians)), (attributes, _materials_of(gaussians))):
+        for name, _, values in arrays:
+            device_array(getattr(owner, name)).assign(values)
+
+
+def shares_memory(device: str) -> bool:
+    """Whether kernels read the arrays of assets where the host has them: they may not be written to."""
+    return device == "cpu"
+
+
+def _arrays_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndarray]]:
+    """Names, elements and values of the arrays of `GaussianData`."""
+    arrays: list[tuple[str, type[object], np.ndarray]] = [
+        ("means", wp.vec3, gaussians.means),
+        ("rotations", wp.quat, np.ascontiguousarray(gaussians.rotations_wxyz[:, [1, 2, 3, 0]])),
+        ("scales", wp.vec3, gaussians.scales),
+        ("opacities", wp.float32, gaussians.opacities),
+        ("sh", wp.vec3, gaussians.sh.reshape(-1, 3)),
+    ]
+    if gaussians.normals is not None:
+        arrays.append(("normals", wp.vec3, gaussians.normals))
+    if gaussians.albedo is not None:
+        arrays.append(("albedo", wp.vec3, encode_srgb(gaussians.albedo)))
+    return arrays
+
+
+def _materials_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndarray]]:
+    """The same of those of `SplatAttributes` that are not in `GaussianData`."""
+    values = (("roughness", gaussians.roughness), ("metallic", gaussians.metallic))
+    return [(name, wp.float32, array) for name, array in values if array is not None]
 
 
 def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
@@ -112,6 +156,6 @@ def first_of(counts: dict[Key, int]) -> dict[Key, int]:
 def as_device_array(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
     """An asset's array on the device; on the CPU the same memory."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
-    if device != "cpu":
+    if not shares_memory(device):
         return DeviceArray(values, dtype=dtype, device=device)
     return DeviceArray(np.lib.stride_tricks.as_strided(values, writeable=True), dtype=dtype, device=device, copy=False)

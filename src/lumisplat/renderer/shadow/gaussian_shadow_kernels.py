@@ -15,7 +15,8 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, NodeStackStorage, node_stack, push_root
+from lumisplat.constants import TRAVERSE_STACK
+from lumisplat.device.bvh.node_stack import FAR_FIRST, NEAR_FIRST, node_stack_of, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.gaussian.aligned import load_particle
@@ -38,9 +39,11 @@ wp.set_module_options(PACKET_OPTIONS)
 
 
 @functools.cache
-def shadow_kernel(lanes: int) -> Any:
-    """The kernel of shadows by all Gaussians, for items of ``lanes`` rays."""
+def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
+    """The kernel of shadows by all Gaussians, for items of ``lanes`` rays; up to ``entries`` nodes wait."""
     LANES = lanes
+    stacks = node_stack_of(entries)
+    NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, shadows = packet_of(lanes), packet_absorption_of(lanes)
     RaysStorage, packet_rays, begin_packet = tools.rays_storage, tools.packet_rays, tools.begin_packet
     ends_of, largest = tools.ends_of, tools.largest
@@ -105,9 +108,11 @@ def shadow_kernel(lanes: int) -> Any:
 
 
 @functools.cache
-def first_hits_shadow_kernel(lanes: int) -> Any:
-    """The kernel of shadows by the nearest Gaussians, for items of ``lanes`` rays."""
+def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
+    """The kernel of shadows by the nearest Gaussians, for items of ``lanes`` rays; up to ``entries`` nodes wait."""
     LANES = lanes
+    stacks = node_stack_of(entries)
+    NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, shadows = packet_of(lanes), packet_first_hits_of(lanes)
     RaysStorage, packet_rays, begin_packet = tools.rays_storage, tools.packet_rays, tools.begin_packet
     ends_of, largest = tools.ends_of, tools.largest

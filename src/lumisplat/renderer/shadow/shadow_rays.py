@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import HitDistance, RenderConfig, ShadowMethod
-from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD
+from lumisplat.constants import PACKET_RAYS, RAY_BANDS_PER_THREAD, TILE_BANDS_PER_THREAD, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED, HIT_HULL, HIT_PEAK, ShadowData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -33,7 +33,7 @@ class ShadowRays:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "shadow") -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._kernel = shadow_kernel_of(launcher, config)
+        self._config = config
         self._draws = draws_of(config)
         self._stochastic_bvh = StochasticBvh(launcher, buffers, name)
         self._table = shadow_table(config)
@@ -83,7 +83,7 @@ class ShadowRays:
         ):
             bvh.assets = assets
         run(
-            self._kernel,
+            shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack),
             count // self._lanes,
             *(self._settings, bvh, rays, limits, skips, light),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
@@ -116,12 +116,12 @@ class ShadowRays:
         return limits
 
 
-def shadow_kernel_of(launcher: Launcher, config: RenderConfig) -> Any:
-    """The kernel that takes shadow rays through Gaussians on a device."""
-    lanes = 1 if launcher.is_parallel else PACKET_RAYS
+def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
+    """The kernel that takes shadow rays through Gaussians on a device, with a stack of so many nodes at least."""
+    kernel_of = gaussian_shadow_kernels.shadow_kernel
     if config.shadow_rays.method is ShadowMethod.FIRST_HITS:
-        return gaussian_shadow_kernels.first_hits_shadow_kernel(lanes)
-    return gaussian_shadow_kernels.shadow_kernel(lanes)
+        kernel_of = gaussian_shadow_kernels.first_hits_shadow_kernel
+    return kernel_of(1, stack) if launcher.is_parallel else kernel_of(PACKET_RAYS)
 
 
 def draws_of(config: RenderConfig) -> int:

@@ -13,7 +13,6 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.shadow import stochastic_bvh_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.runtime.struct_tables import upload_structs
 
 
 class StochasticBvh:
@@ -30,7 +29,6 @@ class StochasticBvh:
         self._whole: DeviceArray | None = None
         """The assets whose hierarchies were shrunk."""
         self._assets: DeviceArray | None = None
-        self._nodes: list[DeviceArray] = []
         self._is_fresh = False
         self._rays = 0
         """Of the sample so far."""
@@ -48,10 +46,7 @@ class StochasticBvh:
         if self._rays < SHRINK_RAYS_PER_GAUSSIAN * scene.gaussian_count:
             return whole
         nodes = self._shrunk_nodes(scene, settings)
-        if whole is not self._whole or [n.ptr for n in nodes] != [n.ptr for n in self._nodes]:
-            self._assets = self._upload(scene, nodes)
-            self._whole, self._nodes = whole, nodes
-        self._is_fresh = True
+        self._assets, self._whole, self._is_fresh = self._upload(scene, nodes), whole, True
         return self._assets
 
     def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
@@ -76,4 +71,4 @@ class StochasticBvh:
             row = AssetBvh()
             row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
             rows.append(row)
-        return upload_structs(rows, AssetBvh, self._launcher.device)
+        return self._buffers.table(f"{self._name}.assets", AssetBvh, rows)

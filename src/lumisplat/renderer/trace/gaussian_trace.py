@@ -8,13 +8,8 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
-from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD
-from lumisplat.device.structs.bvh import (
-    STRATEGY_HIT,
-    STRATEGY_PASS,
-    STRATEGY_SORTED,
-    TraceData,
-)
+from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
+from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
@@ -41,7 +36,8 @@ class GaussianTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
-        self._kernel = trace_kernel_of(launcher)
+        stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
+        self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
         self._settings = buffers.get("trace.settings", TraceData, 1)
         assign_table(self._settings, trace_table(launcher, config.trace))
 
@@ -57,7 +53,7 @@ class GaussianTracer:
         count = len(rays.t_max)
         hits = self._buffers.struct(name, GaussianHits, count, () if scene.mixes_sets else RELIT_FIELDS)
         self._launcher.run_banded(
-            self._kernel,
+            self._kernels[scene.bvh.stack],
             count // self._lanes,
             *(self._settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
@@ -65,9 +61,11 @@ class GaussianTracer:
         return hits
 
 
-def trace_kernel_of(launcher: Launcher) -> Any:
-    """The kernel that follows rays through Gaussians on a device."""
-    return gaussian_trace_kernels.gaussian_trace_kernel(1 if launcher.is_parallel else PACKET_RAYS)
+def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
+    """The kernel that follows rays through Gaussians on a device, with a stack of so many nodes at least."""
+    if launcher.is_parallel:
+        return gaussian_trace_kernels.gaussian_trace_kernel(1, stack)
+    return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS)
 
 
 def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:

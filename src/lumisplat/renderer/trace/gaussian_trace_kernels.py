@@ -14,7 +14,8 @@ from typing import Any
 
 import warp as wp
 
-from lumisplat.device.bvh.node_stack import NEAR_FIRST, NodeStackStorage, node_stack, push_root
+from lumisplat.constants import TRAVERSE_STACK
+from lumisplat.device.bvh.node_stack import NEAR_FIRST, node_stack_of, push_root
 from lumisplat.device.bvh.node_test import lesser
 from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS, packet_of
 from lumisplat.device.gaussian.aligned import load_particle
@@ -36,9 +37,11 @@ wp.set_module_options(PACKET_OPTIONS)
 
 
 @functools.cache
-def gaussian_trace_kernel(lanes: int) -> Any:
-    """The kernel for items of ``lanes`` rays."""
+def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
+    """The kernel for items of ``lanes`` rays; up to ``entries`` nodes wait."""
     LANES = lanes
+    stacks = node_stack_of(entries)
+    NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
     tools, tracing = packet_of(lanes), packet_tracing_of(lanes)
     RaysStorage, packet_rays, begin_packet = tools.rays_storage, tools.packet_rays, tools.begin_packet
     ends_of, largest = tools.ends_of, tools.largest

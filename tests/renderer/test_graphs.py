@@ -1,0 +1,202 @@
+"""Frames from captured graphs, with CUDA's schedule on the CPU: what stays captured, and what makes a graph stale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.raster_scenes import similarity
+
+IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "light")
+ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+WARM_FRAMES = 3
+"""Direct with new buffers, direct, captured."""
+STOCHASTIC = ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)
+SHARED = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+
+
+class Pair:
+    """A renderer that replays graphs and one that launches each kernel, both with CUDA's schedule."""
+
+    def __init__(self, settings: ls.RenderConfig) -> None:
+        self.launcher = GraphLauncher()
+        self._graphs = ls.Renderer(settings, self.launcher)
+        self._direct = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True))
+
+    @property
+    def buffers(self) -> Buffers:
+        """Those that graphs use."""
+        return self._graphs._buffers
+
+    def launches_of(self, shown: ls.Scene, view: ls.Camera) -> int:
+        """Renders a frame both ways, which must be equal to the bit; how many kernels were launched for it."""
+        before = self.launcher.launches
+        frame = self._graphs.render(shown, view)
+        launches = self.launcher.launches - before
+        expected = self._direct.render(shown, view)
+        for name in IMAGES:
+            if getattr(expected, name) is not None:
+                np.testing.assert_array_equal(getattr(frame, name), getattr(expected, name), name)
+        for layer in ("albedo", "reflection", "hits", "light_direct", "light_shadow"):
+            if getattr(expected, layer) is not None:
+                np.testing.assert_array_equal(getattr(frame, layer), getattr(expected, layer), layer)
+        return launches
+
+    def warm_up(self, shown: ls.Scene, view: ls.Camera) -> None:
+        """Renders until all is captured."""
+        for _ in range(WARM_FRAMES):
+            self.launches_of(shown, view)
+
+
+SETTINGS = {
+    "unlit rays": config(lighting=False, samples=2),
+    "unlit mirrors": config(ls.Pipeline.HYBRID, lighting=False, samples=2),
+    "one splat a pixel": config(ls.Pipeline.RASTER, lighting=False, raster=STOCHASTIC, samples=2),
+    "lit raster": config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2),
+    "soft hybrid": config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2),
+    "soft trace": config(shadows=ls.Shadows.SOFT, samples=2, aovs=ALL_AOVS),
+    "shared draws": config(ls.Pipeline.HYBRID, samples=2, shadow_rays=SHARED),
+}
+
+
+@pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
+def test_a_steady_frame_launches_graphs_only(settings: ls.RenderConfig) -> None:
+    """Of several samples, lit, with mirrors and all layers: no kernel is launched by itself, and no bit differs."""
+    pair, shown = Pair(settings), scene(*LAMPS, SKY)
+    pair.warm_up(shown, camera())
+    assert pair.launches_of(shown, camera()) == 0
+
+
+def moved(shown: ls.Scene) -> ls.Scene:
+    """All of its instances and lights elsewhere, the lights with other colours."""
+    shift = similarity(offset=(0.1, 0.05, 0.0))
+    return replace(
+        shown,
+        splats=[replace(i, world_from_object=shift @ i.transform) for i in shown.splats],
+        lights=[replace(light, color=(0.3, 0.9, 0.5), intensity=0.7 * light.intensity) for light in shown.lights],
+    )
+
+
+def turned_sky(shown: ls.Scene) -> ls.Scene:
+    """Its environment is visible and turned."""
+    turned = replace(SKY, visible=True, rotation_wxyz=(0.6, 0.0, 0.8, 0.0))
+    return replace(shown, lights=[turned if light is SKY else light for light in shown.lights])
+
+
+@pytest.mark.parametrize("change", [moved, turned_sky], ids=["instances and lights", "environment"])
+def test_what_moves_is_followed_by_the_same_graphs(change: Callable[[ls.Scene], ls.Scene]) -> None:
+    """Cameras, transforms, lights and samples are read from arrays whose addresses stay."""
+    settings = config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2, max_bounces=0)
+    pair, shown = Pair(settings), scene(*LAMPS, SKY)
+    pair.warm_up(shown, camera())
+    view = ls.Camera.look_at((0.3, 1.1, -2.1), (0.1, 0.2, 0.6), width=48, height=32, fov_y=0.9)
+    assert pair.launches_of(change(shown), view) == 0
+
+
+def without_shadow(shown: ls.Scene) -> ls.Scene:
+    """Its first light casts none."""
+    return replace(shown, lights=[replace(shown.lights[0], casts_shadow=False), *shown.lights[1:]])
+
+
+def of_another_kind(shown: ls.Scene) -> ls.Scene:
+    """Its first and last light are swapped, of which one is an environment."""
+    return replace(shown, lights=[shown.lights[-1], *shown.lights[1:-1], shown.lights[0]])
+
+
+def with_one_light_less(shown: ls.Scene) -> ls.Scene:
+    """Without its first light."""
+    return replace(shown, lights=shown.lights[1:])
+
+
+def with_more(shown: ls.Scene) -> ls.Scene:
+    """With another mesh and another set."""
+    place = similarity(offset=(0.4, 0.6, 0.3), scale=0.5)
+    more = ls.MeshInstance(shown.meshes[0].mesh, place), ls.SplatInstance(shown.splats[1].gaussians, place)
+    return replace(shown, meshes=[*shown.meshes, more[0]], splats=[*shown.splats, more[1]])
+
+
+def larger(shown: ls.Scene) -> ls.Scene:
+    """Its largest set is twice the size, so that packets of rays are wider."""
+    ground = shown.splats[0]
+    grown = replace(ground, world_from_object=ground.transform @ similarity(scale=2.0))
+    return replace(shown, splats=[grown, *shown.splats[1:]])
+
+
+def partly_relit(shown: ls.Scene) -> ls.Scene:
+    """Its sets are both relit, where one was kept as captured."""
+    material = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
+    return replace(shown, splats=[shown.splats[0], replace(shown.splats[1], material=material)])
+
+
+CHANGES = [without_shadow, of_another_kind, with_one_light_less, with_more, larger, partly_relit]
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=[change.__name__ for change in CHANGES])
+def test_what_graphs_have_frozen_makes_them_stale(change: Callable[[ls.Scene], ls.Scene]) -> None:
+    """Other lights or other things in the scene are drawn directly, then captured, and so is the first scene again."""
+    pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=1, aovs=("lights",))), scene(*LAMPS, SKY)
+    pair.warm_up(shown, camera())
+    other = change(shown)
+    assert pair.launches_of(other, camera()) > 0
+    pair.warm_up(other, camera())
+    assert pair.launches_of(other, camera()) == 0
+    pair.warm_up(shown, camera())
+    assert pair.launches_of(shown, camera()) == 0
+
+
+def test_buffers_that_grow_make_graphs_stale() -> None:
+    """Graphs hold addresses: memory that was given back must not be written."""
+    pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LAMPS)
+    pair.warm_up(shown, camera())
+    pair.buffers.get("light.contributions", wp.vec3, 100_000)
+    assert pair.launches_of(shown, camera()) > 0
+    pair.warm_up(shown, camera())
+    assert pair.launches_of(shown, camera()) == 0
+
+
+def test_queries_between_frames_do_not_mix_with_them() -> None:
+    """Rays that a caller gives use the same arrays, with other sizes: no graph of a frame reads what they wrote."""
+    settings, shown = config(shadows=ls.Shadows.SOFT, samples=2), scene(*LAMPS, SKY)
+    renderer = ls.Renderer(settings, GraphLauncher())
+    frames = [renderer.render(shown, camera()) for _ in range(WARM_FRAMES)]
+    along = np.random.default_rng(1).normal(size=(2500, 3))
+    first = renderer.trace_rays(shown, (0.0, 1.0, -2.0), along)
+    for count in (70, 70, 2500, 2500, 2500, 70):
+        again = renderer.trace_rays(shown, (0.0, 1.0, -2.0), along[:count])
+        np.testing.assert_array_equal(again.radiance, first.radiance[:count])
+    for _ in range(WARM_FRAMES + 1):
+        np.testing.assert_array_equal(renderer.render(shown, camera()).color, frames[0].color)
+
+
+def test_more_rays_behind_mirrors_get_room() -> None:
+    """Glass that fills the view takes more room than the graph of a small ball has, and is drawn whole."""
+    pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LAMPS)
+    far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
+    near = ls.Camera.look_at((-0.3, 0.35, -0.8), (-0.3, 0.3, 0.0), width=96, height=64, fov_y=0.8)
+    pair.warm_up(shown, far)
+    assert pair.launches_of(shown, near) > 0
+    pair.warm_up(shown, near)
+    assert pair.launches_of(shown, near) == 0
+    for view in (far, far, far, near, far):
+        pair.launches_of(shown, view)
+
+
+def test_a_cut_list_is_drawn_again_before_it_is_stored() -> None:
+    """A camera that comes so close that splats cover more tiles than there is room for, in a frame of two samples."""
+    shown = replace(scene(*LAMPS), meshes=())
+    pair = Pair(config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2))
+    far, near = (ls.Camera.look_at((0.1, 0.3, z), (-0.7, 0.4, 0.9), width=400, height=300) for z in (-40.0, 0.4))
+    pair.warm_up(shown, far)
+    draws = pair.launcher.draws
+    pair.launches_of(shown, near)
+    assert pair.launcher.draws > draws + 2 * 3, "no list was cut"
+    pair.warm_up(shown, near)

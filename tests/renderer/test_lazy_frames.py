@@ -1,0 +1,241 @@
+"""Frames whose images are downloaded when they are read, as on a GPU, played on the CPU."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import pickle
+import threading
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.renderer.film.picture import encoded_pixels, picture_of
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.downloads import CopiesLater, Downloads
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+
+ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+SETTINGS = {
+    "unlit": config(ls.Pipeline.RASTER, lighting=False),
+    "unlit rays": config(lighting=False, aovs=("hits",)),
+    "lit": config(ls.Pipeline.HYBRID, samples=1, aovs=ALL_AOVS),
+    "transparent": config(ls.Pipeline.RASTER, lighting=False, background=None),
+}
+
+
+def lazy_renderer(settings: ls.RenderConfig, launcher: Launcher | None = None) -> ls.Renderer:
+    """One that downloads as on a GPU."""
+    renderer = ls.Renderer(settings, launcher or GraphLauncher())
+    renderer._buffers.downloads = Downloads(is_lazy=True)
+    return renderer
+
+
+def eager_frame(settings: ls.RenderConfig, view: ls.Camera) -> ls.Frame:
+    """The frame as a CPU downloads it."""
+    return ls.Renderer(settings, Launcher("cpu", parallel=True)).render(scene(*LAMPS, SKY), view)
+
+
+def other_camera() -> ls.Camera:
+    """Of the same size."""
+    return ls.Camera.look_at((0.9, 1.1, -2.0), (0.0, 0.25, 0.7), width=48, height=32, fov_y=0.8)
+
+
+def unread(frame: ls.Frame) -> set[str]:
+    """Images that have not been downloaded."""
+    return set(frame._fetches()) - {"picture"}
+
+
+def assert_same(frame: Any, expected: ls.Frame) -> None:
+    """All images are equal."""
+    for field in fields(expected):
+        value = getattr(expected, field.name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(frame, field.name), value, field.name)
+            assert getattr(frame, field.name).dtype == value.dtype
+    assert frame.light_names == expected.light_names
+    assert frame.color_space == expected.color_space
+
+
+@pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
+def test_frames_stay_as_they_were(settings: ls.RenderConfig) -> None:
+    """Read after the next frames, which show something else: also those that waited on the device, or did not fit."""
+    renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
+    views = [camera(), other_camera()] * 3
+    frames = [renderer.render(shown, view) for view in views]
+    assert unread(frames[0]) and not unread(frames[-1])
+    for frame, view in reversed(list(zip(frames, views, strict=True))):
+        assert_same(frame, eager_frame(settings, view))
+        assert not unread(frame)
+
+
+def test_images_that_nobody_reads_stay_on_the_device() -> None:
+    """Neither does the text of a frame need them, nor a question for its layers."""
+    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+    everything = unread(frame)
+    assert {"color", "depth", "albedo", "light_shadow", "captured", "hits"} <= everything
+    assert "lit" in repr(frame) and frame.has("light")
+    assert unread(frame) == everything
+    assert frame.depth is frame.depth
+    assert everything - unread(frame) == {"depth"}
+    frame.layers(["normal"])
+    assert {"albedo", "light_shadow", "hits", "gaussian_index"} <= unread(frame)
+
+
+def test_copies_of_frames_have_all_images() -> None:
+    """Pickled, copied, or with another field."""
+    expected = eager_frame(SETTINGS["lit"], camera())
+    for duplicate in (lambda frame: pickle.loads(pickle.dumps(frame)), copy.copy, copy.deepcopy):
+        frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+        assert_same(duplicate(frame), expected)
+
+
+def test_unknown_attributes_are_errors() -> None:
+    """As of any object, whether images are unread or not."""
+    for frame in (lazy_renderer(SETTINGS["unlit"]).render(scene(), camera()), eager_frame(SETTINGS["unlit"], camera())):
+        with pytest.raises(AttributeError, match=r"'Frame' object has no attribute 'colour'"):
+            frame.colour  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]  # noqa: B018
+
+
+def test_device_memory_of_frames_is_used_again() -> None:
+    """When they are dropped, or all of their images are read."""
+    renderer = lazy_renderer(SETTINGS["lit"])
+    lent = renderer._buffers.downloads.lent
+    frame = renderer.render(scene(*LAMPS), camera())
+    assert lent == {"host": 0, "device": 1}
+    for name in unread(frame):
+        getattr(frame, name)
+    assert lent == {"host": 1, "device": 0}
+    del frame
+    gc.collect()
+    assert lent == {"host": 0, "device": 0}
+    memory = [renderer.render(scene(*LAMPS), camera()).stats for _ in range(3)]
+    assert len({stats.memory_bytes for stats in memory if stats}) == 1
+
+
+def test_lazy_frames_are_resumed() -> None:
+    """Their images go back to the device."""
+    settings = config(ls.Pipeline.HYBRID, samples=2)
+    renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
+    resumed = renderer.render(shown, camera(), resume=renderer.render(shown, camera()))
+    eager = ls.Renderer(settings, Launcher("cpu", parallel=True))
+    assert_same(resumed, eager.render(shown, camera(), resume=eager.render(shown, camera())))
+
+
+def test_threads_may_read_a_frame() -> None:
+    """Several at a time, each all of it."""
+    frame, expected = (
+        lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera()),
+        eager_frame(SETTINGS["lit"], camera()),
+    )
+    problems: list[BaseException] = []
+
+    def read() -> None:
+        try:
+            assert_same(frame, expected)
+        except BaseException as problem:
+            problems.append(problem)
+
+    threads = [threading.Thread(target=read) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not problems
+
+
+# --- Pictures ---
+
+
+def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tuple[np.ndarray | None, np.ndarray]:
+    """The bytes of an unlit frame as a device encodes them, and as the host does."""
+    launcher, buffers = Launcher("cpu", parallel=True), Buffers("cpu")
+    pixels = PixelBuffers.of(buffers, (color.shape[1], color.shape[0]))
+    shape = alpha.shape
+    index = np.zeros(shape, np.int32)
+    images = {"color": color, "alpha": alpha, "depth": alpha, "normal": color, "gaussian": index, "instance": index}
+    pixels.upload(images)
+    encoded = encoded_pixels(launcher, buffers, pixels, transparent=transparent)
+    copies = Downloads().copies({"picture": encoded})
+    picture = picture_of(copies, "picture", pixels.size, transparent=transparent)()
+    view = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=shape[1], height=shape[0])
+    background = None if transparent else (0.0, 0.0, 0.0)
+    frame = ls.Frame(color, alpha, alpha, color, index, index, camera=view, background=background)
+    return picture, np.asarray(frame, dtype=np.uint8)
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_devices_encode_the_bytes_of_the_host(transparent: bool) -> None:
+    """To the bit, also next to where bytes change, beyond 0..1, and where alpha is 0 or tiny."""
+    rng = np.random.default_rng(4)
+    edges = ((np.arange(256) + 0.5) / 255.0).astype(np.float32)
+    for _ in range(3):
+        edges = np.concatenate([edges, np.nextafter(edges, np.float32(2.0)), np.nextafter(edges, np.float32(-1.0))])
+    values = np.concatenate([edges, rng.uniform(-0.5, 1.5, 60_000).astype(np.float32), [1e30, -1e30, 0.0, -0.0, 1e-40]])
+    color = np.resize(rng.permutation(values), (150, 200, 3)).astype(np.float32)
+    alpha = rng.uniform(-0.1, 1.1, (150, 200)).astype(np.float32)
+    alpha[:20] = rng.choice(np.array([0.0, 1e-6, 1.0, 1.0 - 2**-24], np.float32), (20, 200))
+    picture, expected = pictures(color, alpha, transparent=transparent)
+    assert picture is not None and picture.dtype == np.uint8
+    np.testing.assert_array_equal(picture, expected)
+
+
+def test_pixels_that_are_not_finite_are_left_to_the_host() -> None:
+    """One is enough, of colour or alpha: they are black, and counted when they are saved."""
+    for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
+        color = np.full((4, 5, 3), 0.5, np.float32)
+        color[2, 3, channel] = value
+        assert pictures(color, np.ones((4, 5), np.float32), transparent=False)[0] is None
+    assert pictures(np.ones((4, 5, 3), np.float32), np.full((4, 5), np.nan, np.float32), transparent=False)[0] is None
+
+
+@pytest.mark.parametrize("name", ["unlit", "unlit rays", "transparent"])
+def test_a_picture_is_all_that_is_downloaded(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an unlit frame that is saved, shown, or taken for bytes: 4 a pixel."""
+    renderer, view = lazy_renderer(SETTINGS[name]), camera()
+    copied: list[int] = []
+    words = CopiesLater.words
+
+    def counting(copies: CopiesLater, name: str, first: int = 0, count: int | None = None) -> np.ndarray:
+        part = words(copies, name, first, count)
+        copied.append(part.size)
+        return part
+
+    monkeypatch.setattr(CopiesLater, "words", counting)
+    frame = renderer.render(scene(*LAMPS, SKY), view)
+    everything = unread(frame)
+    frame.save(tmp_path / "a.png")
+    np.asarray(frame, dtype=np.uint8)
+    frame._repr_png_()
+    assert unread(frame) == everything
+    assert set(copied) == {view.width * view.height + 1}
+    np.testing.assert_array_equal(np.asarray(frame, np.uint8), np.asarray(eager_frame(SETTINGS[name], view), np.uint8))
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr", "a.npz"])
+@pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
+def test_saved_files_are_the_same(settings: ls.RenderConfig, name: str, tmp_path: Path) -> None:
+    """Byte by byte."""
+    frame = lazy_renderer(settings).render(scene(*LAMPS, SKY), camera())
+    expected = eager_frame(settings, camera())
+    for folder, one in (("lazy", frame), ("eager", expected)):
+        (tmp_path / folder).mkdir()
+        one.save(tmp_path / folder / name)
+    assert (tmp_path / "lazy" / name).read_bytes() == (tmp_path / "eager" / name).read_bytes()
+
+
+def test_a_picture_needs_no_layers(tmp_path: Path) -> None:
+    """Saving one downloads what it shows."""
+    frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
+    everything = unread(frame)
+    frame.save(tmp_path / "a.png")
+    assert everything - unread(frame) == {"color", "alpha", "captured", "captured_weight", "light"}
+    frame.save(tmp_path / "b.png", "depth")
+    assert {"normal", "albedo", "light_direct", "hits"} <= unread(frame)
