@@ -31,7 +31,7 @@ def main(name: str) -> None:
     walls = []
     for seed in range(REPEATS):
         begun = time.perf_counter()
-        mi.render(scene, spp=1, seed=seed).numpy()
+        mi.render(scene, spp=1, seed=mi.UInt32(seed)).numpy()
         walls.append(1e3 * (time.perf_counter() - begun))
     reference = mi.render(scene, spp=16).numpy()[..., :3]
     scene, camera = ls.Scene(splats=[gaussians]), preset.camera()

@@ -45,7 +45,7 @@ def main(names: list[str]) -> None:
         check_sky(mi, scene, one)
         compared = interior(mi, scene, one.camera)
         if one.shadows is ls.Shadows.SOFT:
-            image = np.array(mi.render(scene, seed=1))[..., :3]
+            image = np.array(mi.render(scene, seed=mi.UInt32(1)))[..., :3]
         else:
             image, certain = central(mi, scene, one)
             compared &= certain

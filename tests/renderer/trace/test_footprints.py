@@ -13,7 +13,7 @@ from support.scenes.trace_scenes import MIRROR
 
 SMALL = 1e-3
 """Scale of a Gaussian that is a tenth of a pixel wide."""
-MEAN = np.array([0.31, -0.18, 2.0])
+MEAN = (0.31, -0.18, 2.0)
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 
@@ -26,8 +26,8 @@ def traced(scene: ls.Scene, camera: ls.Camera, **changes: object) -> ls.Frame:
 def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.ndarray:
     """Alpha of a ball around MEAN in each pixel, whose solid angle is ``area`` times that on the axis."""
     directions = camera.ray_directions()
-    along = directions @ MEAN
-    off2 = MEAN @ MEAN - along**2
+    along = directions @ np.array(MEAN)
+    off2 = np.dot(MEAN, MEAN) - along**2
     variance = SMALL**2 + dilation * area / (camera.fx * camera.fy) * along**2
     alpha = 0.8 * np.exp(-0.5 * off2 / variance)
     return np.where((alpha >= 1.0 / 255.0) & (along > 0.0), alpha, 0.0)
@@ -38,10 +38,10 @@ def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.n
 def test_a_pixel_widens_a_pinholes_gaussians(dilation: float, placed: bool) -> None:
     """By its solid angle at the mean's distance, whatever the placement scales."""
     camera = front_camera(96, 64, 100.0)
-    instance = ls.SplatInstance(one_gaussian(MEAN, (SMALL,) * 3, 0.8))
+    instance = ls.SplatInstance(one_gaussian(MEAN, SMALL, 0.8))
     if placed:
         turn = similarity((1.0, 2.0, 0.5), 0.7, 40.0, MEAN)
-        instance = ls.SplatInstance(one_gaussian((0.0, 0.0, 0.0), (SMALL / 40.0,) * 3, 0.8), turn)
+        instance = ls.SplatInstance(one_gaussian((0.0, 0.0, 0.0), SMALL / 40.0, 0.8), turn)
     frame = traced(ls.Scene([instance]), camera, dilation=dilation)
     expected = expected_alpha(camera, camera.ray_directions()[..., 2] ** 3, dilation)
     assert (expected > 0.0).sum() > 5
@@ -52,7 +52,7 @@ def test_a_pixel_widens_a_fisheyes_gaussians() -> None:
     """By its solid angle, which shrinks off the axis."""
     camera = front_camera(96, 64, 30.0, model=FISHEYE)
     angle = np.arccos(camera.ray_directions()[..., 2])
-    frame = traced(ls.Scene([one_gaussian(MEAN, (SMALL,) * 3, 0.8)]), camera)
+    frame = traced(ls.Scene([one_gaussian(MEAN, SMALL, 0.8)]), camera)
     np.testing.assert_allclose(frame.alpha, expected_alpha(camera, np.sinc(angle / np.pi), 0.3), atol=2e-4)
 
 
@@ -117,12 +117,12 @@ def test_shadows_have_no_footprint() -> None:
     scene, camera = ls.Scene([above], [quad(6.0, 3.0)], lights), front_camera(48, 32, 40.0, camera_from_world=below)
     wide, thin = (
         ls.render(
-            scene, camera, ls.RenderConfig(pipeline="trace", trace=ls.TraceConfig(dilation=d)), device="cpu"
+            scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(dilation=d)), device="cpu"
         ).color
         for d in (8.0, 0.0)
     )
     np.testing.assert_array_equal(wide, thin)
-    lit = ls.render(replace(scene, splats=()), camera, ls.RenderConfig(pipeline="trace"), device="cpu").color
+    lit = ls.render(replace(scene, splats=()), camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu").color
     assert np.abs(lit - thin).max() > 0.01
 
 

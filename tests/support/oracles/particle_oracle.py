@@ -223,7 +223,7 @@ def hits(world: World, ray: Ray, begin: np.ndarray | float = np.inf) -> Hits:
     if config.hit_distance is HitDistance.HULL:
         t, t_error = peak - half / speed, peak_error + (most - least) / speed
         surface, surface_error = t, t_error
-    if config.hit_distance is HitDistance.MEAN:
+    if config.hit_distance in (None, HitDistance.MEAN):  # nothing is relit here
         t, t_error = -from_mean[rows] @ ray.direction, off
     found = Hits(
         t=t,
