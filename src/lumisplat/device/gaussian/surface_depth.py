@@ -40,17 +40,17 @@ def surface_peak(
 
 
 @wp.func
-def peak_depth(
+def surface_distance(
     camera: wp.array[CameraData],
     instances: wp.array[SplatInstanceData],
     assets: wp.array[GaussianData],
     number: int,
     i: int,
     ray: wp.vec3,
-    mean_z: float,
+    distance: float,
     mesh_z: float,
 ) -> float:
-    """View depth at which a Gaussian responds most on a pixel's ray, before the mesh behind it.
+    """Distance along a pixel's ray at which a Gaussian responds most, before the mesh behind it.
 
     Args:
         camera: The camera.
@@ -59,7 +59,7 @@ def peak_depth(
         number: The Gaussian's instance.
         i: The Gaussian, in its asset.
         ray: Of the pixel, camera space, z = 1.
-        mean_z: View depth of its mean.
+        distance: Along the ray, at the view depth of its mean.
         mesh_z: View depth of the mesh in the pixel; inf: none.
     """
     # Fields are read one by one: copying these structs for each pixel would cost more than the depth.
@@ -67,6 +67,7 @@ def peak_depth(
     scale = assets[asset].scales[i]
     along = instances[number].object_from_world * (camera[0].world_from_camera * ray)
     away = assets[asset].means[i] - instances[number].eye
-    largest_scale = instances[number].scale * wp.max(scale) / wp.length(ray)
-    depth = surface_peak(assets[asset].rotations[i], scale, away, along, mean_z, largest_scale)
-    return wp.clamp(depth, camera[0].near, mesh_z)
+    length = wp.length(ray)
+    largest_scale = instances[number].scale * wp.max(scale) / length
+    depth_z = surface_peak(assets[asset].rotations[i], scale, away, along, distance / length, largest_scale)
+    return wp.clamp(depth_z, camera[0].near, mesh_z) * length

@@ -11,7 +11,7 @@ from lumisplat.device.gaussian.aligned import store_splat
 from lumisplat.device.gaussian.compositing import instance_of, pixel_ray
 from lumisplat.device.gaussian.projection import project_gaussian
 from lumisplat.device.gaussian.splat_coverage import is_finite, tile_range
-from lumisplat.device.gaussian.surface_depth import peak_depth
+from lumisplat.device.gaussian.surface_depth import surface_distance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
@@ -71,9 +71,9 @@ def set_pixel_depth(
     if gaussian >= 0:
         ray = pixel_ray(camera[0], i % camera[0].width, i // camera[0].width)
         number = pixels_inout.instance[i]
-        mean_z = pixels_inout.depth[i] / wp.length(ray)
-        depth_z = peak_depth(camera, instances, assets, number, gaussian, ray, mean_z, meshes.depth_z[i])
-        pixels_inout.depth[i] = depth_z * wp.length(ray)
+        distance = pixels_inout.depth[i]
+        mesh_z = meshes.depth_z[i]
+        pixels_inout.depth[i] = surface_distance(camera, instances, assets, number, gaussian, ray, distance, mesh_z)
 
 
 @wp.kernel
@@ -94,6 +94,6 @@ def set_hit_depth(
         ray = pixel_ray(camera[0], x, y)
         number = instance_of(instances, hits_inout.gaussian[hit])
         gaussian = hits_inout.gaussian[hit] - instances[number].first
-        mean_z = hits_inout.depth[hit] / wp.length(ray)
-        depth_z = peak_depth(camera, instances, assets, number, gaussian, ray, mean_z, meshes.depth_z[i])
-        hits_inout.depth[hit] = depth_z * wp.length(ray)
+        distance = hits_inout.depth[hit]
+        mesh_z = meshes.depth_z[i]
+        hits_inout.depth[hit] = surface_distance(camera, instances, assets, number, gaussian, ray, distance, mesh_z)
