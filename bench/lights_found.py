@@ -49,8 +49,8 @@ def middle(gaussians: ls.Gaussians) -> np.ndarray:
     return 0.5 * (low + high) + (0.35 * (high - low)[0], 0.0, 0.0)
 
 
-def look(capture: LitCapture) -> dict:
-    """What is found in a capture, beside what there is."""
+def found_lights(capture: LitCapture) -> dict:
+    """The lamps and the sun found in a capture, and how many of its own they are."""
     try:
         estimate = ls.estimate_lights(capture.scene, capture.center, ASKED)
         places, shares = np.array([light.position for light in estimate.lights]), estimate.evidence.tolist()
@@ -106,7 +106,7 @@ def main() -> None:
     drawn = (lit_capture(kind, seed, chosen.device) for kind in KINDS for seed in seeds)
     rows: list[dict] = []
     for capture in chain(drawn, [demo_capture()], captures_of_things()):
-        rows.append(look(capture))
+        rows.append(found_lights(capture))
         print(json.dumps(rows[-1]), flush=True)
     print("\n".join(table(rows)))
 

@@ -65,7 +65,7 @@ class _World:
         return ls.transmittance(self.scene, origins, ways, distances, device=self.device)
 
     def shows(self, place: np.ndarray, seen_from: np.ndarray) -> bool:
-        """Whether two photographs at least look at a place freely."""
+        """Whether nothing hides a place from at least two of the photographs."""
         away = seen_from - place
         far = np.linalg.norm(away, axis=1)
         return self.passes(np.tile(place, (len(away), 1)), away / far[:, None], far).sum() >= 2.0

@@ -43,12 +43,12 @@ class Shot:
     truth: np.ndarray
     """Shadow strength of the mesh, 0 or 1, shape (H, W)."""
     region: np.ndarray
-    """Where to look, shape (H, W)."""
+    """Pixels that are compared, shape (H, W)."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """The figure's Gaussians and those of floor and wall, and how they are looked at."""
+    """The figure's Gaussians and those of floor and wall, and the view of them."""
 
     casters: int = 100_000
     receivers: int = 400_000

@@ -21,7 +21,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Setting:
-    """What all steps are told."""
+    """Settings that all steps share."""
 
     device: str
     sizes: list[int]

@@ -328,7 +328,7 @@ SURFACE_DISC = 1.2
 """Radius of the circle on which a Gaussian's area is put, standard deviations: about its root mean square."""
 
 SURFACE_PER_CELL = 3
-"""Gaussians of a cell that are looked at, at most: fine objects must not outvote the room."""
+"""Gaussians of a cell that are used, at most: fine objects must not outvote the room."""
 
 SURFACE_CLIP = 0.98
 """Quantile of the luminance of surfaces that none exceeds: lamps are not what they light."""
@@ -343,7 +343,7 @@ SURFACE_BLOCK = 4
 """Side of a block, cells: what texture makes brighter is brighter over a block, and counts once."""
 
 SURFACES_MAX = 3000
-"""Gaussians on surfaces that are looked at, a random choice if there are more."""
+"""Gaussians on surfaces that are used, a random choice if there are more."""
 
 TRACE_DIRECTIONS = 128
 """Directions from which smooth surroundings light surfaces."""
@@ -380,10 +380,10 @@ LAMP_ELSEWHERE = 0.6
 """Least share of what a lamp beside the candidate explains: the light of a lamp is brightest around itself."""
 
 LAMP_CANDIDATES = 64
-"""Bright things that are looked at."""
+"""Bright places that are tested as lamps, the best by `estimate_lights`' score."""
 
 SUN_DIRECTIONS = 320
-"""Directions in which a sun is looked for first: 13 degrees apart."""
+"""Directions in which a sun is searched first: 11 degrees apart."""
 
 SUN_REFINED = 24
 """Directions around the best in each of two finer steps."""
@@ -402,7 +402,7 @@ SUN_SIGNIFICANCE_BEYOND = 4.0
 """Least ratio of a sun's factor to its standard error beside a sky of degree 2."""
 
 SUN_LIFT = 6.0
-"""Distance from the ground, cells, of the place from which it is looked for: objects stand beside and below it."""
+"""Distance from the ground, cells, of the place from which the sky is tested: objects stand beside and below it."""
 
 SUN_LIT = 0.05
 """Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
@@ -417,7 +417,7 @@ SUN_ANNOUNCED_S = 1.0
 """Seconds after which a search for the sun shows its progress."""
 
 SUN_WAYS = 256
-"""Ways from an actor to a sun that are looked along, at most."""
+"""Rays from an actor to a sun that are followed, at most."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 

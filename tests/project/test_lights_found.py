@@ -23,7 +23,7 @@ def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, fl
     monkeypatch.setattr(ls, "estimate_lights", lambda *_: estimate)
     monkeypatch.setattr(ls, "estimate_sun", lambda *_: sun)
     towards = np.array([np.cos(np.pi / 6.0), np.sin(np.pi / 6.0), 0.0])
-    return lights_found.look(LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(lamps), towards, unit))
+    return lights_found.found_lights(LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(lamps), towards, unit))
 
 
 def test_lights_count_where_a_lamp_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,6 +51,6 @@ def test_nothing_found_is_counted_as_such(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(ls, "estimate_lights", nothing)
     monkeypatch.setattr(ls, "estimate_sun", lambda *_: None)
     capture = LitCapture("night 1", ls.Scene(), np.zeros(3), np.zeros((1, 3)), None, 1.0)
-    row = lights_found.look(capture)
+    row = lights_found.found_lights(capture)
     assert (row["lamps"], row["lamps_found"], row["lights"], row["sun_found"]) == (1, 0, 0, False)
     assert row["degrees_off"] is None and row["says"] == "no lamp found "

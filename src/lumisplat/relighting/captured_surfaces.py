@@ -1,6 +1,6 @@
 """A capture as cells: which are solid, how their surfaces are turned, and how bright they were captured.
 
-What `estimate_lights` and `estimate_sun` look for the traces of light on (docs/method/relighting.md#traces-of-light).
+The surfaces on which `estimate_lights` and `estimate_sun` measure light (docs/method/relighting.md#traces-of-light).
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ def _is_there(shading: Shading, place: Doubles, trace: Trace, emitter: float) ->
 
 
 def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> npt.NDArray[np.bool_]:
-    """Which places are on the character's level or below, shape (R,); none where the ground is not to be told."""
+    """Which places are on the character's level or below, shape (R,); none where the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     if length < TRACE_GROUND_MIN:

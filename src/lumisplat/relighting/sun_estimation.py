@@ -39,7 +39,7 @@ class SunEstimate:
     """A sun that was found, and on what evidence."""
 
     light: LightDirectional
-    """Named ``estimated-sun``, white, of 1 lux: how bright it was is not to be told."""
+    """Named ``estimated-sun``, white, of 1 lux: its intensity is not estimated."""
     confidence: float
     """0..1: 1 if no direction 45 degrees away or more explains anything, 0 if one explains as much."""
     share: float
@@ -56,15 +56,15 @@ def estimate_sun(
     The capture becomes cells, and for each of some hundred directions the cosines of its surfaces are computed, 0 where
     cells are in the way. A regression says what such a sun explains of their luminance that a smooth sky does not. The
     best direction is refined, and returned if it explains enough, significantly, and is alone. Directions from below
-    the ground are left out where the ground is to be told.
+    the ground are left out where the ground is known.
 
     Args:
         scene: The capture, by its captured colours; meshes are ignored.
-        center: Where it is looked at from, world space, shape (3,); None: the median of its means.
+        center: Where the capture is seen from, world space, shape (3,); None: the median of its means.
         progress: Called with a label and a fraction 0..1 if the search takes more than a second.
 
     Returns:
-        The sun, or None if there is none, or it is not to be told: an overcast day, a room, a single object.
+        The sun, or None if none is found: an overcast day, a room, a single object.
 
     Raises:
         SceneError: There are no Gaussians.
@@ -124,7 +124,7 @@ def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
 
 
 def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> npt.NDArray[np.bool_]:
-    """Which directions do not come from below the ground, shape (D,); all if there is none to be told."""
+    """Which directions do not come from below the ground, shape (D,); all if the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)

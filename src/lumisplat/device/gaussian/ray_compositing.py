@@ -79,7 +79,7 @@ def blend_hit(
 
 @wp.func
 def begin_relit(hits: GaussianHits, ray: int):
-    """Nothing of relit sets on a ray, if these are told apart."""
+    """Nothing of relit sets on a ray, if what they show is added up apart."""
     if hits.relit_weight:
         hits.relit_color[ray] = wp.vec3(0.0)
         hits.relit_weight[ray] = 0.0

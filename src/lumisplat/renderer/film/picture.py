@@ -16,7 +16,7 @@ from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
 
 ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
-"""Fetches a picture; None: some pixels are not finite, and have to be looked at one by one."""
+"""Fetches a picture; None: some pixels are not finite, and the host has to check them one by one."""
 
 
 def encoded_pixels(

@@ -62,7 +62,7 @@ class RasterHits:
                 counts = "hits" in self._config.aovs
                 self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
                 if scene.mixes_sets:
-                    self._splats.tell_relit(scene, tiles, pixels, gaussians)
+                    self._splats.find_relit(scene, tiles, pixels, gaussians)
             else:
                 self._splats.sample_hits(scene, tiles, pixels, gaussians)
         return PrimaryHits(rays, meshes, gaussians)

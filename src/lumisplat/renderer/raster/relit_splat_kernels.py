@@ -22,7 +22,7 @@ def show_relit(
     splats: wp.array[Splat],
     splats_out: wp.array[Splat],
 ):
-    """Item = splat: black unless its set is relit, which the first component of its normal tells."""
+    """Item = splat: black unless its set is relit; the first component of its normal becomes 1 if it is, else 0."""
     i = start + wp.tid()
     splat = splats[i]
     splat.normal = wp.vec3(1.0, 0.0, 0.0)

@@ -126,7 +126,7 @@ class SplatRaster:
             hits.hits = counted.hits
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
 
-    def tell_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
+    def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
         """Adds to sorted hits what Gaussians of relit sets show, by compositing once more with all others black."""
         count, get = len(hits.hits), self._buffers.get
         splats = get("raster.relit_splats", Splat, scene.gaussian_count)

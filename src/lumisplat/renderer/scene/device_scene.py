@@ -63,7 +63,7 @@ class DeviceScene:
         self.triangle_count = 0
         """Triangles over all instances."""
         self.mixes_sets = False
-        """What Gaussians of relit sets show is told apart from what others do: `FramePlan.mixes_sets`."""
+        """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
         self.version = 0
         """Changes with the arrays of assets."""
         self._plan: FramePlan | None = None
