@@ -36,6 +36,15 @@ def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene
 
 
 @wp.func
+def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
+    """Whether the iso-opacity surface is there, and of a kept set that lights change: shadow-only, or reflecting."""
+    if not surface.depth < wp.inf:
+        return False
+    instance = surface.instance
+    return scene[0].materials[instance].keeps_capture != 0 and scene[0].materials[instance].emits_capture_only == 0
+
+
+@wp.func
 def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> SplatSurface:
     """The surface of the Gaussians before the nearest mesh on ray ``i``, and their captured colours.
 
@@ -52,16 +61,13 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
     surface.gaussian = -1
     surface.transmittance = wave[0].gaussians.transmittance[i]
     surface.depth = wave[0].gaussians.depth[i]
-    color = wave[0].gaussians.color[i]
     index = wave[0].gaussians.gaussian[i]
     alpha = 1.0 - surface.transmittance
     relit_color = wp.vec3(0.0)
     relit = float(0.0)
     if index >= 0:
         surface.instance = instance_of(scene[0].splats, index)
-        kept_surface = bool(surface.depth < wp.inf)
-        kept_surface = kept_surface and scene[0].materials[surface.instance].keeps_capture != 0
-        kept_surface = kept_surface and scene[0].materials[surface.instance].emits_capture_only == 0
+        kept_surface = reflects_as_captured(surface, scene)
         relit_index = index
         if wave[0].gaussians.relit_weight:
             relit = wave[0].gaussians.relit_weight[i]
@@ -72,7 +78,7 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
                 relit = float(0.0)
         elif scene[0].materials[surface.instance].keeps_capture == 0:
             relit = alpha
-            relit_color = color
+            relit_color = wave[0].gaussians.color[i]
         if relit > 0.0:
             surface.instance = instance_of(scene[0].splats, relit_index)
             surface.gaussian = relit_index - scene[0].splats[surface.instance].first
@@ -83,13 +89,34 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
         elif kept_surface:
             surface.gaussian = index - scene[0].splats[surface.instance].first
             surface.share = alpha
-            surface.albedo = decode_srgb_color(color / alpha)
+            surface.albedo = decode_srgb_color(wave[0].gaussians.color[i] / alpha)
     surface.kept = alpha - relit
+    return with_captured(surface, wave[0].gaussians.color[i], relit_color, relit, over_light, scene)
+
+
+@wp.func
+def with_captured(
+    surface: SplatSurface,
+    color: wp.vec3,
+    relit_color: wp.vec3,
+    relit: float,
+    over_light: bool,
+    scene: wp.array[ShadingScene],
+) -> SplatSurface:
+    """The surface with the captured colours that the ray shows, and their weight.
+
+    Args:
+        surface: With the share of what keeps its captured colours.
+        color: Of all Gaussians on the ray.
+        relit_color: Of those of relit sets.
+        relit: Their share.
+        over_light: As for ``splat_surface``.
+        scene: The scene.
+    """
     if relit > 0.0:
-        color = wp.vec3(0.0)
-        if surface.kept > KEPT_MIN:
-            color = wave[0].gaussians.color[i] - relit_color
-        else:
+        color = color - relit_color
+        if surface.kept <= KEPT_MIN:
+            color = wp.vec3(0.0)
             surface.kept = 0.0
     if over_light:
         surface.captured = color
