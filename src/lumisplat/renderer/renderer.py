@@ -110,6 +110,13 @@ class Renderer:
                 images = self._film.unlit_images(pixels, transparent=self.config.background is None)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
+        images, counts, end = self._sampled(plan, resume, progress)
+        return self._frame(scene, camera, images, counts, samples=end)
+
+    def _sampled(
+        self, plan: FramePlan, resume: Frame | None, progress: Progress | None
+    ) -> tuple[dict[str, Any], BinningCounts, int]:
+        """The images of the synced scene by samples, what was counted, and the samples of a pixel, resumed ones too."""
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
         end = first + plan.samples
@@ -128,7 +135,7 @@ class Renderer:
                 images["light_names"] = self._scene.lights.names
             counts = self._binning.counts if plan.rasterises else BinningCounts()
             counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count)
-            return self._frame(scene, camera, images, counts, samples=end)
+            return images, counts, end
 
     def trace_rays(self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike) -> RayHits:
         """As the function ``trace_rays``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
