@@ -124,39 +124,58 @@ def beside_gsplat(setting: Setting) -> Iterator[Finding]:
         yield Finding("skipped", f"gsplat is not installed here: {error}")
         return
     for count in setting.sizes:
-        gaussians, camera = synthetic(count), view(setting, count)
-        given = {name: torch.tensor(values, device=setting.device) for name, values in columns(gaussians).items()}
-        matrix: Any = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
-        lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
-        draw = partial(
-            rasterization,
-            **given,
-            viewmats=matrix,
-            Ks=torch.tensor([lens], dtype=torch.float32, device=setting.device),
-            width=camera.width,
-            height=camera.height,
-            sh_degree=3,
-            packed=False,
-        )
-        ours = TimedRenderer(replace(ls.RenderConfig(), background=(0.0, 0.0, 0.0)), setting.device)
-        theirs: list[float] = []
-        walls: list[float] = []
-        scene = ls.Scene(splats=[gaussians])
-        image, timed = draw()[0], ours.render(scene, camera)
-        for _ in range(WARM + REPEATS):
-            torch.cuda.synchronize()
-            begun = time.perf_counter()
-            image = draw()[0]
-            torch.cuda.synchronize()
-            theirs.append(1e3 * (time.perf_counter() - begun))
-            timed = ours.render(scene, camera)
-            walls.append(timed.wall_ms)
-        error = np.mean((np.clip(image[0].cpu().numpy(), 0, 1) - np.clip(timed.frame.color, 0, 1)) ** 2)
-        drawing = sum(ms for stage, ms in timed.stage_ms.items() if stage not in ("sync", "download"))
-        yield Finding(f"{count:,}: gsplat on the device, ms", round(statistics.median(theirs[WARM:]), 2))
-        yield Finding(f"{count:,}: ours with download, ms", round(statistics.median(walls[WARM:]), 2))
-        yield Finding(f"{count:,}: our stages but sync and download, ms", round(drawing, 2))
-        yield Finding(f"{count:,}: PSNR, dB", round(float(-10.0 * np.log10(error)), 1))
+        yield from turns_with_gsplat(setting, count, torch, rasterization)
+
+
+def turns_with_gsplat(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
+    """One set, drawn by both in turns.
+
+    Args:
+        setting: Where, and how large.
+        count: Gaussians.
+        torch: The module.
+        rasterization: gsplat's function.
+    """
+    gaussians, camera = synthetic(count), view(setting, count)
+    draw = gsplat_draw(setting, gaussians, camera, torch, rasterization)
+    ours = TimedRenderer(replace(ls.RenderConfig(), background=(0.0, 0.0, 0.0)), setting.device)
+    theirs: list[float] = []
+    walls: list[float] = []
+    scene = ls.Scene(splats=[gaussians])
+    image, timed = draw()[0], ours.render(scene, camera)
+    for _ in range(WARM + REPEATS):
+        torch.cuda.synchronize()
+        begun = time.perf_counter()
+        image = draw()[0]
+        torch.cuda.synchronize()
+        theirs.append(1e3 * (time.perf_counter() - begun))
+        timed = ours.render(scene, camera)
+        walls.append(timed.wall_ms)
+    error = np.mean((np.clip(image[0].cpu().numpy(), 0, 1) - np.clip(timed.frame.color, 0, 1)) ** 2)
+    drawing = sum(ms for stage, ms in timed.stage_ms.items() if stage not in ("sync", "download"))
+    yield Finding(f"{count:,}: gsplat on the device, ms", round(statistics.median(theirs[WARM:]), 2))
+    yield Finding(f"{count:,}: ours with download, ms", round(statistics.median(walls[WARM:]), 2))
+    yield Finding(f"{count:,}: our stages but sync and download, ms", round(drawing, 2))
+    yield Finding(f"{count:,}: PSNR, dB", round(float(-10.0 * np.log10(error)), 1))
+
+
+def gsplat_draw(
+    setting: Setting, gaussians: ls.Gaussians, camera: ls.Camera, torch: Any, rasterization: Any
+) -> Callable[[], Any]:
+    """A call of gsplat's rasteriser, on tensors that are on the device already."""
+    given = {name: torch.tensor(values, device=setting.device) for name, values in columns(gaussians).items()}
+    matrix = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
+    lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+    return partial(
+        rasterization,
+        **given,
+        viewmats=matrix,
+        Ks=torch.tensor([lens], dtype=torch.float32, device=setting.device),
+        width=camera.width,
+        height=camera.height,
+        sh_degree=3,
+        packed=False,
+    )
 
 
 def columns(gaussians: ls.Gaussians) -> dict[str, np.ndarray]:
