@@ -12,6 +12,9 @@ from lumisplat.errors import SceneError
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int32]
+Doubles = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _Float = TypeVar("_Float", bound=np.floating[Any])

@@ -26,12 +26,10 @@ from lumisplat.constants import (
     SURFACE_THIN,
     SURFACES_MAX,
 )
+from lumisplat.math.arrays import Doubles, Flags, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.scene import SplatInstance
-
-Doubles = npt.NDArray[np.float64]
-Rows = npt.NDArray[np.int64]
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]
 """Where a Gaussian's area is put: at its centre, and on a circle."""
@@ -41,16 +39,14 @@ _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8)
 class SolidCells:
     """Which cells of a cube light does not pass."""
 
-    solid: npt.NDArray[np.bool_]
+    solid: Flags
     """Shape (n, n, n)."""
     corner: Doubles
     """Lower corner of cell (0, 0, 0), world space, shape (3,)."""
     cell: float
     """Side of a cell, scene units."""
 
-    def is_free(
-        self, origins: Doubles, directions: Doubles, distances: npt.ArrayLike = np.inf
-    ) -> npt.NDArray[np.bool_]:
+    def is_free(self, origins: Doubles, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Flags:
         """Whether no solid cell is on each way, shape (N,).
 
         Args:
@@ -150,7 +146,7 @@ class _Grid:
     def shape(self) -> tuple[int, int, int]:
         return SURFACE_CELLS, SURFACE_CELLS, SURFACE_CELLS
 
-    def keys(self, points: Doubles) -> tuple[Rows, npt.NDArray[np.bool_]]:
+    def keys(self, points: Doubles) -> tuple[Rows, Flags]:
         """The cell of each point, as a number, and whether it is in the grid: 0 where it is not."""
         cells = np.floor((points - self.corner) / self.cell).astype(np.int64)
         inside = np.asarray(((cells >= 0) & (cells < SURFACE_CELLS)).all(axis=1))
@@ -173,7 +169,7 @@ class _Discs(NamedTuple):
     """Covered, times opacity, shape (N,)."""
     luminance: Doubles
     """Linear, shape (N,)."""
-    is_flat: npt.NDArray[np.bool_]
+    is_flat: Flags
     """Whether it is thin enough to have a normal, shape (N,)."""
 
     @classmethod
@@ -204,7 +200,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
     )
 
 
-def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[npt.NDArray[np.bool_], Doubles, npt.NDArray[np.bool_]]:
+def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
     """Which cells are solid, the normals of what is in them, shape (n^3, 3), and whether that is flat."""
     count = SURFACE_CELLS**3
     area, first, second = np.zeros(count), np.zeros((3, count)), np.zeros((3, 3, count))

@@ -8,11 +8,10 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
@@ -22,7 +21,6 @@ from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")
 
-_Doubles = npt.NDArray[np.float64]
 
 _FACES = (
     ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)),
@@ -38,11 +36,11 @@ _FACES = (
 class CubeSamples(NamedTuple):
     """Radiance that arrives at a place, one row for each direction."""
 
-    directions: _Doubles
+    directions: Doubles
     """Unit, world space, shape (N, 3)."""
     radiance: FloatArray
     """Linear Rec.709, shape (N, 3)."""
-    weights: _Doubles
+    weights: Doubles
     """Solid angles, steradians, shape (N,)."""
 
 
@@ -50,13 +48,13 @@ class _Cube(NamedTuple):
     """The faces of a cube around the origin."""
 
     cameras: tuple[Camera, ...]
-    directions: _Doubles
+    directions: Doubles
     """Through the pixels' centres, shape (6 P P, 3)."""
-    weights: _Doubles
+    weights: Doubles
     """Solid angles of the pixels, shape (6 P P,)."""
 
 
-def render_cube(scene: Scene, position: _Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
+def render_cube(scene: Scene, position: Doubles, renderer: Renderer, face_px: int, near: float) -> CubeSamples:
     """Renders a scene from a place to the six faces of a cube.
 
     Unlit frames are decoded by `captured_radiance`, lit ones are linear. Uncovered pixels have the renderer's
@@ -97,7 +95,7 @@ def render_cube(scene: Scene, position: _Doubles, renderer: Renderer, face_px: i
     return CubeSamples(cube.directions, radiance, cube.weights)
 
 
-def cube_solid_angles(face_px: int) -> _Doubles:
+def cube_solid_angles(face_px: int) -> Doubles:
     """Solid angle of each pixel of a face, steradians, shape (P, P): over six faces they sum to 4 pi, exactly.
 
     A rectangle from the face's centre to (x, y), at distance 1, covers ``atan(x y / sqrt(x^2 + y^2 + 1))``.
@@ -121,7 +119,7 @@ def _cube(face_px: int) -> _Cube:
     return _Cube(cameras, directions, weights)
 
 
-def _moved(camera: Camera, position: _Doubles, near: float) -> Camera:
+def _moved(camera: Camera, position: Doubles, near: float) -> Camera:
     """The camera with its eye at a place instead of the origin."""
     pose = np.array(camera.camera_from_world)
     pose[:3, 3] = -pose[:3, :3] @ position

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import (
     LAMP_DOUBT,
@@ -16,7 +15,8 @@ from lumisplat.constants import (
     TRACE_NEAREST,
     TRACE_SURFACES_MIN,
 )
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles
+from lumisplat.math.arrays import Doubles, Flags, Rows
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces
 from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
 
 
@@ -24,7 +24,7 @@ from lumisplat.relighting.light_traces import Shading, Trace, even_directions, g
 class Lamps:
     """Bright things that light their surroundings, in the order in which they were found."""
 
-    rows: npt.NDArray[np.int64]
+    rows: Rows
     """Which of the candidates, shape (k,)."""
     shares: Doubles
     """Share of what nothing else explains that each explains, shape (k,)."""
@@ -32,7 +32,7 @@ class Lamps:
 
 def lamps_among(
     places: Doubles,
-    is_compact: npt.NDArray[np.bool_],
+    is_compact: Flags,
     surfaces: CapturedSurfaces,
     *,
     center: Doubles,
@@ -90,7 +90,7 @@ def _is_there(shading: Shading, place: Doubles, trace: Trace, emitter: float) ->
     return trace.share >= LAMP_ELSEWHERE * max(beside)
 
 
-def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> npt.NDArray[np.bool_]:
+def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
     """Which places are on the character's level or below, shape (R,); none where the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
@@ -99,7 +99,7 @@ def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitte
     return (places - center) @ (down / length) > -emitter
 
 
-def _lamp_light(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, npt.NDArray[np.bool_]]:
+def _lamp_light(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, Flags]:
     """Irradiance of surfaces by a lamp of 1 at an emitter's distance, and which of them count, shape (M,) each.
 
     What is near may be the lamp itself, and is bright where a bright patch is taken for a lamp.
@@ -111,5 +111,5 @@ def _lamp_light(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> t
     return cosines * (emitter / np.maximum(distances, emitter)) ** 2, distances > TRACE_NEAREST * emitter
 
 
-def _trace(shading: Shading, irradiance: Doubles, counted: npt.NDArray[np.bool_]) -> Trace:
+def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
     return shading.traces(irradiance[:, None], counted)[0]

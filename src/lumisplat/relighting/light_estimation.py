@@ -24,16 +24,14 @@ from lumisplat.constants import (
     SURFACE_REACH,
 )
 from lumisplat.errors import ConfigError, SceneError
-from lumisplat.math.arrays import FloatArray, three_numbers
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, three_numbers
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
 from lumisplat.relighting.lamp_evidence import lamps_among
-from lumisplat.relighting.light_evidence import Doubles, Evidence, gathered_evidence
+from lumisplat.relighting.light_evidence import Evidence, gathered_evidence
 from lumisplat.relighting.local_contrast import surroundings
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightPoint
 from lumisplat.scene.scene import Scene, SplatInstance
-
-_Rows = npt.NDArray[np.int64]
 
 _log = logging.getLogger("lumisplat")
 
@@ -48,9 +46,9 @@ class LightEstimate:
     """Base score of each times its contrast to its surroundings, shape (k,)."""
     peakness: FloatArray
     """Base score over that of the surroundings, in the direction where these are brightest, shape (k,)."""
-    instances: npt.NDArray[np.int64]
+    instances: Rows
     """Splat instance of the scene that each was found in, shape (k,)."""
-    indices: npt.NDArray[np.int64]
+    indices: Rows
     """Gaussian of that instance, shape (k,)."""
     evidence: FloatArray
     """Share that each light explains of what nothing else explains about the luminance of surfaces around, shape (k,);
@@ -90,13 +88,13 @@ class _Sizes:
 class _Candidates:
     """Gaussians that can be lights."""
 
-    rows: _Rows
+    rows: Rows
     """Rows of the evidence, shape (R,)."""
     surroundings: Doubles
     """Score around each, shape (R,)."""
     weights: Doubles
     """Score times contrast, shape (R,)."""
-    is_compact: npt.NDArray[np.bool_]
+    is_compact: Flags
     """Whether the contrast suffices, shape (R,)."""
 
 
@@ -174,7 +172,7 @@ def _lamps(
     center: Doubles,
     count: int,
     settings: LightEstimationConfig,
-) -> tuple[_Rows, Doubles]:
+) -> tuple[Rows, Doubles]:
     """Which candidates light their surroundings, the brightest first, and how much of the light there they explain."""
     # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
     everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
@@ -249,7 +247,7 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
     return _Candidates(rows, around, weights, compact)
 
 
-def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> _Rows:
+def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> Rows:
     """Greedy non-maximum suppression: the best candidate, then the best that is not near it, and so on."""
     means = evidence.means[candidates.rows]
     left = np.where(candidates.is_compact, candidates.weights, 0.0)
@@ -263,7 +261,7 @@ def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: fl
     return np.array(chosen, dtype=np.int64)
 
 
-def _lights(evidence: Evidence, rows: _Rows, irradiance: float) -> tuple[LightPoint, ...]:
+def _lights(evidence: Evidence, rows: Rows, irradiance: float) -> tuple[LightPoint, ...]:
     brightest = np.maximum(evidence.colors[rows].max(axis=1, keepdims=True), 1e-12)
     shares = evidence.scores[rows] / evidence.distances[rows] ** 2
     candela = evidence.scores[rows] * (irradiance / shares.sum())

@@ -10,17 +10,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import LIGHT_SEARCH_CLIP, LUMINANCE, SH_C0
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.sh_colors import colors_along
 from lumisplat.scene.scene import SplatInstance
-
-Doubles = npt.NDArray[np.float64]
 
 _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)]) / np.sqrt(3.0)
 
@@ -29,9 +26,9 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 class Evidence:
     """The Gaussians of the search region, of all instances together."""
 
-    instances: npt.NDArray[np.int64]
+    instances: Rows
     """Splat instance of each, shape (N,)."""
-    indices: npt.NDArray[np.int64]
+    indices: Rows
     """Gaussian of that instance, shape (N,)."""
     means: Doubles
     """World space, shape (N, 3)."""
@@ -72,7 +69,7 @@ def gathered_evidence(
         SceneError: No Gaussian is within the radius.
     """
     viewpoints = center + viewpoint_distance * np.concatenate([np.zeros((1, 3)), _TETRAHEDRON])
-    parts: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Doubles, Doubles, FloatArray]] = []
+    parts: list[tuple[Rows, Rows, Doubles, Doubles, FloatArray]] = []
     luminances: list[_Luminance] = []
     trusts: list[FloatArray] = []
     nearest = np.inf

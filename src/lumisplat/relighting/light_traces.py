@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import (
     HUBER_WIDTH,
@@ -19,8 +18,9 @@ from lumisplat.constants import (
     TRACE_RIDGE,
     TRACE_STEPS,
 )
+from lumisplat.math.arrays import Doubles, Flags
 from lumisplat.math.sh import sh_basis
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces
 
 _EVEN = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Products of the components of normals that span what depends on a normal, and not on its sign, to degree 2."""
@@ -67,7 +67,7 @@ class Shading:
         """The same with one more light known."""
         return replace(self, known=np.column_stack([self.known, irradiance]))
 
-    def traces(self, irradiances: Doubles, counted: npt.NDArray[np.bool_] | None = None) -> list[Trace]:
+    def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
         """The trace of each of several lights alone.
 
         Args:

@@ -14,7 +14,15 @@ from lumisplat.config import RenderConfig, check_range, check_whole
 from lumisplat.constants import NEAR_PLANE, PROBE_DEGREE_MAX, PROBE_FACE_PX, PROBE_IMAGE_ROWS, PROBE_RIDGE
 from lumisplat.errors import ConfigError, FormatError, SceneError, check_instance, check_shapes
 from lumisplat.io.images.exr import write_exr
-from lumisplat.math.arrays import FloatArray, float_array, normalise_rows, read_only_view, refuse_rows, three_numbers
+from lumisplat.math.arrays import (
+    Doubles,
+    FloatArray,
+    float_array,
+    normalise_rows,
+    read_only_view,
+    refuse_rows,
+    three_numbers,
+)
 from lumisplat.math.panorama import panorama_directions, panorama_lookup, panorama_solid_angles
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.math.sh import sh_basis
@@ -22,8 +30,6 @@ from lumisplat.relighting.cubemap import render_cube
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
-
-_Doubles = npt.NDArray[np.float64]
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _ROWS_AT_ONCE = 2**16
@@ -38,7 +44,7 @@ class EnvironmentProbe:
         SceneError: The coefficients are no finite array of shape (K, 3) of a degree 0 to 8.
     """
 
-    coefficients: _Doubles
+    coefficients: Doubles
     """Of radiance, linear Rec.709, in the basis of captures (order, signs), read-only float64, shape (K, 3)."""
 
     def __post_init__(self) -> None:
@@ -262,7 +268,7 @@ class EnvironmentProbe:
         image = self.image(height, rotation_wxyz)
         write_exr(path, {name: image[..., i] for i, name in enumerate("RGB")})
 
-    def _evaluate(self, directions: npt.ArrayLike, factors: _Doubles) -> FloatArray:
+    def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
         """The harmonics, each degree times a factor, at directions of any length."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
@@ -281,7 +287,7 @@ def _without_ringing(image: FloatArray) -> FloatArray:
     return cut * factors.astype(np.float32)
 
 
-def _matrix(light: LightEnvironment) -> _Doubles:
+def _matrix(light: LightEnvironment) -> Doubles:
     """World from environment, shape (3, 3)."""
     return matrices_from_quaternions(np.array([light.rotation_wxyz]))[0]
 
@@ -299,8 +305,8 @@ def _cosine_factor(level: int) -> float:
 
 
 def _fit(
-    directions: _Doubles, radiance: npt.NDArray[np.floating], weights: _Doubles, degree: int, ridge: float
-) -> _Doubles:
+    directions: Doubles, radiance: npt.NDArray[np.floating], weights: Doubles, degree: int, ridge: float
+) -> Doubles:
     """Coefficients that solve ``(B^T W B + lambda I) A = B^T W Y``, shape (K, 3)."""
     size = (degree + 1) ** 2
     gram, moments = np.zeros((size, size)), np.zeros((size, 3))

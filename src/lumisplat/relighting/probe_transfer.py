@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lumisplat.config import RelightConfig, check_kind
 from lumisplat.errors import check_instance, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, normalise_rows
+from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows
 from lumisplat.math.panorama import panorama_directions
 from lumisplat.math.sh import sh_basis
 from lumisplat.relighting.probe import EnvironmentProbe
@@ -18,8 +18,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.estimate_normals import estimate_normals
 from lumisplat.scene.ops.recolor import Subject, scale_light_of
 from lumisplat.scene.scene import SplatInstance
-
-_Doubles = npt.NDArray[np.float64]
 
 _NORMALS_AT_ONCE = 1024
 """Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""
@@ -32,9 +30,9 @@ resolves comes near it."""
 class _Grid(NamedTuple):
     """A latitude-longitude grid as a quadrature of the sphere."""
 
-    directions: _Doubles
+    directions: Doubles
     """Shape (M, 3)."""
-    weights: _Doubles
+    weights: Doubles
     """In proportion to the sine of the polar angle, summing to 4 pi, shape (M,)."""
 
 

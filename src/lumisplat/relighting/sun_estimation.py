@@ -24,8 +24,8 @@ from lumisplat.constants import (
     TRACE_GROUND_MIN,
     TRACE_SURFACES_MIN,
 )
-from lumisplat.math.arrays import three_numbers
-from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Doubles, captured_surfaces
+from lumisplat.math.arrays import Doubles, Flags, three_numbers
+from lumisplat.relighting.captured_surfaces import CapturedSurfaces, captured_surfaces
 from lumisplat.relighting.light_estimation import capture_extent, splats_of
 from lumisplat.relighting.light_traces import Shading, Trace, even_directions, ground_direction
 from lumisplat.runtime.launcher import Progress
@@ -123,7 +123,7 @@ def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
     return place + SUN_LIFT * surfaces.cells.cell * upwards
 
 
-def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> npt.NDArray[np.bool_]:
+def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
     """Which directions do not come from below the ground, shape (D,); all if the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.constants import LUMINANCE, SH_C0, SUN_WAYS
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.relighting.probe import EnvironmentProbe
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
-
-_Doubles = npt.NDArray[np.float64]
 
 
 class SunOnActors:
@@ -63,7 +60,7 @@ class SunOnActors:
         return float(self._renderer.transmittance(self._scene, starts, ways).mean())
 
 
-def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> _Doubles:
+def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
     """Irradiance of a surface that faces a sun, without what the probe holds of it, linear Rec.709, shape (3,).
 
     The probe holds of it, at most, what it gives that surface more than even light of its mean radiance would: a

@@ -17,11 +17,8 @@ from lumisplat.constants import (
     OUTSIDE_STEPS_MAX,
     STRAY_SHARE,
 )
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.scene.gaussians import Gaussians
-
-_Doubles = npt.NDArray[np.float64]
-_Flags = npt.NDArray[np.bool_]
 
 _BORDER = 2
 """Free cells around the set: they are outside, and keep the blur off the grid's edge."""
@@ -32,12 +29,12 @@ class OpennessGrid(NamedTuple):
 
     openness: FloatArray
     """0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z)."""
-    corner: _Doubles
+    corner: Doubles
     """Lower corner of cell (0, 0, 0), shape (3,)."""
     cell: float
     """Side of a cell, scene units."""
 
-    def at(self, points: _Doubles) -> FloatArray:
+    def at(self, points: Doubles) -> FloatArray:
         """The openness at points, shape (N, 3); 1 outside of the grid."""
         cells = np.floor((points - self.corner) / self.cell)
         inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
@@ -45,7 +42,7 @@ class OpennessGrid(NamedTuple):
         return np.where(inside, self.openness[x, y, z], np.float32(1.0))
 
 
-def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tuple[_Doubles, _Doubles]) -> FloatArray:
+def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tuple[Doubles, Doubles]) -> FloatArray:
     """For each Gaussian, +1 where its axis points outside, else -1, shape (N,).
 
     The set becomes voxels that are solid where Gaussians are. Free cells that are connected to the set's surroundings
@@ -75,14 +72,14 @@ def outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating], wide: tu
     return signs.astype(np.float32)
 
 
-def _agreeing_signs(axes: _Doubles) -> _Doubles:
+def _agreeing_signs(axes: Doubles) -> Doubles:
     """Signs, +1 or -1, that turn all axes to one side of the plane perpendicular to most of them, shape (M,)."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
-def _openness_grid(gaussians: Gaussians, wide: tuple[_Doubles, _Doubles]) -> OpennessGrid:
+def _openness_grid(gaussians: Gaussians, wide: tuple[Doubles, Doubles]) -> OpennessGrid:
     """Makes the voxels of a set, and computes how open each is towards the outside."""
     means = gaussians.means.astype(np.float64)
     opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
@@ -109,7 +106,7 @@ def _openness_grid(gaussians: Gaussians, wide: tuple[_Doubles, _Doubles]) -> Ope
     return OpennessGrid(openness, corner, cell)
 
 
-def _points_on_discs(means: _Doubles, first: _Doubles, second: _Doubles, count: int) -> Iterator[_Doubles]:
+def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int) -> Iterator[Doubles]:
     """Points on the discs of M Gaussians, one of each disc at a time, shape (M, 3): ``count`` steps to the rim."""
     offsets = np.arange(-count, count + 1) * (OUTSIDE_REACH / count)
     for a in offsets:
@@ -117,14 +114,14 @@ def _points_on_discs(means: _Doubles, first: _Doubles, second: _Doubles, count: 
             yield means + a * first + b * second
 
 
-def _bounds_without_strays(points: _Doubles) -> tuple[_Doubles, _Doubles]:
+def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
     """Corners of a box around all points but strays, which lie far outside of the quantiles."""
     low, high = np.quantile(points, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
 
-def _open_directions(free: _Flags) -> FloatArray:
+def _open_directions(free: Flags) -> FloatArray:
     """Share of the 26 directions to a cell's neighbours that are free of solid cells up to the grid's edge.
 
     For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
@@ -146,14 +143,14 @@ def _open_directions(free: _Flags) -> FloatArray:
     return count.astype(np.float32) / 26.0
 
 
-def _shift(flags: _Flags, u: int, v: int) -> _Flags:
+def _shift(flags: Flags, u: int, v: int) -> Flags:
     """Moves a slice by -1, 0 or 1 cells along its axes; cells that enter at the edge are true."""
     rows, columns = flags.shape
     padded = np.pad(flags, 1, constant_values=True)
     return padded[1 - u : 1 - u + rows, 1 - v : 1 - v + columns]
 
 
-def _flood_fill(solid: _Flags) -> _Flags:
+def _flood_fill(solid: Flags) -> Flags:
     """Free cells that are connected to the first cell through faces of free cells.
 
     Sweeps along each axis, forwards and backwards, fill whole rows at once, so that a few rounds are enough.
@@ -175,7 +172,7 @@ def _flood_fill(solid: _Flags) -> _Flags:
     return outside
 
 
-def _last_place(flags: _Flags, places: list[npt.NDArray[np.int16]], axis: int) -> npt.NDArray[np.int16]:
+def _last_place(flags: Flags, places: list[npt.NDArray[np.int16]], axis: int) -> npt.NDArray[np.int16]:
     """Place along an axis of the last true cell up to each cell, -1 before the first one."""
     shape = [1, 1, 1]
     shape[axis] = -1
