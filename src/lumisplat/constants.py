@@ -143,8 +143,8 @@ EXPOSURE_MAX = 100
 """Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
 
 SURFACE_DEPTH_SCALES = 3.0
-"""How far from its mean a rasterised Gaussian's surface may lie, in its largest scales: where a Gaussian ends. Only
-splats smaller than a pixel, which dilation shows where their Gaussian is not, come that far."""
+"""How far from its mean a Gaussian's surface may lie on a ray, in its largest scales: where a Gaussian ends. Only
+Gaussians smaller than a pixel, which its footprint shows where they are not, come that far."""
 
 SHADOW_OFFSET = 4.0
 """Distance, in scales of a Gaussian, within which it neither shadows a surface nor, as the surface, is shadowed: the
@@ -371,7 +371,8 @@ TRACE_GROUND_MIN = 0.3
 """Length of the mean blocked direction from which the ground is known, 1 over an endless plane."""
 
 LAMP_SIGNIFICANCE = 4.0
-"""Least ratio of a lamp's factor to its standard error: of 64 candidates, chance gives one of 400 such a value."""
+"""Least ratio of a lamp's factor to its standard error: by chance, one of 64 candidates comes to it in one
+capture of 500."""
 
 LAMP_DOUBT = 2.0
 """Factor on the evidence that is asked of what is low, or broad."""
@@ -413,9 +414,6 @@ SUN_APART = 0.7
 SUN_CONFIDENCE_MIN = 0.2
 """Confidence below which no sun is given."""
 
-SUN_ANNOUNCED_S = 1.0
-"""Seconds after which a search for the sun shows its progress."""
-
 SUN_WAYS = 256
 """Rays from an actor to a sun that are followed, at most."""
 
@@ -426,13 +424,6 @@ DILATION_PX2 = 0.3
 
 JACOBIAN_CLAMP = 1.3
 """The Jacobian is taken no further out than this many times tan(fov / 2): beyond, the linearisation explodes."""
-
-COMPILING_ANNOUNCED_S = 1.0
-"""Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
-
-NOTEBOOK_PNG_PIXELS_MAX = 2**20
-"""Pixels above which notebooks are given JPEGs of opaque frames, because they keep pictures in base64. Measured at
-1280 x 720: a PNG of the demo room takes 0.60 bytes a pixel and a JPEG 0.12, of the biker from nearby 0.29 and 0.05."""
 
 NEAR_PLANE = 0.01
 """Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""
@@ -565,6 +556,14 @@ TRIANGLE_HEIGHT_MIN = 1e-12
 """Height of a triangle over its longest edge, at or below which it has no area: corners on a line come out at 1e-16 in
 float64, thin triangles from float32 at 1e-7."""
 
+CREASE_ANGLE = 0.9
+"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
+edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
+
+WELD_SHARE = 1e-6
+"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
+to six digits."""
+
 # --- Placement ---
 
 TRANSFORM_MAX = 1e18
@@ -573,6 +572,13 @@ TRANSFORM_MAX = 1e18
 SIMILARITY_TOLERANCE = 1e-4
 """How far a capture's axes may be from equal length (squared) and from right angles (cosine): rounding of poses that
 were stored with five digits."""
+
+FRAMING_FARTHEST = 1e17
+"""How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""
+
+BULK_TAIL = 0.02
+"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
+an object above the ground."""
 
 # --- Limits of 32-bit indices ---
 
@@ -590,13 +596,6 @@ TILE_PX = 16
 STRIP_PX = 8
 """Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
 
-FRAME_BLOCKS_MAX = 3
-"""Frames of a renderer that may hold page-locked memory, and as many that may hold a copy on the GPU, at a time: one
-that is shown, one saved, one to come."""
-
-BLOCK_THREADS = 256
-"""CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
-
 DEPTH_KEY_CULLED = 0xFFFFFFFF
 """Depth key of a Gaussian that cannot touch the image; the bits of every positive float are smaller."""
 
@@ -609,13 +608,6 @@ RAY_BLOCK_PX = 4
 PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
 """Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
 
-SORT_DIGIT_BITS_MAX = 12
-"""Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
-usual 24 bits of key."""
-
-RAY_BATCH = 2**20
-"""Rays of a query that are on the device at once: some 200 MiB."""
-
 RAY_BANDS_PER_THREAD = 32
 """Bands a CPU thread gets when rays are traced: packets differ more in cost than tiles do."""
 
@@ -625,15 +617,8 @@ TILE_BANDS_PER_THREAD = 12
 SHADE_BANDS_PER_THREAD = 4
 """Bands a CPU thread gets when surfaces are shaded: where rays hit nothing there is little to do."""
 
-COMPOSITE_BATCH = 32
-"""Splats composited in a tile between two checks of which pixels are still unfinished."""
-
 COUNT_SUM_THREADS = 4096
 """Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
-
-SCRATCH_BYTES_KEPT = 2**30
-"""Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
-sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
 # --- Editing captures ---
 
@@ -642,9 +627,6 @@ FLOATER_NEIGHBOURS = 4
 
 FLOATER_REACH = 3.0
 """How far around it, in its largest scale or the capture's median one: where a Gaussian ends."""
-
-FLOATER_PAIRS = 2**24
-"""Candidates whose distances are in memory at once: a few hundred MB."""
 
 DECIMATE_NEIGHBOURS = 4
 """Next ones along a Morton curve, in each direction, with which a Gaussian may be merged. More make passes slower, and
@@ -655,9 +637,6 @@ DECIMATE_COLOR_WEIGHT = 30.0
 
 DECIMATE_OPACITY_MIN = 1e-9
 """Opacity below which a Gaussian's mass falls no further: weights must not be 0."""
-
-DECIMATE_BLOCK = 2**13
-"""Pairs whose costs are computed at a time: about 60 doubles for each fit into the cache."""
 
 # --- Files ---
 
@@ -679,15 +658,15 @@ DECODED_BYTES_FREE = 256 * 2**20
 EXPANSION_MAX = 200
 """Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
 
-# --- Meshes without normals ---
+FILE_BYTES_MAX = 4 * 2**30
+"""Size, bytes, of the largest file that is read as a whole. Captures in PLY are read in blocks, and may be larger."""
 
-CREASE_ANGLE = 0.9
-"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
-edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
+TEXTURE_BYTES_FREE = 2**30
+"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
+applies to their sum."""
 
-WELD_SHARE = 1e-6
-"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
-to six digits."""
+TOML_KEY_PARTS_MAX = 32
+"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
 
 # --- Lens distortion ---
 
@@ -706,33 +685,6 @@ of the work is thrown away, and rays are faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
 """Largest factor of the focal length of that pinhole image, where a lens magnifies its edges."""
-
-# --- Cameras of scenes without any ---
-
-FRAMING_FOV_Y = 0.8
-"""Vertical field of view, radians: a normal lens."""
-
-FRAMING_ELEVATION = 0.2
-"""How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
-
-FRAMING_MARGIN = 1.05
-"""Room around the scene's box, as a factor of the distance."""
-
-FRAMING_FARTHEST = 1e17
-"""How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""
-
-BULK_TAIL = 0.02
-"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
-an object above the ground."""
-FILE_BYTES_MAX = 4 * 2**30
-"""Size, bytes, of the largest file that is read as a whole. Captures in PLY are read in blocks, and may be larger."""
-
-TEXTURE_BYTES_FREE = 2**30
-"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
-applies to their sum."""
-
-TOML_KEY_PARTS_MAX = 32
-"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
 
 # --- Rigs ---
 
@@ -754,9 +706,6 @@ which round discs would else turn."""
 
 ANIMATION_FRAMES_MAX = 1_000_000
 """Frames of an animation: more than eleven hours at 24 a second. More are a typing error, and run out of memory."""
-
-SEQUENCE_FRAMES_KEPT = 2
-"""Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""
 
 SEQUENCE_TIME_SLACK = 1e-6
 """Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.constants import FRAME_BLOCKS_MAX
 from lumisplat.runtime import downloads
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.downloads import CopiesLater, CopiesNow, Downloads
+from lumisplat.runtime.downloads import FRAME_BLOCKS_MAX, CopiesLater, CopiesNow, Downloads
 
 
 def array_of(*values: float) -> DeviceArray:

@@ -6,9 +6,12 @@ import base64
 import io
 from collections.abc import Collection
 
-from lumisplat.constants import NOTEBOOK_PNG_PIXELS_MAX
 from lumisplat.frame.aovs import Image
 from lumisplat.io.images.png import to_bytes
+
+NOTEBOOK_PNG_PIXELS_MAX = 2**20
+"""Pixels above which notebooks are given JPEGs of opaque frames, because they keep pictures in base64. Measured at
+1280 x 720: a PNG of the demo room takes 0.60 bytes a pixel and a JPEG 0.12, of the biker from nearby 0.29 and 0.05."""
 
 MimeBundle = tuple[dict[str, str], dict[str, dict[str, int]]]
 """Representations by MIME type, pictures in base64, and what is known about them."""

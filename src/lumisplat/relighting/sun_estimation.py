@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import (
-    SUN_ANNOUNCED_S,
     SUN_APART,
     SUN_CONFIDENCE_MIN,
     SUN_DIRECTIONS,
@@ -32,6 +31,9 @@ from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
+
+SUN_ANNOUNCED_S = 1.0
+"""Seconds after which a search for the sun shows its progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

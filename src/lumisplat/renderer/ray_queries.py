@@ -12,7 +12,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
-from lumisplat.constants import PACKET_RAYS, RAY_BATCH
+from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.film import FilmData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.errors import SceneError
@@ -27,6 +27,9 @@ from lumisplat.renderer.trace import camera_ray_kernels
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray, grown_capacity, rows_of
 from lumisplat.runtime.launcher import Launcher
+
+RAY_BATCH = 2**20
+"""Rays of a query that are on the device at once: some 200 MiB."""
 
 _log = logging.getLogger("lumisplat")
 _INPUTS = ("origins", "directions", "distances")

@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import FRAME_BLOCKS_MAX
+FRAME_BLOCKS_MAX = 3
+"""Frames of a renderer that may hold page-locked memory, and as many that may hold a copy on the GPU, at a time: one
+that is shown, one saved, one to come."""
 
 DeviceArray = Any
 """A Warp array; its type for host code is declared where buffers are, which hold this."""

@@ -21,7 +21,6 @@ from typing import Any, TypeVar, cast
 
 import warp as wp
 
-from lumisplat.constants import BLOCK_THREADS, COMPILING_ANNOUNCED_S, SCRATCH_BYTES_KEPT
 from lumisplat.errors import ConfigError, DeviceError
 from lumisplat.runtime.kernel_cache import KernelModule, load_module
 
@@ -31,6 +30,16 @@ _log = logging.getLogger("lumisplat")
 # program writes. Whoever wants them sets the level again, after this import.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
+
+BLOCK_THREADS = 256
+"""CUDA threads a block, for every kernel: a module compiles whole per block size. One tile is one block."""
+
+COMPILING_ANNOUNCED_S = 1.0
+"""Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
+
+SCRATCH_BYTES_KEPT = 2**30
+"""Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
+sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
 
 Progress = Callable[[str, float], None]
 """Called with a label of the work and the fraction done, 0..1."""

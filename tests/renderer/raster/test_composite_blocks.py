@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants import BLOCK_THREADS
 from lumisplat.renderer.raster import splat_block_kernels, splat_pixel_kernels
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import BLOCK_THREADS, Launcher
 from support.kernels import CUDA_ARCHITECTURES, compile_for_cuda
 from support.scenes.raster_scenes import front_camera, quad, random_gaussians
 

@@ -7,7 +7,7 @@ The equations are in docs/method/rasterisation.md.
 
 import warp as wp
 
-from lumisplat.constants import COMPOSITE_BATCH, FUSED_FLAGS, TILE_PX
+from lumisplat.constants import FUSED_FLAGS, TILE_PX
 from lumisplat.device.camera.tiles import STRIP, STRIPS, TILE, StripFloats, TileFloats, TileInts, tile_corner
 from lumisplat.device.gaussian.compositing import opaque_pixel, store_gaussian_hits, store_result
 from lumisplat.device.gaussian.splat_coverage import first_touching, rows_of, touches_strip, visible_alpha, visible_end
@@ -30,7 +30,8 @@ wp.set_module_options(
 )
 
 TileWords = wp.types.vector(length=TILE_PX * TILE_PX, dtype=wp.uint32)
-BATCH = wp.constant(COMPOSITE_BATCH)
+BATCH = wp.constant(32)
+"""Splats composited in a tile between two checks of which pixels are still unfinished."""
 
 
 @wp.func

@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lumisplat.constants import SEQUENCE_FRAMES_KEPT, SEQUENCE_TIME_SLACK
+from lumisplat.constants import SEQUENCE_TIME_SLACK
 from lumisplat.errors import SceneError
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.checks import check_positive
 from lumisplat.scene.gaussians import Gaussians
+
+SEQUENCE_FRAMES_KEPT = 2
+"""Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

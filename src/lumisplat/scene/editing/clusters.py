@@ -9,9 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import DECIMATE_BLOCK, DECIMATE_COLOR_WEIGHT, DECIMATE_NEIGHBOURS
+from lumisplat.constants import DECIMATE_COLOR_WEIGHT, DECIMATE_NEIGHBOURS
 from lumisplat.scene.editing.moments import Doubles, Moments, log_determinants, mixture
 from lumisplat.scene.editing.morton import morton_codes
+
+DECIMATE_BLOCK = 2**13
+"""Pairs whose costs are computed at a time: about 60 doubles for each fit into the cache."""
 
 _Indices = npt.NDArray[np.intp]
 

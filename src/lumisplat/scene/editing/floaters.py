@@ -9,11 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import FLOATER_NEIGHBOURS, FLOATER_PAIRS, FLOATER_REACH
+from lumisplat.constants import FLOATER_NEIGHBOURS, FLOATER_REACH
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.editing.remaining import remaining
 from lumisplat.scene.gaussians import Gaussians
+
+FLOATER_PAIRS = 2**24
+"""Candidates whose distances are in memory at once: a few hundred MB."""
 
 _Flags = npt.NDArray[np.bool_]
 _Indices = npt.NDArray[np.intp]

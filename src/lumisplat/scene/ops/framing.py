@@ -8,13 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
-from lumisplat.constants import FRAMING_ELEVATION, FRAMING_FARTHEST, FRAMING_FOV_Y, FRAMING_MARGIN
+from lumisplat.constants import FRAMING_FARTHEST
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.scene import Scene
 from lumisplat.scene.up import front_vector
+
+FRAMING_FOV_Y = 0.8
+"""Vertical field of view, radians: a normal lens."""
+
+FRAMING_ELEVATION = 0.2
+"""How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
+
+FRAMING_MARGIN = 1.05
+"""Room around the scene's box, as a factor of the distance."""
 
 _Points = npt.NDArray[np.float64]
 
