@@ -38,7 +38,7 @@ def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 @wp.func
 def pixel_spread(camera: CameraData, u: float, v: float) -> float:
-    """Root of the solid angle of the pixel at a point of the image plane, radians; 0 for parallel rays."""
+    """Root of the solid angle of a pixel at a point of the undistorted image plane, radians; 0 for parallel rays."""
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
         return float(0.0)
