@@ -7,7 +7,7 @@ from lumisplat.device.light.light import sample_light
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.light import LightSample
+from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, LightSample
 from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene
 
 wp.set_module_options({"enable_backward": False})
@@ -100,3 +100,21 @@ def environment_contribution(
             other = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
             sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
     return contribution_of(interaction, sample, interaction.occlusion)
+
+
+@wp.func
+def light_contribution(
+    number: int, samples_bsdf: bool, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
+) -> Contribution:
+    """Contribution of light ``number`` for a shadow ray.
+
+    Of the environment by one of its two samples; of others by a random point for soft shadows, by the centre for hard ones.
+    """
+    contribution = Contribution()
+    if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
+        contribution = environment_contribution(number, samples_bsdf, interaction, pixel_key, scene)
+    elif scene[0].settings[0].soft != 0:
+        contribution = light_sample_contribution(number, interaction, pixel_key, scene)
+    else:
+        contribution = light_center_contribution(number, interaction, scene)
+    return contribution

@@ -6,17 +6,11 @@ the last light, for shadow-only sets.
 
 import warp as wp
 
-from lumisplat.device.light.direct_light import (
-    environment_contribution,
-    light_center_contribution,
-    light_sample_contribution,
-    shadow_ray_key,
-)
+from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_terminator import lift_of, lifted
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
-from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
 
@@ -41,14 +35,7 @@ def spawn_shadow_rays(
         contribution = Contribution()
         if wave[0].interactions.exists[j]:
             interaction = load_interaction(j, wave)
-            if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                contribution = environment_contribution(
-                    number, samples_bsdf, interaction, wave[0].rays.pixel_key[i], scene
-                )
-            elif scene[0].settings[0].soft != 0:
-                contribution = light_sample_contribution(number, interaction, wave[0].rays.pixel_key[i], scene)
-            else:
-                contribution = light_center_contribution(number, interaction, scene)
+            contribution = light_contribution(number, samples_bsdf, interaction, wave[0].rays.pixel_key[i], scene)
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
