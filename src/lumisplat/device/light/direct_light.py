@@ -108,7 +108,8 @@ def light_contribution(
 ) -> Contribution:
     """Contribution of light ``number`` for a shadow ray.
 
-    Of the environment by one of its two samples; of others by a random point for soft shadows, by the centre for hard ones.
+    Of the environment by one of its two samples; of others by a random point for soft shadows, by the centre for hard
+    ones.
     """
     contribution = Contribution()
     if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
