@@ -32,7 +32,7 @@ class Variant:
 
     config: ls.DeepShadowConfig = DEFAULT
     footprint: float = 1.0
-    """Receivers look within this share of their scales."""
+    """Receivers sample the map within this share of their scales."""
     unit: float = 1.0
     """Length of a scene unit, metres."""
     pipeline: ls.Pipeline = ls.Pipeline.RASTER

@@ -24,7 +24,7 @@ PAPER = {
 PAPER_BUILD_S = {"both": 0.13, "no region": 29.1, "no culling": 17.1}
 """Seconds a frame on an A100, section 4.4 D."""
 TITLES = {
-    "sampling": "Where receivers look (table 3)",
+    "sampling": "Where receivers sample the map (table 3)",
     "picture": "Pipeline of the picture",
     "absorption": "Opacity to absorption (table 4)",
     "layout": "Atlas (table 5)",

@@ -52,7 +52,7 @@ FOOTPRINT_LEAD = 1.1
 begins: nodes widen as their Gaussians do."""
 
 FOOTPRINT_MAX = 0.1
-"""Largest half width of a ray's footprint over the length of its path, beyond that of any image worth looking at."""
+"""Largest half width of a ray's footprint over the length of its path, beyond that of any sensible image."""
 
 PASS_REWIND = 1e-4
 """A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""

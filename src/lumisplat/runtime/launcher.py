@@ -47,11 +47,10 @@ Progress = Callable[[str, float], None]
 Kernel = wp.Kernel | Callable[..., None]
 """A Warp kernel, which type checkers take for the function that it is made of."""
 
-
 Result = TypeVar("Result")
 
 _CPU_BLOCKS = threading.Lock()
-"""Held by who has changed a setting of Warp's, which is the process's."""
+"""Held while `wp.config.enable_cpu_blocks`, a setting of the whole process, is changed."""
 
 
 def resolve_device(name: str = "auto") -> str:
