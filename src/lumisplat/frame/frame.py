@@ -83,6 +83,8 @@ class Frame(FrameData):
             object.__setattr__(self, name, image)
             unread = self._fetches()
             unread.pop(name, None)
+            if name in ("color", "alpha"):
+                unread.pop(_PICTURE, None)  # whoever holds them may change them
             if unread.keys() == {_PICTURE}:
                 unread.clear()  # all is on the host: the device's memory is not needed any more
             return image
@@ -251,9 +253,13 @@ class Frame(FrameData):
 
     def _picture(self) -> npt.NDArray[Any]:
         """What a PNG shows: its bytes, if a device has encoded them, else `pixels_srgb`."""
-        fetch = self._fetches().get(_PICTURE)
+        unread = self._fetches()
+        fetch = unread.get(_PICTURE)
         picture = None if fetch is None else fetch()
-        return self.pixels_srgb() if picture is None else picture
+        if picture is None:
+            return self.pixels_srgb()
+        unread[_PICTURE] = lambda: picture
+        return picture
 
     def _fetches(self) -> dict[str, Callable[[], Any]]:
         """What fetches unread images; a frame that was made of arrays has nothing of the kind."""
