@@ -381,12 +381,14 @@ def test_the_help_tells_the_defaults_of_the_library() -> None:
 def test_info_lists_lights_cameras_and_settings(work, sky):
     """Of a scene file: each light with what it is, the cameras, and what is not as by default."""
     text = SCENE + '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = 30\n'
-    text += 'enabled = false\ncolor = [1, 0.5, 0]\n[environment]\npath = "sky.exr"\n'
+    text += 'enabled = false\ncolor = [1, 0.5, 0]\n[[lights]]\ntype = "directional"\ndirection = [0, 1, 0]\n'
+    text += '[environment]\npath = "sky.exr"\n'
     work.path("scene.toml").write_text(text)
     outcome = work.run("info", "@scene.toml", "@sky.exr")
     assert (outcome.status, outcome.err) == (0, "")
     shown = " ".join(outcome.out.split())
-    assert "0 captures, 1 meshes, 3 lights, 2 cameras" in shown
+    assert "0 captures, 1 meshes, 4 lights, 2 cameras" in shown
+    assert "directional 1 lux towards (0, 1, 0)" in shown
     assert "point bulb 8 cd at (0, 0, 2)" in shown
     assert "spot 1 cd colour 1 0.5 0 at (0, 0, 0) towards (0, 0, 1) cone 0 to 30 degrees off" in shown
     assert "environment 1 x image 4 x 2" in shown

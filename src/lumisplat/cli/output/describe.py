@@ -137,8 +137,8 @@ def light_row(light: Light) -> tuple[str, str]:
     if light.color != (1.0, 1.0, 1.0):
         texts.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
     for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):
-        if hasattr(light, name):
-            texts.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *getattr(light, name)))
+        if (vector := getattr(light, name, None)) is not None:
+            texts.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *vector))
     for name in ("range", "radius"):
         value = getattr(light, name, 0.0)
         if 0.0 < value < math.inf:
