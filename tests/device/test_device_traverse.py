@@ -5,6 +5,7 @@ The bounds must hold for the rays as they are followed: rounded to float32 in th
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -240,6 +241,44 @@ def test_single_rays_are_tight(device: str) -> None:
     assert (found.entries[missed] == NEVER).all()
     met = (first <= last) & (last >= begins)
     assert (found.entries[met] != NEVER).all() and met.sum() > 2000
+
+
+def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Where the means in the children of nodes begin, by the device."""
+    entries = wp.zeros(len(nodes), dtype=Children)
+    inputs = (wp.array(found.slabs, dtype=Slabs), wp.array(nodes, dtype=Node))
+    inputs += (wp.array(begins, dtype=float), wp.array(ends, dtype=float))
+    Launcher("cpu", threads=1).run(probe_tree_kernels.probe_mean_entries, len(nodes), *inputs, entries)
+    return entries.numpy().astype(np.float64)
+
+
+@pytest.mark.parametrize("spread", SPREADS)
+def test_means_project_behind_the_entries_of_their_boxes(spread: float) -> None:
+    """On every ray alive; boxes that are entered before the end, with means behind the begin, are not lost."""
+    packets, nodes, found = setting(spread)
+    low, high = corners(nodes)
+    first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
+    origins, directions = (values[:, :, None].astype(np.float64) for values in (found.origins, found.directions))
+    sides = np.array(list(itertools.product((0, 1), repeat=3)))
+    points = np.where(sides[:, None, None, None], high, low)  # (8, B, 1, C, 3)
+    projections = ((points - origins) * directions).sum(axis=-1) / (directions**2).sum(axis=-1)
+    nearest, farthest = projections.min(axis=0), projections.max(axis=0)
+    ahead = np.where(first > 0.0, first, np.inf).min(axis=(1, 2))
+    ends = np.where(np.isfinite(ahead), 3.0 * ahead, 1.0).astype(np.float32)
+    entries = mean_entries(found, nodes, packets.begins, ends)
+    room = 1e-5 * np.abs(projections).max(axis=0)
+    alive = packets.alive[:, :, None]
+    counts = alive & (first <= last) & (last >= 0.0) & (first <= ends[:, None, None])
+    counts &= farthest >= packets.begins[:, None, None]
+    assert counts.sum() > 300
+    here = np.broadcast_to(entries[:, None], counts.shape)
+    assert (here[counts] <= (nearest + room)[counts]).all()
+    if spread == 0.0:
+        beyond = alive & ((first > ends[:, None, None] + room) | (farthest < packets.begins[:, None, None] - room))
+        steep = (np.abs(directions) > 0.2 * np.linalg.norm(directions, axis=-1, keepdims=True)).all(axis=-1)
+        assert (beyond & steep & (first <= last)).sum() > 300
+        assert (here[beyond & steep & (first <= last)] == NEVER).all()
+        assert (here[counts] >= (nearest - 10.0 * room)[counts]).all()
 
 
 def test_empty_children_are_never_met() -> None:

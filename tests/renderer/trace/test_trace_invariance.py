@@ -257,12 +257,15 @@ def test_packets_show_what_single_rays_show(
 ) -> None:
     """Sixteen rays that walk together meet what each meets alone, to rounding."""
     scene, camera = SCENES[name]
-    # Rounding is amplified where rays touch hulls, which those widened by footprints offer to more of them.
-    dilation = 0.0 if hit_distance is ls.HitDistance.HULL else 0.3
-    config = settings(strategy, seed=5, hit_distance=hit_distance, dilation=dilation)
+    config = settings(strategy, seed=5, hit_distance=hit_distance)
     together, alone = (render(way, scene, camera, config) for way in ("cpu", "cpu as cuda"))
     for image in IMAGES:
-        assert_close(getattr(together, image), getattr(alone, image), atol=2e-6, name=image)
+        one, other = getattr(together, image), getattr(alone, image)
+        if hit_distance is not ls.HitDistance.HULL:
+            assert_close(one, other, atol=2e-6, name=image)
+        else:  # rounding is amplified where a ray only touches a hull
+            assert_close(one, other, atol=2e-5, name=image)
+            assert np.isclose(one, other, rtol=0.0, atol=2e-6).mean() > 0.99
     assert together.alpha.max() > 0.0
 
 

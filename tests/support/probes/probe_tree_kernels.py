@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.node_test import enter_children
+from lumisplat.device.bvh.node_test import enter_children, mean_entries
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.particle import (
     alpha_of_degree,
@@ -88,6 +88,20 @@ def probe_packets(
             packet.direction[k, lane] = d[k]
     slabs[i] = slabs_of(packet)
     entries[i] = enter_children(nodes[i], slabs[i], begins[i])
+
+
+@wp.kernel
+def probe_mean_entries(
+    slabs: wp.array(dtype=Slabs),
+    nodes: wp.array(dtype=Node),
+    begins: wp.array(dtype=float),
+    ends: wp.array(dtype=float),
+    entries: wp.array(dtype=Children),
+):
+    """Where packets have the means in the children of a node, between two distances."""
+    i = wp.tid()
+    entered = enter_children(nodes[i], slabs[i], 0.0)
+    entries[i] = mean_entries(nodes[i], slabs[i], entered, begins[i], ends[i])
 
 
 @wp.kernel

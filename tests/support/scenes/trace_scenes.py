@@ -157,6 +157,7 @@ def _gaussian_cases() -> list[Case]:
     around = random_gaussians(103, 500, degree=1, center=(0.0, 0.0, 0.0), extent=(2.0, 2.0, 2.0))
     huge = random_gaussians(105, 12, extent=(500.0, 500.0, 500.0), scale_range=(1e3, 1e6))
     needles = random_gaussians(106, 80, scale_range=(0.001, 0.8))
+    thin = replace(plain, scales=plain.scales * (1.0, 1e-14, 1e-14))
     dense = random_gaussians(108, 1000, degree=1, scale_range=(0.05, 0.2))
     hundred = copies(100, 109)
     halves = [hundred.subset(np.arange(50, 100)), hundred.subset(np.arange(50))]
@@ -180,6 +181,7 @@ def _gaussian_cases() -> list[Case]:
         Case("around the camera, no near plane", Scene([around]), small_camera(near=1e-6)),
         Case("flat", Scene([flattened(random_gaussians(104, 200, scale_range=(0.1, 0.5)), 1)])),
         Case("thinner than float32", Scene([plain, flattened(random_gaussians(104, 200), 2)])),
+        Case("needles thinner than float32's products", Scene([thin])),
         Case("huge", Scene([huge])),
         Case("huge and small", Scene([plain, huge]), side_camera()),
         Case("needles", Scene([needles])),

@@ -112,10 +112,10 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
 
 
 @wp.func
-def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float) -> Children:
+def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
     """No mean in a child's box projects onto a ray of the packet before these distances.
 
-    2 FAR: it is not entered, by ``entries``, or all its means project before ``begin``.
+    2 FAR: it is not entered before ``end``, by ``entries``, or all its means project before ``begin``.
     """
     low_x = node.low_x
     low_y = node.low_y
@@ -137,7 +137,7 @@ def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float) -> C
         farthest = farthest - least_product(ay, by, -slabs.fast[1], -slabs.slow[1])
         farthest = farthest - least_product(az, bz, -slabs.fast[2], -slabs.slow[2])
         margin = MARGIN * (wp.abs(x) + wp.abs(y) + wp.abs(z) + wp.abs(farthest))
-        entries[c] = wp.where(lesser(FAR - entries[c], farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
+        entries[c] = wp.where(lesser(end - entries[c], farthest + margin - begin) >= 0.0, x + y + z - margin, 2.0 * FAR)
     return entries
 
 

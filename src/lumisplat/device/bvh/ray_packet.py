@@ -232,6 +232,7 @@ def packet_of(lanes: int) -> RayPacket:
         reach: float,
         order: float,
         hit_distance: int,
+        end: float,
     ) -> int:
         """Pushes the children of the node just above the top of the stack, as ``push_children``.
 
@@ -245,6 +246,7 @@ def packet_of(lanes: int) -> RayPacket:
             reach: Children that it enters farther away are left out.
             order: NEAR_FIRST or FAR_FIRST.
             hit_distance: HIT_MEAN, or another one.
+            end: With HIT_MEAN, where the last ray of the packet ends; ``reach`` is then a distance of means.
 
         Returns:
             The number of leaves.
@@ -258,7 +260,7 @@ def packet_of(lanes: int) -> RayPacket:
         is_by_mean = hit_distance == HIT_MEAN
         entries = enter_children(node, place.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
         if is_by_mean:
-            entries = mean_entries(node, place.slabs, entries, begin)
+            entries = mean_entries(node, place.slabs, entries, begin, lesser(end, FAR))
         return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 
     return RayPacket(

@@ -75,7 +75,8 @@ def packet_hits_of(lanes: int) -> PacketHits:
             kx = cy * ez - cz * ey
             ky = cz * ex - cx * ez
             kz = cx * ey - cy * ex
-            d2 = fy * fz * kx * kx + fz * fx * ky * ky + fx * fy * kz * kz
+            # In this order: products of two factors of thin axes leave float32.
+            d2 = (fy * kx) * (fz * kx) + (fz * ky) * (fx * ky) + (fx * kz) * (fy * kz)
             peak = -(fx * cx * ex + fy * cy * ey + fz * cz * ez) * per_unit
             inside = particle.reach2 - d2
             back = wp.where(hit_distance == HIT_HULL, per_unit * wp.sqrt(larger(inside, 0.0)), 0.0)

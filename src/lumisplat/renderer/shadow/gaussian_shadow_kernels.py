@@ -90,7 +90,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                 if number != place.number:
                     enter_instance(place, packet, number, scene, rays, first)
                     reach = end_rays(packet, place, skips, first)
-                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST, HIT_PEAK)
+                leaf_count = visit_node(stack, top, leaves, place, scene, begin, reach, FAR_FIRST, HIT_PEAK, FAR)
                 found = int(0)
                 for leaf in range(leaf_count):
                     load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
@@ -161,7 +161,7 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         enter_instance(place, packet, number, scene, rays, first)
                         counted = end_rays(packet, place, skips, first)
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST, HIT_PEAK)
+                    leaf_count = visit_node(stack, top, leaves, place, scene, begin, near, NEAR_FIRST, HIT_PEAK, FAR)
                     found = int(0)
                     for leaf in range(leaf_count):
                         load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)

@@ -96,8 +96,9 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         hit_distance = scene.hit_distance
                         if number != WORLD:
                             hit_distance = place.instance.hit_distance
+                        end = largest(packet.limit)
                         leaf_count = visit_node(
-                            stack, top, leaves, place, scene, begin, reach, NEAR_FIRST, hit_distance
+                            stack, top, leaves, place, scene, begin, reach, NEAR_FIRST, hit_distance, end
                         )
                         for leaf in range(leaf_count):
                             load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
