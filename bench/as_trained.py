@@ -1,6 +1,6 @@
-"""How alike traced and rasterised captures are, and what it costs: ``python -m bench.as_trained``.
+"""How alike traced and rasterised captures are, and what it costs: ``python -m bench.as_trained [--device cuda]``.
 
-For each capture, view and size: PSNR of the traced frame over the pixels that the raster covers, and the least CPU time
+For each capture, view and size: PSNR of the traced frame over the pixels that the raster covers, and the least time
 of a few frames, with and without footprints, in the order of peaks and in that of means. Settings take turns.
 """
 
@@ -40,22 +40,23 @@ VIEWS = (
 def main() -> None:
     """Prints a table."""
     from bench.presets import DATA, load_capture
-    from bench.timing import quiet_warp
+    from bench.timing import parser, quiet_warp
 
+    device = parser("as_trained", __doc__).parse_args().device
     quiet_warp()
     print("| capture, distance, size | peaks, no footprint | peaks | means, no footprint | means | CUDA's schedule |")
     print("| --- | --- | --- | --- | --- | --- |")
     for view in VIEWS:
-        print(row(view, load_capture(DATA / "splats" / view.capture)), flush=True)
+        print(row(view, load_capture(DATA / "splats" / view.capture), device), flush=True)
 
 
-def row(view: View, capture: ls.Gaussians) -> str:
+def row(view: View, capture: ls.Gaussians, device: str) -> str:
     """A line of the table; the last column is the time of the defaults over that of peaks without a footprint."""
     import lumisplat as ls
     from lumisplat.runtime.launcher import Launcher
 
     scene, camera = ls.Scene([capture]), camera_of(view, capture)
-    raster = ls.render(scene, camera, device="cpu")
+    raster = ls.render(scene, camera, device=device)
     covered = raster.alpha > COVERED
     cells: list[str] = []
     ways = [(order, dilation) for order in (ls.HitDistance.PEAK, ls.HitDistance.MEAN) for dilation in (0.0, 0.3)]
@@ -63,26 +64,26 @@ def row(view: View, capture: ls.Gaussians) -> str:
         ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(hit_distance=order, dilation=dilation))
         for order, dilation in ways
     ]
-    renderers = [ls.Renderer(config, Launcher("cpu")) for config in configs]
+    renderers = [ls.Renderer(config, Launcher(device)) for config in configs]
     frames, times = timed(renderers, scene, camera)
     for frame, seconds in zip(frames, times, strict=True):
         error = np.mean((frame.color[covered] - raster.color[covered]) ** 2)
         cells.append(f"{-10.0 * np.log10(error):.1f} dB, {1e3 * seconds:.0f} ms")
-    by_ray = [ls.Renderer(config, Launcher("cpu", parallel=True)) for config in (configs[0], configs[-1])]
+    by_ray = [ls.Renderer(config, Launcher(device, parallel=True)) for config in (configs[0], configs[-1])]
     _, (thin, wide) = timed(by_ray, scene, camera)
     name = f"{view.capture}, {view.closeness:g}, {camera.width} x {camera.height}"
     return f"| {' | '.join([name, *cells])} | {wide / thin:.1f} times |"
 
 
 def timed(renderers: list[ls.Renderer], scene: ls.Scene, camera: ls.Camera) -> tuple[list[ls.Frame], list[float]]:
-    """The last frame of each renderer, and its least CPU time, seconds; they take turns."""
+    """The last frame of each renderer, and its least time, seconds; they take turns."""
     least = [np.inf] * len(renderers)
     frames = [renderer.render(scene, camera) for renderer in renderers]  # uploads and trees
     for _ in range(FRAMES):
         for i, renderer in enumerate(renderers):
-            begun = time.process_time()
+            begun = time.perf_counter()
             frames[i] = renderer.render(scene, camera)
-            least[i] = min(least[i], time.process_time() - begun)
+            least[i] = min(least[i], time.perf_counter() - begun)
     return frames, least
 
 
