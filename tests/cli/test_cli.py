@@ -300,6 +300,17 @@ def test_info(work):
         assert text in outcome.out
 
 
+def test_info_goes_on_after_files_that_cannot_be_read(work):
+    """All others are shown, as tables and as JSON; then a line for each of these, and status 2."""
+    work.path("short.ply").write_text("ply\n")
+    for how in ((), ("--json",)):
+        outcome = work.run("info", "@none.ply", "@short.ply", "@capture.ply", *how)
+        assert outcome.status == 2 and "antialiased" in outcome.out and "none.ply" not in outcome.out
+        first, second = outcome.err.splitlines()
+        assert first.startswith("error: ") and "none.ply: no such file" in first
+        assert second.startswith("error: ") and "short.ply: " in second
+
+
 def test_info_says_what_is_unusual(work):
     """The kernel degree is shown where it is not that of nearly all captures; a mesh shows its surface."""
     assert "kernel degree" not in work.run("info", "@capture.ply").out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,14 +36,25 @@ class Info(LoadingCommand):
     """Print JSON instead of tables: a list with an object for each file; the guide to captures lists the keys."""
 
     def run(self) -> None:
-        """Prints a table for each asset, or everything as JSON."""
+        """Prints a table for each asset, or all as JSON; what is wrong with files that cannot be read comes last."""
         if not self.files:
             raise ls.ConfigError("no file given")
-        if self.json:
-            print(json.dumps([self._facts(path) for path in self.files], indent=2))
-            return
+        facts: list[dict[str, Any]] = []
+        failures: list[ls.LumisplatError] = []
         for path in self.files:
-            self._print(path)
+            try:
+                if self.json:
+                    facts.append(self._facts(path))
+                else:
+                    self._print(path)
+            except ls.LumisplatError as error:
+                failures.append(error)
+        if facts:
+            print(json.dumps(facts, indent=2))
+        for error in failures[:-1]:
+            print(f"error: {error}", file=sys.stderr)
+        if failures:
+            raise failures[-1]
 
     def _print(self, path: Path) -> None:
         from lumisplat.cli.output.describe import camera_rows, gaussian_rows, mesh_rows, radiance_rows
