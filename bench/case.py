@@ -60,13 +60,17 @@ def measure(name: str, path: str, device: str) -> None:
     camera = preset.camera()
     renderer = TimedRenderer(preset.config(), device)
     ready = time.perf_counter()
-    build_ms = renderer.render(scene, camera).stage_ms.get("build", 0.0)
+    timed = renderer.render(scene, camera)
     first = time.perf_counter()
-    frames = [renderer.render(scene, camera) for _ in range(REPEATS)]
-    walls = [frame.wall_ms for frame in frames]
-    stages = {name: statistics.median(frame.stage_ms[name] for frame in frames) for name in frames[0].stage_ms}
-    stats = frames[0].frame.stats
+    build_ms, stats = timed.stage_ms.get("build", 0.0), timed.frame.stats
     assert stats is not None
+    walls: list[float] = []
+    stage_rows: list[dict[str, float]] = []
+    for _ in range(REPEATS):
+        timed = renderer.render(scene, camera)  # frames that are kept would make each new one take memory anew
+        walls.append(timed.wall_ms)
+        stage_rows.append(timed.stage_ms)
+    stages = {name: statistics.median(row[name] for row in stage_rows) for name in stage_rows[0]}
     row = {
         "load_ms": 1e3 * (loaded - started),
         "start_ms": 1e3 * (ready - loaded),

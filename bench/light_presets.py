@@ -39,6 +39,7 @@ class LitPreset:
             pipeline=ls.Pipeline(self.pipeline),
             lighting=self.kind != "unlit",
             shadows=shadows,
+            samples=1,
             max_bounces=3 if self.kind == "bounces" else 0,
         )
 

@@ -59,13 +59,17 @@ def frame_times(
     yield Finding(f"{count:,}: its stages, ms", rounded(first.stage_ms))
     for _ in range(min(WARM, repeats)):
         renderer.render(scene, camera)
-    frames = [renderer.render(scene, camera) for _ in range(repeats)]
-    walls = sorted(frame.wall_ms for frame in frames)
+    walls: list[float] = []
+    timed = first
+    for _ in range(repeats):
+        timed = renderer.render(scene, camera)
+        walls.append(timed.wall_ms)
+    walls.sort()
     yield Finding(
         f"{count:,}: frame, ms (least, most)", [round(ms, 2) for ms in (statistics.median(walls), walls[0], walls[-1])]
     )
-    yield Finding(f"{count:,}: stages, ms", rounded(frames[-1].stage_ms))
-    stats = frames[-1].frame.stats
+    yield Finding(f"{count:,}: stages, ms", rounded(timed.stage_ms))
+    stats = timed.frame.stats
     assert stats is not None
     yield Finding(f"{count:,}: visible, pairs, MiB", [stats.visible_count, stats.pair_count, stats.memory_bytes >> 20])
 
