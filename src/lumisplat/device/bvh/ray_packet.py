@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import COHERENT_SPREAD, FOOTPRINT_LEAD, FOOTPRINT_MAX, FOOTPRINT_REACH, FUSED_FLAGS
+from lumisplat.constants import COHERENT_SPREAD, FUSED_FLAGS
+from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_slope
 from lumisplat.device.bvh.node_stack import push_children
-from lumisplat.device.bvh.node_test import enter_children, larger, lesser, mean_entries, slabs_around
+from lumisplat.device.bvh.node_test import enter_children, larger, mean_entries, slabs_around
 from lumisplat.device.math.aligned_memory import aligned_load_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, WORLD, ChildLinks, Node, SceneBvh
 from lumisplat.device.structs.declare import struct
@@ -29,9 +30,6 @@ PACKET_OPTIONS = {
 """Of the modules that trace packets."""
 
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
-WIDTH_MAX = wp.constant(wp.float32(FOOTPRINT_MAX))
-LEAD = wp.constant(wp.float32(FOOTPRINT_LEAD))
-REACH = wp.constant(wp.float32(FOOTPRINT_REACH))
 
 load_node = aligned_load_of(Node)
 
@@ -169,8 +167,7 @@ def packet_of(lanes: int) -> RayPacket:
                 o = wp.vec3(packet.origin[0, lane], packet.origin[1, lane], packet.origin[2, lane])
                 d = wp.vec3(packet.direction[0, lane], packet.direction[1, lane], packet.direction[2, lane])
                 length2 = wp.length_sq(d)
-                ahead = LEAD * REACH * packet.footprint[lane]
-                slope = wp.vec3(ahead / (1.0 - ahead / wp.sqrt(length2)))
+                slope = wp.vec3(footprint_slope(packet.footprint[lane], wp.sqrt(length2)))
                 low = wp.min(low, o - packet.path_length[lane] * slope)
                 high = wp.max(high, o + packet.path_length[lane] * slope)
                 slow = wp.min(slow, d - slope)
@@ -213,7 +210,7 @@ def packet_of(lanes: int) -> RayPacket:
             footprint = place.instance.footprint
             scale = place.instance.scale
         for lane in range(LANES):
-            packet.footprint[lane] = lesser(footprint * packet.spread[lane], WIDTH_MAX) / scale
+            packet.footprint[lane] = footprint_of_ray(footprint, packet.spread[lane], scale)
             o = object_from_world * rays.origin[first + lane] + offset
             d = object_from_world * rays.direction[first + lane]
             for k in range(3):
@@ -260,7 +257,7 @@ def packet_of(lanes: int) -> RayPacket:
         is_by_mean = hit_distance == HIT_MEAN
         entries = enter_children(node, place.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
         if is_by_mean:
-            entries = mean_entries(node, place.slabs, entries, begin, lesser(end, FAR))
+            entries = mean_entries(node, place.slabs, entries, begin, end)
         return push_children(stack, top, leaves, node, place.number, entries, reach, order)
 
     return RayPacket(

@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from lumisplat.device.bvh.footprint import footprint_variance
 from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
-from lumisplat.device.gaussian.particle import REACH, alpha_of_degree, footprint_variance
+from lumisplat.device.gaussian.particle import alpha_of_degree
 from lumisplat.device.gaussian.projection import alpha_from_log
 from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Particle
 from lumisplat.device.structs.packet import PacketRays
@@ -46,7 +47,7 @@ def packet_hits_of(lanes: int) -> PacketHits:
         sharp_y = w[1, 0] * w[1, 0] + w[1, 1] * w[1, 1] + w[1, 2] * w[1, 2]
         sharp_z = w[2, 0] * w[2, 0] + w[2, 1] * w[2, 1] + w[2, 2] * w[2, 2]
         per_length2 = scale * scale
-        extent = REACH * scale * particle.largest_scale
+        largest_scale = scale * particle.largest_scale
         t = Floats()
         distance2 = Floats()
         for lane in range(LANES):
@@ -63,7 +64,7 @@ def packet_hits_of(lanes: int) -> PacketHits:
             dy = direction[1, lane]
             dz = direction[2, lane]
             middle = -(x * dx + y * dy + z * dz) * per_length2
-            variance = footprint_variance(packet.footprint[lane], packet.path_length[lane] + middle, extent)
+            variance = footprint_variance(packet.footprint[lane], packet.path_length[lane] + middle, largest_scale)
             fx = 1.0 / (1.0 + variance * sharp_x)
             fy = 1.0 / (1.0 + variance * sharp_y)
             fz = 1.0 / (1.0 + variance * sharp_z)

@@ -7,8 +7,8 @@ The equations are in docs/method/gaussians.md.
 
 import warp as wp
 
-from lumisplat.constants import BOX_MARGIN, FOOTPRINT_LEAD, FOOTPRINT_MAX, FOOTPRINT_REACH
-from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.constants import BOX_MARGIN
+from lumisplat.device.bvh.footprint import footprint_of_ray, footprint_variance
 from lumisplat.device.gaussian.projection import ALPHA_LIMIT, OPACITY_MIN, alpha_from_log, gaussian_normal
 from lumisplat.device.math.sh import sh_color
 from lumisplat.device.structs.bvh import FAR, Box, Particle
@@ -18,9 +18,6 @@ from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstan
 wp.set_module_options({"enable_backward": False})
 
 MARGIN = wp.constant(wp.float32(BOX_MARGIN))
-LEAD = wp.constant(wp.float32(FOOTPRINT_LEAD))
-REACH = wp.constant(wp.float32(FOOTPRINT_REACH))
-FOOTPRINT_WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
 TINY = wp.constant(wp.float32(1.0e-30))
 
 
@@ -105,20 +102,6 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 
 
 @wp.func
-def footprint_variance(footprint: float, path: float, extent: float) -> float:
-    """Variance by which a ray finds a Gaussian widened, object space: the square of its footprint at the mean.
-
-    Args:
-        footprint: Standard deviation over the length of the path.
-        path: Its length to where the mean projects onto the ray.
-        extent: The farthest that it reaches, world space. Where it may begin long before, the footprint is one that
-            is nearer, so that nodes need not be wider than their rays' footprints there.
-    """
-    width = footprint * larger(lesser(path, LEAD * (path - extent)), 0.0)
-    return width * width
-
-
-@wp.func
 def ellipsoid_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3, ray: Ray
 ) -> wp.vec3:
@@ -135,9 +118,8 @@ def ellipsoid_normal(
     scales = gaussians.scales[i]
     reach2 = reach_squared(instance.kernel, gaussians.opacities[i])
     path = ray.path_length + wp.dot(gaussians.means[i] - origin, direction) * instance.scale * instance.scale
-    footprint = wp.min(instance.footprint * ray.spread, FOOTPRINT_WIDEST) / instance.scale
-    extent = REACH * instance.scale * wp.max(scales)
-    variance = footprint_variance(footprint, path, extent)
+    footprint = footprint_of_ray(instance.footprint, ray.spread, instance.scale)
+    variance = footprint_variance(footprint, path, instance.scale * wp.max(scales))
     for k in range(3):
         scales[k] = wp.sqrt(scales[k] * scales[k] + variance)
     canonical = canonical_from_object(gaussians.rotations[i], scales)

@@ -84,6 +84,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
             while again:
                 begin = begin_pass(traced, packet, scene)
                 reach = largest(traced.cut_t)
+                end = largest(packet.limit)
                 nearest = float(FAR)  # of the hits in the lists
                 top = push_root(stack)
                 enter_instance(place, packet, WORLD, scene, rays, first)
@@ -96,7 +97,6 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                         hit_distance = scene.hit_distance
                         if number != WORLD:
                             hit_distance = place.instance.hit_distance
-                        end = largest(packet.limit)
                         leaf_count = visit_node(
                             stack, top, leaves, place, scene, begin, reach, NEAR_FIRST, hit_distance, end
                         )
@@ -113,6 +113,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                     if nearest < bound:
                         nearest = blend_final_hits(traced, packet, bound, config, scene, rays, first, radiance_out)
                         reach = largest(traced.cut_t)
+                        end = largest(packet.limit)
                         if reach < 0.0:
                             top = int(0)
                 again = config.strategy != STRATEGY_HIT and is_cut(traced, packet, scene)
