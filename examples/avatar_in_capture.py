@@ -65,8 +65,9 @@ def main(width: int = 240, fps: int = 1) -> None:
     animation = ls.Animation(room, [actor], fps=fps, frame_count=3 * fps + 1)
 
     # Where the capture's own light comes from: through the window on the left. Without `lights`, small bright spots of
-    # the capture would be looked for.
-    sun = ls.LightDirectional((1.0, -0.52, -0.36), (1.0, 0.93, 0.82), intensity=4.0, name="sun")
+    # the capture would be looked for. The garden behind the window is a picture, not to stand in its way.
+    direction, color = (1.0, -0.52, -0.36), (1.0, 0.93, 0.82)
+    sun = ls.LightDirectional(direction, color, intensity=4.0, shadow_distance=2.5, name="sun")
     lighting = ls.AvatarLightingConfig(direct=0.75, transfer=ls.RelightConfig(gamma=1.5))
     lighter = ls.AvatarLighter(room, [sun], lighting)
     camera = ls.Camera.look_at((0.7, 1.3, 3.0), (0.13, 0.3, 0.5), width=width, height=5 * width // 8, fov_y=0.46)

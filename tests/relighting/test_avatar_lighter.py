@@ -462,12 +462,19 @@ def test_a_given_sun_lights_actors() -> None:
     np.testing.assert_allclose(ball_in(scene, [LIGHT]), around, atol=5e-3)
 
 
-def test_what_the_scene_blocks_of_a_sun_does_not_arrive() -> None:
-    """Under a roof there is no sun; a roof that is elsewhere blocks none."""
+def test_what_the_scene_blocks_of_a_sun_does_not_arrive(caplog: pytest.LogCaptureFixture) -> None:
+    """Under a roof there is no sun, which is told; a roof that is elsewhere, or a captured sky, blocks none."""
     roof = captured(np.array([0.0, 3.0, 0.0]) + floor(cells=41).means, np.zeros(3), opacity=1.0, scale=0.1)
     sun = sunny((0.0, -1.0, 0.0))
-    under, without = (ball_in(ls.Scene(splats=[roof]), [sun], sun_on_actors=on) for on in (True, False))
+    with caplog.at_level(logging.WARNING, logger="lumisplat"):
+        under, without = (ball_in(ls.Scene(splats=[roof]), [sun], sun_on_actors=on) for on in (True, False))
     np.testing.assert_allclose(under, without, atol=5e-3)
+    assert caplog.text.count("light 'sun' does not reach an actor") == 1
+    assert "shadow_distance" in caplog.text
+    caplog.clear()
+    below_sky = ball_in(ls.Scene(splats=[roof]), [replace(sun, shadow_distance=1.5)])
+    assert (below_sky - without).max() > 0.4
+    assert "does not reach an actor" not in caplog.text
     slanted = sunny((0.0, -0.3, 1.0))
     assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
 

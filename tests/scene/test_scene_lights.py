@@ -75,6 +75,8 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightSpot, {"outer_angle": 1.6}, "outer_angle 1.6, expected 0 <= inner < outer <= pi / 2"),
         (ls.LightSpot, {"inner_angle": -0.1}, "inner_angle is -0.1"),
         (ls.LightDirectional, {"angle": 1.7}, "angle is 1.7, expected at most pi / 2"),
+        (ls.LightDirectional, {"shadow_distance": 0.0}, "shadow_distance is 0.0, expected a number above 0"),
+        (ls.LightEnvironment, {"shadow_distance": math.nan}, "shadow_distance is nan, expected a number above 0"),
         (ls.LightSphere, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
         (ls.LightRect, {"edge_v": (2.0, 0.0, 0.0)}, "span no area"),
         (ls.LightRect, {"edge_u": ORIGIN}, "span no area"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,11 @@ from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.runtime.launcher import Progress
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
+
+_log = logging.getLogger("lumisplat")
+
+_BLOCKED = 1e-3
+"""A sun of which less than this reaches an actor is told about."""
 
 
 class SunOnActors:
@@ -31,6 +37,7 @@ class SunOnActors:
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
         """Follows the ways to the suns; made for the first actor."""
+        self._has_warned = False
 
     def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
         """Light on an actor's Gaussians beyond that of the probe, in units of white surroundings, shape (N, 3).
@@ -42,7 +49,9 @@ class SunOnActors:
         """
         total = np.zeros(normals.shape, np.float32)
         for sun in self._suns:
-            arriving = sun_beyond(probe, sun) * self._visibility(actor, sun)
+            visibility = self._visibility(actor, sun)
+            self._warn_if_blocked(sun, visibility)
+            arriving = sun_beyond(probe, sun) * visibility
             cosines = np.maximum(normals @ -np.array(sun.direction, np.float32), np.float32(0.0))
             total += cosines[:, None] * (arriving / np.pi).astype(np.float32)
         return total
@@ -57,7 +66,15 @@ class SunOnActors:
         # Evenly over the set: the same ones for an actor that only moves.
         starts = means[np.linspace(0, len(means) - 1, min(SUN_WAYS, len(means))).astype(np.int64)]
         ways = np.broadcast_to(-np.array(sun.direction), starts.shape)
-        return float(self._renderer.transmittance(self._scene, starts, ways).mean())
+        return float(self._renderer.transmittance(self._scene, starts, ways, sun.shadow_distance).mean())
+
+    def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
+        """Warns, once, of a sun that the scene keeps from an actor: a captured sky would be in its way."""
+        if visibility < _BLOCKED and not self._has_warned:
+            self._has_warned = True
+            name = f"light '{sun.name}'" if sun.name else "the sun"
+            text = "%s does not reach an actor: the scene is in its way; if that is a captured sky, set shadow_distance"
+            _log.warning(text, name)
 
 
 def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:

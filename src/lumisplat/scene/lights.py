@@ -146,6 +146,8 @@ class LightDirectional:
     """Angular radius for soft shadows, radians; the sun's is 0.00465."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
+    shadow_distance: float = field(default=math.inf, kw_only=True)
+    """What is farther than this from a surface casts no shadow on it, scene units, > 0: a sky of captured Gaussians."""
     name: str = field(default="", kw_only=True)
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """In place of ``direction``: world position from which the light comes towards ``target``, however far away."""
@@ -163,6 +165,7 @@ class LightDirectional:
             *,
             enabled: bool = True,
             casts_shadow: bool = True,
+            shadow_distance: float = math.inf,
             name: str = "",
             position: npt.ArrayLike | None = None,
             target: npt.ArrayLike | None = None,
@@ -178,6 +181,7 @@ class LightDirectional:
         _check_number("angle", self.angle, 0.0)
         if self.angle > math.pi / 2.0:
             raise SceneError(f"angle is {self.angle:g}, expected at most pi / 2 (radians)")
+        _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,6 +301,8 @@ class LightEnvironment:
     """Whether it is the background of pictures; mirrors always show it."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
+    shadow_distance: float = field(default=math.inf, kw_only=True)
+    """What is farther than this from a surface casts no shadow on it, scene units, > 0: a sky of captured Gaussians."""
     name: str = field(default="", kw_only=True)
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
@@ -311,6 +317,7 @@ class LightEnvironment:
             *,
             enabled: bool = True,
             casts_shadow: bool = True,
+            shadow_distance: float = math.inf,
             name: str = "",
         ) -> None: ...
 
@@ -333,6 +340,7 @@ class LightEnvironment:
             raise SceneError(f"rotation_wxyz is {self.rotation_wxyz}, expected four numbers that are not all 0")
         object.__setattr__(self, "rotation_wxyz", tuple(float(x) / length for x in wxyz))
         check_flag("visible", self.visible)
+        _check_number("shadow_distance", self.shadow_distance, 0.0, above=True, finite=False)
 
 
 Light = LightPoint | LightSpot | LightDirectional | LightSphere | LightRect | LightEnvironment

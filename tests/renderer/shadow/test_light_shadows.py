@@ -212,6 +212,35 @@ def stack() -> ls.Gaussians:
     )
 
 
+@PIPELINES
+@pytest.mark.parametrize("kind", ["sun", "environment"])
+def test_shadows_reach_as_far_as_the_light_says(pipeline: ls.Pipeline, kind: str) -> None:
+    """A captured sky 5 above a floor is no roof to light of a shorter ``shadow_distance``; what is nearer still is."""
+    sky = ls.gaussians_from_mesh(parallelogram((-9.0, 5.0, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5)), 4000)
+    lid = parallelogram((-0.3, 0.5, 0.3), (0.6, 0.0, 0.0), (0.0, 0.0, -0.6), matte(0.5))
+    camera = ls.Camera.look_at((0.0, 0.4, 2.0), (0.0, 0.0, 0.2), width=64, height=48, fov_y=0.7)
+    points = floor_points(camera)
+    under, beside = np.abs(points[..., [0, 2]]).max(-1) < 0.15, points[..., 2] > 0.6
+    left = {}
+    for distance in (math.inf, 6.0, 4.5, 0.4):
+        if kind == "sun":
+            light: ls.LightDirectional | ls.LightEnvironment = ls.LightDirectional(
+                (0.0, -1.0, 0.0), shadow_distance=distance
+            )
+        else:
+            up = np.zeros((16, 32, 3))
+            up[0] = 1.0  # light from within 11 degrees of the zenith
+            light = ls.LightEnvironment(up, shadow_distance=distance)
+        frame = lit(ls.Scene([sky], [floor(matte(0.8)), lid], [light]), camera, pipeline, aovs=("lights",), samples=4)
+        assert frame.light_shadow is not None
+        shares, on_floor = frame.light_shadow[0, ..., 0], frame.instance_index == 1
+        left[distance] = shares[on_floor & under].mean(), shares[on_floor & beside].mean()
+    np.testing.assert_allclose(left[math.inf], left[6.0], atol=1e-6)
+    np.testing.assert_allclose(left[6.0], (0.0, 0.0), atol=0.02)
+    np.testing.assert_allclose(left[4.5], (0.0, 1.0), atol=0.02)
+    np.testing.assert_allclose(left[0.4], (1.0, 1.0), atol=1e-6)
+
+
 def alphas(gaussians: ls.Gaussians, points: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Of each Gaussian on the way from points to a light, in 3D: min(0.99, opacity exp(-d^2 / 2)), shape (N, ...)."""
     result = []

@@ -32,6 +32,7 @@ class LightData:
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
+    """Of points and spots, where they end; of light from infinitely far, how far shadows reach; else inf."""
     radius: float
     """Of a point or spot, scene units; of directional light, radians."""
     inner: float

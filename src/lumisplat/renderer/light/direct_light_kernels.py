@@ -49,7 +49,7 @@ def spawn_shadow_rays(
             rays_out.origin[j] = origin
             rays_out.direction[j] = contribution.direction
             rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
-            rays_out.t_max[j] = contribution.distance
+            rays_out.t_max[j] = wp.min(contribution.distance, scene[0].lights[number].range)
             rays_out.path_length[j] = 0.0
             rays_out.spread[j] = 0.0
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)

@@ -127,6 +127,8 @@ def light_table(lights: list[Light]) -> np.ndarray:
             row["radius"] = min(light.radius, TRANSFORM_MAX)
         if isinstance(light, LightPoint | LightSpot) and light.range < TRANSFORM_MAX:
             row["range"] = light.range
+        if isinstance(light, LightDirectional | LightEnvironment) and light.shadow_distance < TRANSFORM_MAX:
+            row["range"] = light.shadow_distance
         if isinstance(light, LightSpot | LightDirectional):
             row["direction"] = light.direction
 
