@@ -24,6 +24,7 @@ from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
 
 
@@ -127,23 +128,34 @@ class SplatRaster:
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
 
     def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
-        """Adds to sorted hits what Gaussians of relit sets show, by compositing once more with all others black."""
+        """Adds to sorted hits what Gaussians of relit sets show.
+
+        Tiles that hold others, too, are composited once more, with all others black.
+        """
         count, get = len(hits.hits), self._buffers.get
-        splats = get("raster.relit_splats", Splat, scene.gaussian_count)
         shown = self._buffers.struct("raster.relit", GaussianHits, count, RELIT_FIELDS)
-        self._launcher.run_banded(
-            relit_splat_kernels.show_relit, scene.gaussian_count, scene.splat_instances, tiles.splats, splats
-        )
-        self._composite(scene, (splats, tiles.starts, tiles.items, meshes, True, PixelData(), shown))
-        hits.relit_color = shown.color
+        mixed = self._mixed_tiles(scene, tiles)
+        self._composite(scene, (mixed.splats, mixed.starts, mixed.items, meshes, True, PixelData(), shown))
+        hits.relit_color = get("raster.relit_color", wp.vec3, count)
         hits.relit_weight = get("raster.relit_weight", wp.float32, count)
         hits.relit_gaussian = get("raster.relit_gaussian", wp.int32, count)
-        tiles_x, tiles_y = scene.tile_grid
-        self._launcher.run_banded(
-            relit_splat_kernels.find_relit,
-            tiles_x * tiles_y * TILE_PX * TILE_PX,
-            *(scene.camera, splats, tiles.starts, tiles.items, meshes, shown, hits),
+        lists = (mixed.splats, tiles.starts, tiles.items, mixed.starts)
+        self._run_pixels(
+            scene, relit_splat_kernels.find_relit, (scene.camera, scene.splat_instances, *lists, meshes, shown, hits)
         )
+
+    def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
+        """The lists of the tiles that hold both kinds of splats, as relit sets show them; the others are empty."""
+        run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
+        counts, starts = (get(f"raster.mixed_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
+        items = get("raster.mixed_items", wp.int32, tiles.items.shape[0])
+        splats = get("raster.mixed_splats", Splat, scene.gaussian_count)
+        lists = (tiles.starts, tiles.items)
+        run(relit_splat_kernels.count_mixed, count, scene.splat_instances, *lists, counts)
+        prefix_sum(counts, starts, inclusive=False)
+        inputs = (scene.splat_instances, tiles.splats, *lists, starts)
+        run(relit_splat_kernels.list_mixed, count, *inputs, items, splats)
+        return SplatTiles(splats, starts, items)
 
     def sample_hits(
         self,
