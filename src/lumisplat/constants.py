@@ -189,6 +189,27 @@ ENVIRONMENT_SHARE_MIN = 4
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear Rec.709."""
 
+# --- Pictures of lit frames (docs/method/lighting.md#pictures) ---
+
+RADIANCE_BRIGHTEST = 2.0**64
+"""Radiance is clamped to this: far above the white of every tone mapper, far below float32's largest number."""
+
+WEIGHT_ROUNDING = 1e-5
+"""Weights this close to 1 count as 1, because they are sums of float32 products."""
+
+NEUTRAL_TOE = 0.04
+"""Khronos PBR Neutral, github.com/KhronosGroup/ToneMapping: F90, and with it Ks and Kd of its specification."""
+NEUTRAL_START = 0.8 - NEUTRAL_TOE
+NEUTRAL_DESATURATION = 0.15
+
+AGX_STOPS = (-12.47393, 4.026069)
+"""Domain of AgX's curve, log2 of radiance: from 10 stops below middle grey to 6.5 above."""
+AGX_PIVOT = (10.0 / 16.5, 0.5)
+"""Sobotka's first configuration (AgX-S2O3): the curve maps its pivot, middle grey, to half of display white."""
+AGX_SLOPE, AGX_TOE, AGX_SHOULDER = 2.0, 3.0, 3.25
+"""Slope at the pivot, and the powers that bend the curve below and above it."""
+AGX_GAMMA = 2.2
+
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
 SHADOW_TILE = 8

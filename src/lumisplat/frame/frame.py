@@ -83,7 +83,7 @@ class Frame(FrameData):
             object.__setattr__(self, name, image)
             unread = self._fetches()
             unread.pop(name, None)
-            if name in ("color", "alpha"):
+            if name in ("color", "alpha", *_LIT_PARTS):
                 unread.pop(_PICTURE, None)  # whoever holds them may change them
             if unread.keys() == {_PICTURE}:
                 unread.clear()  # all is on the host: the device's memory is not needed any more

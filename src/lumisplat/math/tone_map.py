@@ -9,43 +9,40 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config import ToneMap
+from lumisplat.constants import (
+    AGX_GAMMA,
+    AGX_PIVOT,
+    AGX_SHOULDER,
+    AGX_SLOPE,
+    AGX_STOPS,
+    AGX_TOE,
+    NEUTRAL_DESATURATION,
+    NEUTRAL_START,
+    NEUTRAL_TOE,
+    RADIANCE_BRIGHTEST,
+    WEIGHT_ROUNDING,
+)
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
 
 _Light = npt.NDArray[np.floating]
 
-_BRIGHTEST = 2.0**64
-"""Radiance is clamped to this: far above the white of every tone mapper, far below float32's largest number."""
-_WEIGHT_ROUNDING = 1e-5
-"""Weights this close to 1 count as 1, because they are sums of float32 products."""
-
-# Khronos PBR Neutral, github.com/KhronosGroup/ToneMapping: F90, Ks and Kd of its specification.
-_NEUTRAL_TOE = 0.04
-_NEUTRAL_START = 0.8 - _NEUTRAL_TOE
-_NEUTRAL_DESATURATION = 0.15
-
 # AgX. Blender insets the Rec.2020 primaries before the curve and outsets them after it
 # (github.com/EaryChow/AgX_LUT_Gen).
 _REC2020_FROM_REC709 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
-_REC709_FROM_REC2020 = np.linalg.inv(_REC2020_FROM_REC709).astype(np.float32)
+REC709_FROM_REC2020 = np.linalg.inv(_REC2020_FROM_REC709).astype(np.float32)
 _INSET = [
     [0.856627153315983, 0.0951212405381588, 0.0482516061458583],
     [0.137318972929847, 0.761241990602591, 0.101439036467562],
     [0.11189821299995, 0.0767994186031903, 0.811302368396859],
 ]
-_AGX_FROM_REC709 = (np.array(_INSET) @ _REC2020_FROM_REC709).astype(np.float32)
+AGX_FROM_REC709 = (np.array(_INSET) @ _REC2020_FROM_REC709).astype(np.float32)
 _OUTSET = [
     [0.899796955911611, 0.0871996192028351, 0.013003424885555],
     [0.11142098895748, 0.875575586156966, 0.0130034248855548],
     [0.11142098895748, 0.0871996192028349, 0.801379391839686],
 ]
-_REC2020_FROM_AGX = np.linalg.inv(_OUTSET).astype(np.float32)
-_AGX_STOPS = (-12.47393, 4.026069)
-"""Domain of the curve, log2 of radiance: from 10 stops below middle grey to 6.5 above."""
-# Sobotka's first configuration (AgX-S2O3): the curve maps its pivot, middle grey, to half of display white.
-_AGX_PIVOT = (10.0 / 16.5, 0.5)
-_AGX_SLOPE, _AGX_TOE, _AGX_SHOULDER = 2.0, 3.0, 3.25
-_AGX_GAMMA = 2.2
+REC2020_FROM_AGX = np.linalg.inv(_OUTSET).astype(np.float32)
 
 
 def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatArray:
@@ -77,12 +74,17 @@ def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
     Returns:
         sRGB, 0..1, shape (..., 3).
     """
-    light = np.clip(np.asarray(linear, np.float32), 0.0, _BRIGHTEST)
+    light = np.clip(np.asarray(linear, np.float32), 0.0, RADIANCE_BRIGHTEST)
     if tone_map is ToneMap.NEUTRAL:
         light = _neutral(light)
     elif tone_map is ToneMap.AGX:
         light = _agx(light)
     return np.clip(encode_srgb(np.clip(light, 0.0, 1.0)), 0.0, 1.0).astype(np.float32)
+
+
+def exposure_gain(exposure: float) -> float:
+    """Factor of linear light at an exposure of so many stops."""
+    return float(np.exp2(np.float32(exposure).clip(-64, 64)))
 
 
 def lit_picture(
@@ -108,10 +110,11 @@ def lit_picture(
     """
     captured, weight, light = (np.asarray(values, np.float32) for values in (captured, weight, light))
     result = np.array(captured)
-    whole = weight >= 1.0 - _WEIGHT_ROUNDING
+    whole = weight >= 1.0 - WEIGHT_ROUNDING
     changed = ~whole | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(whole)
-    radiance, gain = captured_radiance(captured[changed], weight[changed]), np.exp2(np.float32(exposure).clip(-64, 64))
-    lit, before = (np.clip(gain * part, 0.0, _BRIGHTEST) for part in (radiance + light[changed], radiance))
+    radiance, gain = captured_radiance(captured[changed], weight[changed]), np.float32(exposure_gain(exposure))
+    with np.errstate(over="ignore"):  # what overflows is clipped
+        lit, before = (np.clip(gain * part, 0.0, RADIANCE_BRIGHTEST) for part in (radiance + light[changed], radiance))
     largest = np.maximum(lit, before).max(axis=-1, keepdims=True)
     difference = np.abs(lit - before).max(axis=-1, keepdims=True)
     captured_part = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)
@@ -124,36 +127,36 @@ def lit_picture(
 
 def _neutral(light: _Light) -> _Light:
     """Khronos PBR Neutral, linear to linear: subtracts a dielectric's Fresnel reflection, compresses above 0.76."""
-    least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * _NEUTRAL_TOE)
-    color = light - (least - least**2 / (4.0 * _NEUTRAL_TOE))
+    least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * NEUTRAL_TOE)
+    color = light - (least - least**2 / (4.0 * NEUTRAL_TOE))
     peak = color.max(axis=-1, keepdims=True)
-    room = 1.0 - _NEUTRAL_START
-    bright = np.maximum(peak, _NEUTRAL_START)
-    compressed = 1.0 - room**2 / (bright + room - _NEUTRAL_START)
-    saturation = 1.0 / (_NEUTRAL_DESATURATION * (bright - compressed) + 1.0)
+    room = 1.0 - NEUTRAL_START
+    bright = np.maximum(peak, NEUTRAL_START)
+    compressed = 1.0 - room**2 / (bright + room - NEUTRAL_START)
+    saturation = 1.0 / (NEUTRAL_DESATURATION * (bright - compressed) + 1.0)
     highlight: _Light = compressed + saturation * (color * (compressed / bright) - compressed)
-    result: _Light = np.where(peak < _NEUTRAL_START, color, highlight)
+    result: _Light = np.where(peak < NEUTRAL_START, color, highlight)
     return result
 
 
 def _agx(light: _Light) -> _Light:
     """AgX, linear to linear. Colours outside the display's gamut come out below 0 or above 1."""
-    low, high = _AGX_STOPS
-    stops = np.log2(np.maximum(light @ _AGX_FROM_REC709.T, np.float32(2.0**low)))
+    low, high = AGX_STOPS
+    stops = np.log2(np.maximum(light @ AGX_FROM_REC709.T, np.float32(2.0**low)))
     curved = _agx_curve(np.clip((stops - low) / (high - low), 0.0, 1.0))
-    return np.maximum(curved @ _REC2020_FROM_AGX.T, 0.0) ** _AGX_GAMMA @ _REC709_FROM_REC2020.T
+    return np.maximum(curved @ REC2020_FROM_AGX.T, 0.0) ** AGX_GAMMA @ REC709_FROM_REC2020.T
 
 
 def _agx_curve(x: _Light) -> _Light:
     """Jed Smith's sigmoid: straight at the pivot, bent by a power on each side to pass (0, 0) and (1, 1)."""
-    pivot_x, pivot_y = _AGX_PIVOT
+    pivot_x, pivot_y = AGX_PIVOT
     curved = x.copy()  # NaN is on neither side of the pivot
     for side, run, rise, power in (
-        (x < pivot_x, pivot_x, pivot_y, _AGX_TOE),
-        (x >= pivot_x, 1.0 - pivot_x, 1.0 - pivot_y, _AGX_SHOULDER),
+        (x < pivot_x, pivot_x, pivot_y, AGX_TOE),
+        (x >= pivot_x, 1.0 - pivot_x, 1.0 - pivot_y, AGX_SHOULDER),
     ):
         # Distance of the asymptote from the pivot for which the curve passes its end point.
-        scale = _AGX_SLOPE * run / ((_AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
-        distance = (_AGX_SLOPE / scale) * (x[side] - pivot_x)
+        scale = AGX_SLOPE * run / ((AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
+        distance = (AGX_SLOPE / scale) * (x[side] - pivot_x)
         curved[side] = pivot_y + scale * distance / (1.0 + np.abs(distance) ** power) ** (1.0 / power)
     return curved

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
-from lumisplat.renderer.film import film_kernels, picture_kernels
+from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.integrators import specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
 from lumisplat.renderer.raster import (
@@ -51,8 +51,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [camera_ray_kernels, film_kernels]
     if plan.traces_rays:
         modules += [mesh_trace_kernels]
-    if launcher.is_cuda and not plan.is_lit:
-        modules += [picture_kernels]
+    if launcher.is_cuda:
+        modules += [lit_picture_kernels if plan.is_lit else picture_kernels]
     return modules
 
 

@@ -110,11 +110,11 @@ class Renderer:
                 images = self._film.unlit_images(pixels, transparent=self.config.background is None)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
-        images, counts, end = self._sampled(plan, resume, progress)
+        images, counts, end = self._sampled(plan, camera.exposure, resume, progress)
         return self._frame(scene, camera, images, counts, samples=end)
 
     def _sampled(
-        self, plan: FramePlan, resume: Frame | None, progress: Progress | None
+        self, plan: FramePlan, exposure: float, resume: Frame | None, progress: Progress | None
     ) -> tuple[dict[str, Any], BinningCounts, int]:
         """The images of the synced scene by samples, what was counted, and the samples of a pixel, resumed ones too."""
         self._film.begin(self._scene, plan, resume)
@@ -130,7 +130,7 @@ class Renderer:
             if progress:
                 progress("tracing", (sample - first + 1) / plan.samples)
         with self._launcher.stage("download"):
-            images = self._film.images(len(self._scene.lights.names), transparent=self.config.background is None)
+            images = self._film.images(len(self._scene.lights.names), exposure, self.config)
             if "lights" in plan.aovs:
                 images["light_names"] = self._scene.lights.names
             counts = self._binning.counts if plan.rasterises else BinningCounts()

@@ -4,6 +4,10 @@ import warp as wp
 
 from lumisplat.device.structs.declare import struct
 
+TONE_NONE: int = wp.constant(0)
+TONE_NEUTRAL: int = wp.constant(1)
+TONE_AGX: int = wp.constant(2)
+
 
 @struct
 class PixelData:
@@ -49,3 +53,18 @@ class FilmData:
     """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
     nonfinite: wp.array[int]
     """Samples of each pixel that were not finite."""
+
+
+@struct
+class PictureData:
+    """How a lit frame becomes a picture."""
+
+    straight: int
+    """1: colours are divided by alpha."""
+    tone_map: int
+    """TONE_NONE and so on."""
+    gain: float
+    """2 to the power of the exposure."""
+    agx_from_rec709: wp.mat33
+    rec2020_from_agx: wp.mat33
+    rec709_from_rec2020: wp.mat33

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from lumisplat.config import RenderConfig
 from lumisplat.constants import COUNT_SUM_THREADS
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import film_kernels
-from lumisplat.renderer.film.picture import encoded_pixels, picture_of
+from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -69,22 +71,29 @@ class Film:
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool) -> dict[str, Any]:
         """As ``images``, of a frame whose ``pixels`` were drawn in one go."""
-        return self._copied(pixels, {}, encoded=True, transparent=transparent)[1]
+        encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
+        return self._copied(pixels, {}, encode, transparent=transparent)[1]
 
-    def images(self, light_count: int, *, transparent: bool) -> dict[str, Any]:
+    def images(self, light_count: int, exposure: float, config: RenderConfig) -> dict[str, Any]:
         """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them.
 
         Args:
             light_count: Lights of the frame, for its layers.
-            transparent: Pictures have no background; those of unlit frames are encoded on CUDA, as ``picture``.
+            exposure: Of the camera, for the picture that is encoded on CUDA.
+            config: Says how that is shown.
         """
+        transparent = config.background is None
         layers = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
         if "lights" in self._plan.aovs:
             layers += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(light_count)]
         arrays = {name: self._image(name) for name in layers}
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
-        copies, images = self._copied(self._pixels, arrays, encoded=not self._plan.is_lit, transparent=transparent)
+            display = picture_data(exposure, config.tone_map, transparent=transparent)
+            encode = partial(encoded_lit_pixels, self._launcher, self._buffers, self._pixels, self._lit, display)
+        else:
+            encode = partial(encoded_pixels, self._launcher, self._buffers, self._pixels, transparent=transparent)
+        copies, images = self._copied(self._pixels, arrays, encode, transparent=transparent)
         if self._plan.is_lit:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
@@ -122,16 +131,21 @@ class Film:
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
 
     def _copied(
-        self, pixels: PixelBuffers[PixelData], arrays: dict[str, DeviceArray], *, encoded: bool, transparent: bool
+        self,
+        pixels: PixelBuffers[PixelData],
+        arrays: dict[str, DeviceArray],
+        encode: Callable[[], DeviceArray],
+        *,
+        transparent: bool,
     ) -> tuple[Copies, dict[str, Any]]:
-        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA ``encoded`` as a picture, too."""
+        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA a picture, too."""
         arrays = {"pixels": pixels.block} | arrays
-        encoded &= self._buffers.downloads.is_lazy
-        if encoded:
-            arrays["picture"] = encoded_pixels(self._launcher, self._buffers, pixels, transparent=transparent)
+        is_lazy = self._buffers.downloads.is_lazy
+        if is_lazy:
+            arrays["picture"] = encode()
         copies = self._buffers.downloads.copies(arrays)
         images = _images_of_pixels(pixels, copies)
-        if encoded:
+        if is_lazy:
             images["picture"] = picture_of(copies, "picture", pixels.size, transparent=transparent)
         return copies, images
 

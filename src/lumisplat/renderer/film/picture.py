@@ -1,4 +1,4 @@
-"""Host pass: the picture of an unlit frame as bytes, so that who only shows or saves it downloads 4 bytes a pixel."""
+"""Host pass: the picture of a frame as bytes, so that who only shows or saves it downloads 4 bytes a pixel."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.structs.film import PixelData
-from lumisplat.renderer.film import picture_kernels
+from lumisplat.config import ToneMap
+from lumisplat.device.structs.film import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
+from lumisplat.math.tone_map import AGX_FROM_REC709, REC709_FROM_REC2020, REC2020_FROM_AGX, exposure_gain
+from lumisplat.renderer.film import lit_picture_kernels, picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Copies
@@ -18,15 +20,46 @@ from lumisplat.runtime.launcher import Launcher
 ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
 """Fetches a picture; None: some pixels are not finite, and the host has to check them one by one."""
 
+_TONE_MAPS = {ToneMap.NONE: TONE_NONE, ToneMap.NEUTRAL: TONE_NEUTRAL, ToneMap.AGX: TONE_AGX}
+
 
 def encoded_pixels(
     launcher: Launcher, buffers: Buffers, pixels: PixelBuffers[PixelData], *, transparent: bool
 ) -> DeviceArray:
-    """The bytes of all pixels, one word each, and a word more, see the kernel."""
+    """The bytes of all pixels of an unlit frame, one word each, and a word more, see the kernel."""
+    picture = _empty_picture(buffers, pixels)
+    launcher.run(picture_kernels.encode_pixels, len(picture) - 1, transparent, pixels.data, picture)
+    return picture
+
+
+def encoded_lit_pixels(
+    launcher: Launcher,
+    buffers: Buffers,
+    pixels: PixelBuffers[PixelData],
+    lit: PixelBuffers[LitPixels],
+    display: PictureData,
+) -> DeviceArray:
+    """The same of a lit frame. Its bytes are the host's but for some that are next to one another's edge."""
+    picture = _empty_picture(buffers, pixels)
+    launcher.run(lit_picture_kernels.encode_lit_pixels, len(picture) - 1, display, pixels.data, lit.data, picture)
+    return picture
+
+
+def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> PictureData:
+    """How a lit frame becomes a picture."""
+    data = PictureData()
+    data.straight, data.tone_map, data.gain = int(transparent), _TONE_MAPS[tone_map], exposure_gain(exposure)
+    data.agx_from_rec709 = wp.mat33(*AGX_FROM_REC709.ravel())
+    data.rec2020_from_agx = wp.mat33(*REC2020_FROM_AGX.ravel())
+    data.rec709_from_rec2020 = wp.mat33(*REC709_FROM_REC2020.ravel())
+    return data
+
+
+def _empty_picture(buffers: Buffers, pixels: PixelBuffers[PixelData]) -> DeviceArray:
+    """A word a pixel, and a zero."""
     count = pixels.size[0] * pixels.size[1]
     picture = buffers.get("film.picture", wp.uint32, count + 1)
     picture[count:].zero_()
-    launcher.run(picture_kernels.encode_pixels, count, transparent, pixels.data, picture)
     return picture
 
 

@@ -1,0 +1,123 @@
+"""Tone mapping on the device, as `lumisplat.math.tone_map` does it on the host.
+
+The equations are in docs/method/lighting.md#pictures.
+"""
+
+import warp as wp
+
+from lumisplat.constants import (
+    AGX_GAMMA,
+    AGX_PIVOT,
+    AGX_SHOULDER,
+    AGX_SLOPE,
+    AGX_STOPS,
+    AGX_TOE,
+    NEUTRAL_DESATURATION,
+    NEUTRAL_START,
+    NEUTRAL_TOE,
+    RADIANCE_BRIGHTEST,
+    WEIGHT_ROUNDING,
+)
+from lumisplat.device.math.color import captured_color, encode_srgb_color, is_black
+from lumisplat.device.structs.film import TONE_AGX, TONE_NEUTRAL, PictureData
+
+wp.set_module_options({"enable_backward": False})
+
+BRIGHTEST = wp.constant(wp.float32(RADIANCE_BRIGHTEST))
+WHOLE = wp.constant(wp.float32(1.0 - WEIGHT_ROUNDING))
+TOE = wp.constant(wp.float32(NEUTRAL_TOE))
+START = wp.constant(wp.float32(NEUTRAL_START))
+DESATURATION = wp.constant(wp.float32(NEUTRAL_DESATURATION))
+STOPS_LOW = wp.constant(wp.float32(AGX_STOPS[0]))
+STOPS_RANGE = wp.constant(wp.float32(AGX_STOPS[1] - AGX_STOPS[0]))
+DARKEST = wp.constant(wp.float32(2.0 ** AGX_STOPS[0]))
+PIVOT_X = wp.constant(wp.float32(AGX_PIVOT[0]))
+PIVOT_Y = wp.constant(wp.float32(AGX_PIVOT[1]))
+SLOPE = wp.constant(wp.float32(AGX_SLOPE))
+POWER_BELOW = wp.constant(wp.float32(AGX_TOE))
+POWER_ABOVE = wp.constant(wp.float32(AGX_SHOULDER))
+GAMMA = wp.constant(wp.float32(AGX_GAMMA))
+
+
+def curve_scale(run: float, rise: float, power: float) -> float:
+    """Distance of AgX's asymptote from the pivot for which a side of the curve passes its end point."""
+    return AGX_SLOPE * run / ((AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
+
+
+SCALE_BELOW = wp.constant(wp.float32(curve_scale(AGX_PIVOT[0], AGX_PIVOT[1], AGX_TOE)))
+SCALE_ABOVE = wp.constant(wp.float32(curve_scale(1.0 - AGX_PIVOT[0], 1.0 - AGX_PIVOT[1], AGX_SHOULDER)))
+
+
+@wp.func
+def clamped(color: wp.vec3, high: float) -> wp.vec3:
+    """A colour with all channels in 0..high."""
+    return wp.vec3(wp.clamp(color[0], 0.0, high), wp.clamp(color[1], 0.0, high), wp.clamp(color[2], 0.0, high))
+
+
+@wp.func
+def neutral(light: wp.vec3) -> wp.vec3:
+    """Khronos PBR Neutral, linear to linear."""
+    least = wp.min(wp.min(light), 2.0 * TOE)
+    color = light - wp.vec3(least - least * least / (4.0 * TOE))
+    peak = wp.max(color)
+    if peak < START:
+        return color
+    room = 1.0 - START
+    compressed = 1.0 - room * room / (peak + room - START)
+    saturation = 1.0 / (DESATURATION * (peak - compressed) + 1.0)
+    white = wp.vec3(compressed)
+    return white + saturation * (color * (compressed / peak) - white)
+
+
+@wp.func
+def agx_curve(light: float) -> float:
+    """AgX's sigmoid of the logarithm of a channel."""
+    stops = wp.log2(wp.max(light, DARKEST))
+    x = wp.clamp((stops - STOPS_LOW) / STOPS_RANGE, 0.0, 1.0)
+    scale = wp.where(x < PIVOT_X, SCALE_BELOW, SCALE_ABOVE)
+    power = wp.where(x < PIVOT_X, POWER_BELOW, POWER_ABOVE)
+    distance = (SLOPE / scale) * (x - PIVOT_X)
+    return PIVOT_Y + scale * distance / wp.pow(1.0 + wp.pow(wp.abs(distance), power), 1.0 / power)
+
+
+@wp.func
+def agx(light: wp.vec3, picture: PictureData) -> wp.vec3:
+    """AgX, linear to linear."""
+    inset = picture.agx_from_rec709 * light
+    shown = picture.rec2020_from_agx * wp.vec3(agx_curve(inset[0]), agx_curve(inset[1]), agx_curve(inset[2]))
+    for k in range(3):
+        shown[k] = wp.pow(wp.max(shown[k], 0.0), GAMMA)
+    return picture.rec709_from_rec2020 * shown
+
+
+@wp.func
+def tone_mapped(light: wp.vec3, picture: PictureData) -> wp.vec3:
+    """Display colour of linear light, 0 to the brightest."""
+    color = light
+    if picture.tone_map == TONE_NEUTRAL:
+        color = neutral(light)
+    elif picture.tone_map == TONE_AGX:
+        color = agx(light, picture)
+    return encode_srgb_color(clamped(color, 1.0))
+
+
+@wp.func
+def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, picture: PictureData) -> wp.vec3:
+    """Display colour of a pixel that shows a capture, light, or both: ``lit_picture`` of the host."""
+    if picture.gain == 1.0 and weight >= WHOLE and is_black(light):
+        return captured
+    radiance = captured_color(captured, weight)
+    lit = clamped(picture.gain * (radiance + light), BRIGHTEST)
+    before = clamped(picture.gain * radiance, BRIGHTEST)
+    largest = wp.max(wp.max(lit), wp.max(before))
+    captured_part = float(1.0)
+    if largest > 0.0:
+        captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
+    untouched = encode_srgb_color(before)
+    shown = tone_mapped(lit, picture) + captured_part * (untouched - tone_mapped(before, picture))
+    for k in range(3):
+        if lit[k] >= before[k]:
+            shown[k] = wp.max(shown[k], untouched[k])
+        else:
+            shown[k] = wp.min(shown[k], untouched[k])
+    return shown
