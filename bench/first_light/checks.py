@@ -15,7 +15,9 @@ import warp as wp
 import lumisplat as ls
 from bench.first_light.worker import Finding, Setting
 from lumisplat.demo.shapes import sphere
+from lumisplat.io.images.png import to_bytes
 from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.downloads import Downloads
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 from support.kernels import cuda_modules, generated_modules, kernels_of, package_modules
@@ -188,6 +190,24 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
                 if near > MOST_APART or mean > MEAN_APART:
                     yield Finding(f"{pipeline.value}, turn {turn}, {layer}", [mean, near], is_wrong=True)
         yield Finding(f"{pipeline.value}, turns", 4)
+
+
+def pictures(setting: Setting) -> Iterator[Finding]:
+    """Bytes that the device encodes, against the host's of the same frames; lit ones may be a step apart."""
+    scene, view = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
+    kinds: dict[str, dict[str, Any]] = {"unlit": {"lighting": False}}
+    kinds |= {f"lit, {tone_map.value}": {"tone_map": tone_map} for tone_map in ls.ToneMap}
+    for name, changes in kinds.items():
+        for background in ((0.2, 0.3, 0.4), None):
+            config = lit_scene.config(ls.Pipeline.HYBRID, background=background, **changes)
+            renderer = device_renderer(setting, config)
+            renderer._buffers.downloads = Downloads(is_lazy=True)  # as on a GPU
+            frame = renderer.render(scene, view)
+            encoded = np.asarray(frame, np.uint8).astype(np.int32)
+            apart = np.abs(encoded - to_bytes(frame.pixels_srgb(), name))
+            most = 0 if name == "unlit" else 1
+            what = f"{name}, {'over a background' if background else 'transparent'}: bytes apart, and how far at most"
+            yield Finding(what, [int((apart > 0).sum()), int(apart.max())], is_wrong=int(apart.max()) > most)
 
 
 def rays(setting: Setting) -> Iterator[Finding]:

@@ -65,6 +65,7 @@ STEPS = (
     Step("small lit frames", f"{CHECKS}:lit_frames", 90.0),
     Step("graphs and repeats", f"{CHECKS}:repeats", 60.0),
     Step("moving sets", f"{CHECKS}:moving_sets", 60.0),
+    Step("pictures", f"{CHECKS}:pictures", 60.0),
     Step("rays", f"{CHECKS}:rays", 60.0),
     Step("deep shadow maps", f"{CHECKS}:deep_shadow_maps", 60.0),
     Step("out of memory", f"{CHECKS}:out_of_memory", 60.0),
