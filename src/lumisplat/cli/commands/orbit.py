@@ -19,6 +19,7 @@ from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
+from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
@@ -94,11 +95,11 @@ class Orbit(FrameCommand):
         self, cameras: Mapping[Path, ls.Camera], renderer: ls.Renderer, scene: ls.Scene, report: Report
     ) -> None:
         """Renders and writes the frames of cameras by their files."""
-        report("frames", 0.0)
+        progress = FrameProgress(report, "frames", len(cameras), "--seconds, --fps")
         for done, (path, camera) in enumerate(cameras.items(), start=1):
             frame = renderer.render(scene, camera, progress=report)
             frame.save(path)
-            report("frames", done / len(cameras))
+            progress.add(frame)
             if self.stats and done == len(cameras):
                 print_stats(frame, renderer.config.pipeline)
 

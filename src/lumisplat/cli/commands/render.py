@@ -15,6 +15,7 @@ from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import Report, progress_bars
+from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -100,11 +101,11 @@ class Render(FrameCommand):
         self, shots: list[Shot], renderer: ls.Renderer, scene: ls.Scene, writer: FrameWriter, report: Report
     ) -> None:
         make_folder(shots[0].path.parent)
-        report("rendering", 0.0)
+        progress = FrameProgress(report, "rendering", len(shots), "--frame" if self.path is None else "--fps")
         for done, shot in enumerate(shots, start=1):
             frame = renderer.render(scene, shot.camera, progress=report)
             writer.write(frame, shot.path)
-            report("rendering", done / len(shots))
+            progress.add(frame)
             if self.stats and done == len(shots):
                 print_stats(frame, renderer.config.pipeline)
 

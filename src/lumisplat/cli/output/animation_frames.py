@@ -11,6 +11,7 @@ from dataclasses import replace
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
+from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
@@ -47,12 +48,12 @@ class AnimationFrames:
         """Renders and writes frames, if there are any."""
         if not indices:
             return
-        report("frames", 0.0)
         if self._animation.scene.splats and self._animation.actors:
             self._start_lighter(report)
             if indices[0] != 0:
                 # Lights are estimated around the actors of frame 0, whichever frame is rendered first.
                 self._lit_scene(0)
+        progress = FrameProgress(report, "frames", len(indices), "--frames")
         for done, index in enumerate(indices, start=1):
             with self._timed("lighting"):
                 scene = self._lit_scene(index)
@@ -64,7 +65,7 @@ class AnimationFrames:
                 frame = self._renderer.render(scene, self._cameras[index], progress=report)
             with self._timed("writing"):
                 frame.save(self._folder.path(index))
-            report("frames", done / len(indices))
+            progress.add(frame)
             if self._stats and done == len(indices):
                 rows = [(name, f"{1e3 * taken / done:8.1f} ms") for name, taken in self._seconds.items()]
                 print_table(f"mean of {done} frames", rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -20,24 +21,26 @@ Report = Callable[[str, float], None]
 def progress_bars() -> Generator[Report]:
     """Shows a bar for each label from its first report until its fraction is 1, and again if it is reported again.
 
-    Only on a terminal; bars vanish at the end.
+    Only on a terminal, with the time that is left at the pace so far; bars vanish at the end.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    named, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
+    columns = (named, BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), left)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[str, TaskID] = {}
+        tasks: dict[str, tuple[TaskID, float]] = {}
 
         def report(label: str, fraction: float) -> None:
             if fraction >= 1.0:
                 if label in tasks:
-                    bars.remove_task(tasks.pop(label))
+                    bars.remove_task(tasks.pop(label)[0])
                 return
             if label not in tasks:
-                tasks[label] = bars.add_task(label, total=1.0)
-            bars.update(tasks[label], completed=fraction)
+                tasks[label] = bars.add_task(label, total=1.0, left=""), time.monotonic()
+            task, begun = tasks[label]
+            bars.update(task, completed=fraction, left=_time_left(time.monotonic() - begun, fraction))
 
         yield report
 
@@ -113,6 +116,19 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
         direction = ",".join(f"{x:.3g}" for x in lighter.sun.light.direction)
         return f"a sun that shines along {direction}, with a confidence of {lighter.sun.confidence:.2f}"
     return None
+
+
+def _time_left(seconds: float, fraction: float) -> str:
+    """How long the rest takes if a fraction took so many seconds; nothing before there is one."""
+    return f"{spoken_time(seconds * (1.0 / fraction - 1.0))} left" if fraction > 0.0 else ""
+
+
+def spoken_time(seconds: float) -> str:
+    """A duration as people say it: ``40 s``, ``14 min``, ``2 h 5 min``."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / 60.0), 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 
 
 def byte_size(count: float) -> str:

@@ -1,0 +1,86 @@
+"""How long frames take: in the bar, and in a line before many that are slow."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import warp as wp
+from rich.progress import Progress
+
+from lumisplat.cli.output import console
+from lumisplat.cli.output.console import progress_bars, spoken_time
+from support.files.cli_files import Workplace
+
+SIZE = ("--width", "16", "--height", "12", "--device", "cpu")
+FIVE_FRAMES = ("orbit", "@capture.ply", "-o", "@round", "--seconds", "0.25", "--fps", "20", *SIZE)
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    return Workplace(tmp_path, capsys)
+
+
+def test_a_bar_says_what_is_left(monkeypatch) -> None:
+    """From its first fraction on, at the pace so far: a quarter in 10 s leaves 30 s."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    clock = iter([100.0, 100.0, 110.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
+    with progress_bars() as report:
+        bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
+        report("frames", 0.0)
+        assert bars.tasks[0].fields["left"] == ""
+        report("frames", 0.25)
+        assert bars.tasks[0].fields["left"] == "30 s left"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "spoken"),
+    [(0.4, "0 s"), (99.4, "99 s"), (99.6, "2 min"), (853.0, "14 min"), (3590.0, "1 h 0 min"), (7500.0, "2 h 5 min")],
+)
+def test_spoken_times(seconds: float, spoken: str) -> None:
+    """Whole seconds, then whole minutes, whose hours carry."""
+    assert spoken_time(seconds) == spoken
+
+
+def announced(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """The lines about how long frames take."""
+    return [record.getMessage() for record in caplog.records if "to go" in record.getMessage()]
+
+
+@pytest.mark.parametrize(
+    ("options", "ways"),
+    [
+        (("--lighting", "on", "--samples", "2"), "fewer frames (--seconds, --fps), --samples 1 or a smaller --width"),
+        ((), "fewer frames (--seconds, --fps) or a smaller --width"),
+    ],
+)
+def test_slow_frames_are_announced_once(work, monkeypatch, caplog, options, ways) -> None:
+    """After the second, as the first may have compiled kernels, with the options that make it quicker."""
+    monkeypatch.setattr("lumisplat.cli.output.frame_progress._LONG_S", 0.0)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert work.run(*FIVE_FRAMES, *options).status == 0
+    (line,) = announced(caplog)
+    assert line.startswith("3 frames to go, about 0 s: quicker with ") and line.endswith(ways)
+
+
+def test_quick_frames_are_not_announced(work, caplog) -> None:
+    """A minute passes without a word."""
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert work.run(*FIVE_FRAMES).status == 0
+    assert announced(caplog) == []
+
+
+def test_cameras_of_files_and_animations_are_announced_too(work, monkeypatch, caplog) -> None:
+    """By the options that those commands have."""
+    monkeypatch.setattr("lumisplat.cli.output.frame_progress._LONG_S", -1.0)
+    work.path("move.toml").write_text('[[actors]]\npath = "mesh.obj"\n[animation]\nframes = 3\nfps = 10\n')
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert work.run("render", "@capture.ply", "--cameras", "@cameras.json", "-o", "@out", *SIZE).status == 0
+        moved = work.run("animate", "@move.toml", "-o", "@frames", *SIZE)
+        assert moved.status == 0, moved.err
+    rendered, animated = announced(caplog)
+    assert "0 frames to go" in rendered and "(--frame)" in rendered
+    assert "1 frame to go" in animated and "(--frames)" in animated
