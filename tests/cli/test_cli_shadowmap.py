@@ -91,3 +91,24 @@ def test_mistakes_are_told_in_one_line(work: Workplace, args: tuple[str, ...], p
     assert (status, out) == (2, "")
     assert problem in err and err.count("\n") == 1
     assert work.files() == before
+
+
+def test_casters_of_a_scene_file_stand_in_the_capture(work: Workplace) -> None:
+    """What stands upright does so by the capture's up, unless the file says another; a line says which it was."""
+    (work.folder / "up.obj").write_text("v -0.3 0 1\nv 0.3 0 1\nv 0 2 1\nf 1 2 3\n")
+    entry = '[[meshes]]\npath = "up.obj"\nupright = true\n'
+    shadows: dict[str, np.ndarray] = {}
+    for name, said, line in (
+        ("own", "", "up is y-down, as in the capture"),
+        ("down", 'up = "y-down"\n', "up is y-down, as in the capture"),
+        ("up", 'up = "y-up"\n', "up is y-up, as their scene.toml says"),
+        ("tilted", "up = [0, -3, 4]\n", "up is 0,-0.6,0.8, as their scene.toml says"),
+    ):
+        work.path(f"{name}.toml").write_text(said + entry)
+        args = ("shadowmap", f"@{name}.toml", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
+        outcome = work.run(*args, "-o", f"@{name}.ply")
+        assert outcome.status == 0, outcome.err
+        assert f"casters: {line}\n" in outcome.out
+        shadows[name] = work.capture(f"{name}.ply").sh
+    np.testing.assert_array_equal(shadows["own"], shadows["down"])
+    assert (shadows["own"] != shadows["up"]).any()

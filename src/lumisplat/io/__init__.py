@@ -76,6 +76,7 @@ def load(
     drop_invalid: bool = False,
     crease_angle: float | None = None,
     allow_outside: bool = False,
+    up: str | npt.ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Gaussians | Mesh | Scene:
     """Loads a capture, a mesh or a scene; extension and content select the reader.
@@ -89,6 +90,8 @@ def load(
             shaded smoothly, radians, 0 to pi, see `smooth_normals`; 0: flat; None: 0.9, which is 51.6 degrees.
         allow_outside: Whether a mesh file may name buffers, materials and textures outside of its own folder, as files
             that you trust do. A ``scene.toml`` may always name any file.
+        up: Of a ``scene.toml`` that does not say it, for what stands upright in it: an axis (``"y-down"``) or a
+            direction; None: y down with a capture, y up for meshes alone. Other files are read as they are.
         progress: Called with the fraction done, 0..1; the last call is with 1.
 
     Returns:
@@ -99,12 +102,13 @@ def load(
     Raises:
         FormatError: The file is missing, unknown, damaged or truncated, holds no Gaussians or invalid values, or needs
             more memory than there is. The message names it.
+        SceneError: ``up`` is no direction.
     """
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
     try:
         with references_outside(allow_outside):
-            loaded = _read(Path(path), drop_invalid, crease_angle, progress)
+            loaded = _read(Path(path), drop_invalid, crease_angle, up, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
     except OSError as error:
@@ -117,15 +121,21 @@ def load(
 
 
 def _read(
-    path: Path, drop_invalid: bool, crease_angle: float | None, progress: Progress | None
+    path: Path,
+    drop_invalid: bool,
+    crease_angle: float | None,
+    up: str | npt.ArrayLike | None,
+    progress: Progress | None,
 ) -> SplatColumns | Mesh | Scene:
     extension = format_of(path)
     if extension == ".ply":
         return _read_ply(path, progress)
     if extension == ".toml":
         from lumisplat.io.scene_toml.scene_file import read_scene_file
+        from lumisplat.scene.up import up_vector
 
-        return read_scene_file(path, partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle))
+        load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
+        return read_scene_file(path, load_asset, None if up is None else up_vector(up))
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])

@@ -166,3 +166,16 @@ def test_a_bad_file_is_named_itself(folder: Path) -> None:
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, '[[splats]]\npath = "broken.ply"\n')
     assert str(caught.value).startswith(f"{folder / 'broken.ply'}: ")
+
+
+def test_up_that_the_file_does_not_say_can_be_given(folder: Path) -> None:
+    """What stands upright stands by the file's own up, else by the given one, else by that of meshes alone."""
+    entry = '[[meshes]]\npath = "mesh.obj"\nupright = true\n'
+    load_text(folder, entry)
+    alone, given = (expect_kind(ls.Scene, ls.load(folder / "scene.toml", up=up)) for up in (None, (0, -2, 0)))
+    assert (alone.up, given.up) == ((0, 1, 0), (0, -1, 0))
+    np.testing.assert_array_equal(given.meshes[0].transform[:3, 1], (0, -1, 0))
+    load_text(folder, 'up = "z-up"\n' + entry)
+    assert expect_kind(ls.Scene, ls.load(folder / "scene.toml", up="y-down")).up == (0, 0, 1)
+    with pytest.raises(ls.SceneError, match="up is 'sideways'"):
+        ls.load(folder / "scene.toml", up="sideways")

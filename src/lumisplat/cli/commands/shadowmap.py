@@ -12,6 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.settings import setting, without_none
+from lumisplat.cli.options.up import spoken_up
 from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 
@@ -26,7 +27,8 @@ class ShadowMap(LoadingCommand, DeviceCommand):
     """Cast shadows of avatars and objects onto a capture, and save it with them."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
-    """What casts: captures, meshes, or a scene.toml that places them. They are not part of the result."""
+    """What casts: captures, meshes, or a scene.toml that places them, with the capture's up (y-down) unless it says
+    another. They are not part of the result."""
     onto: Annotated[Path, arg(metavar="FILE")]
     """The capture that receives the shadows."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
@@ -64,16 +66,25 @@ class ShadowMap(LoadingCommand, DeviceCommand):
         lights = self._lights()
         self.start_warp()
         with progress_bars() as report:
-            casters = self.load_scene(self.casters, report)
             capture = self.load_asset(self.onto, report)
             if not isinstance(capture, ls.Gaussians):
                 raise ls.FormatError(self.onto, "is not a capture: shadows are cast onto Gaussians only")
+            up = ls.Scene(splats=(ls.SplatInstance(capture),)).up_direction
+            casters = self.load_scene(self.casters, report, up)
             report("casting shadows", 0.0)
             lights = lights or casters.lights
             save = self._save_map if is_map else self._save_capture
             summary = save(casters, capture, lights, report)
             report("casting shadows", 1.0)
         print(summary)
+        self._print_up(casters, up)
+
+    @staticmethod
+    def _print_up(casters: ls.Scene, up: tuple[float, float, float]) -> None:
+        """Says which way was up in a scene file: the capture's way, unless the file says another."""
+        if casters.up is not None:
+            whose = "as in the capture" if casters.up == up else "as their scene.toml says"
+            print(f"casters: up is {spoken_up(casters.up)}, {whose}")
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the capture with the shadows; a summary."""

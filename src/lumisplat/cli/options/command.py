@@ -75,8 +75,15 @@ class LoadingCommand(Command):
         """``crease_angle`` of `lumisplat.load`; None: its default."""
         return None
 
-    def load_asset(self, path: Path, report: Report) -> ls.Gaussians | ls.Mesh | ls.Scene:
+    def load_asset(
+        self, path: Path, report: Report, up: tuple[float, float, float] | None = None
+    ) -> ls.Gaussians | ls.Mesh | ls.Scene:
         """Loads one file, and reports the progress under its name.
+
+        Args:
+            path: The file.
+            report: Shows the progress.
+            up: As of `lumisplat.load`.
 
         Raises:
             FormatError: The file cannot be read.
@@ -86,14 +93,22 @@ class LoadingCommand(Command):
             drop_invalid=self.drop_invalid,
             crease_angle=self.crease_radians,
             allow_outside=self.allow_outside,
+            up=up,
             progress=partial(report, f"loading {path.name}"),
         )
 
-    def load_scene(self, paths: Sequence[Path], report: Report) -> ls.Scene:
+    def load_scene(
+        self, paths: Sequence[Path], report: Report, up: tuple[float, float, float] | None = None
+    ) -> ls.Scene:
         """Loads files of any kind into one scene.
+
+        Args:
+            paths: The files.
+            report: Shows the progress.
+            up: As of `lumisplat.load`.
 
         Raises:
             ConfigError: No file was given.
             FormatError: A file cannot be read.
         """
-        return load_scene(paths, lambda path: self.load_asset(path, report))
+        return load_scene(paths, lambda path: self.load_asset(path, report, up))

@@ -24,6 +24,12 @@ def upright(scene: ls.Scene, up: str) -> ls.Scene:
     return scene if direction is None else replace(scene, up=direction)
 
 
+def spoken_up(direction: tuple[float, float, float]) -> str:
+    """A direction that is up by its name, ``y-down``, or as numbers."""
+    named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
+    return next(named, ",".join(f"{value:.3g}" for value in direction))
+
+
 def parse_up(text: str) -> str | tuple[float, float, float] | None:
     """Up as `lumisplat.Scene` takes it; None: the scene's own.
 
