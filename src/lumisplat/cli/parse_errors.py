@@ -11,6 +11,14 @@ from itertools import dropwhile, takewhile
 _STYLES = re.compile(r"\x1b\[[0-9;]*m")
 
 
+_NO_NUMBER = re.compile(
+    r"Error parsing (?P<option>--[\w-]+): (?:no type matching (?P<kind>INT|FLOAT)(?:\|\{(?P<word>\w+)\})? could be "
+    r"instantiated from \['(?P<value>.*)'\]\.|could not convert string to float: '(?P<float>.*)'|"
+    r"invalid literal for int\(\) with base 10: '(?P<int>.*)')"
+)
+"""What tyro says of a value that is no number, perhaps where a word would do, too."""
+
+
 class ArgumentsError(Exception):
     """The arguments do not parse; the message is one line."""
 
@@ -40,12 +48,21 @@ def one_line(panel: str) -> str:
     rows = [row.strip(" │") for row in _STYLES.sub("", panel).splitlines()[1:]]
     message = " ".join(takewhile(lambda row: row and not _is_rule(row), dropwhile(_is_rule, rows)))
     message = re.sub(r"one of \((.*)\)", _choices, message).replace("{None}|", "")
+    message = _NO_NUMBER.sub(_no_number, message)
     text = " ".join(rows)
     suggested = re.search(r"Perhaps you meant: +(--[\w-]+)", text)
     if suggested:
         message += f"; perhaps you meant {suggested[1]}"
     helping = re.search(r"lumisplat[\w ]* --help$", text.rstrip("╰─╯ "))
     return f"{message} (see {helping[0]})" if message and helping else message or " ".join(panel.split())
+
+
+def _no_number(found: re.Match[str]) -> str:
+    """A value that is no number, as other wrong values are named."""
+    value = next(text for text in (found["value"], found["float"], found["int"]) if text is not None)
+    is_whole = found["kind"] == "INT" or found["int"] is not None
+    word = f" or {found['word']}" if found["word"] else ""
+    return f"{found['option']} is '{value}', expected a {'whole ' if is_whole else ''}number{word}"
 
 
 def _choices(listed: re.Match[str]) -> str:

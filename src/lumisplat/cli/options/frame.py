@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
-from lumisplat.cli.options.settings import Changes, changed_config, setting
+from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 
 
@@ -69,13 +69,20 @@ class FrameCommand(LoadingCommand, DeviceCommand):
 
         Raises:
             ConfigError: A value is out of its range.
+            SceneError: The size of the image is.
         """
+        self._check_size()
         own: Changes = {}
         if self.pipeline is not None:
             own["pipeline"] = ls.Pipeline(self.pipeline)
         if self.background is not None:
             own["background"] = self.background
         return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
+
+    def _check_size(self) -> None:
+        """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""
+        given = without_none({"width": self.width, "height": self.height})
+        ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), **given)
 
     def load_cameras(self, cameras: Path | None, scene_file: Path | None) -> list[ls.Camera]:
         """The cameras of --cameras, else of a scene file; none if neither has any, or a viewpoint is given.
