@@ -109,3 +109,12 @@ def test_cameras_of_colmap_and_their_lenses(work):
     assert facts["kind"] == "cameras" and facts["models"] == ["pinhole"]
     assert facts["distortions"] == [[0.0] * 6, [-0.1, 0.02, 0.0, 0.0, 0.0, 0.003]]
     assert "distortion" not in work.run("info", "@cameras.json").out
+
+
+def test_bounds_have_no_negative_zero(work) -> None:
+    """A bound of -0 is 0, in tables and in JSON."""
+    work.path("flat.obj").write_text("v -0.0 1 -0.0\nv -1 0 -0.0\nv -0.0 0 -0.0\nf 1 2 3\n")
+    assert "(-1, 0, 0) to (0, 1, 0)" in work.run("info", "@flat.obj").out
+    assert "-0.0" not in work.run("info", "@flat.obj", "--json").out
+    mesh = ls.load(work.path("flat.obj"))
+    assert isinstance(mesh, ls.Mesh) and "bounds=(-1, 0, 0)..(0, 1, 0)" in repr(mesh)

@@ -171,4 +171,13 @@ def test_folders_of_captures_are_named(work):
         (work.path("streamed") / name).mkdir(parents=True)
         (work.path("streamed") / name / "meta.json").write_text("{}")
     outcome = work.run("info", "@streamed")
-    assert outcome.status == 2 and "give one of the captures in it, 0_0, 1_0" in outcome.err
+    assert outcome.status == 2 and "give one of the captures in it, 0_0/meta.json, 1_0" in outcome.err
+    work.path("streamed/lod-meta.json").write_text("{}")
+    for command, path in (
+        ("info", "@streamed"),
+        ("render", "@streamed/lod-meta.json"),
+        ("info", "@streamed/lod-meta.json"),
+    ):
+        outcome = work.run(command, path)
+        assert outcome.status == 2 and "is a streamed SOG, which is not supported yet: convert it to one" in outcome.err
+        assert outcome.err.endswith("or give one of its chunks: 0_0/meta.json, 1_0/meta.json\n")

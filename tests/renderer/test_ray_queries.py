@@ -187,3 +187,12 @@ def test_parallel_rays_from_everywhere(data_dir: Path) -> None:
     together = renderer.trace_rays(scene, origins, directions)
     alone = [renderer.trace_rays(scene, origins[i : i + 1], directions[:1]).radiance[0] for i in range(40)]
     np.testing.assert_allclose(together.radiance[:40], alone, atol=2e-6)
+
+
+def test_hits_are_shown_in_a_line() -> None:
+    """How many rays, how many hit something, between which distances; nothing where none does."""
+    scene = ls.Scene([], [quad(4.0)])
+    origins, away = np.zeros((3, 3)), np.array([[0.0, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.0, -1.0]])
+    hits = tracer().trace_rays(scene, origins, away)
+    assert repr(hits) == "RayHits(rays=3, hits=2, depth=4..4.02, color_space='srgb')"
+    assert repr(tracer().trace_rays(scene, ORIGIN, -AHEAD)) == "RayHits(rays=1, hits=0, color_space='srgb')"

@@ -107,7 +107,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
 
 def box_text(low: npt.NDArray[Any], high: npt.NDArray[Any]) -> str:
     """A box by its corners, as texts show it: ``(-1, 0, 2.5)..(1, 3, 4)``."""
-    low_text, high_text = (", ".join(f"{value:.4g}" for value in corner) for corner in (low, high))
+    low_text, high_text = (", ".join(f"{value:z.4g}" for value in corner) for corner in (low, high))
     return f"({low_text})..({high_text})"
 
 

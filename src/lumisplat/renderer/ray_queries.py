@@ -55,6 +55,11 @@ class RayHits:
     color_space: str = "srgb"
     """Of the radiance: ``srgb``, display-referred, or ``linear`` if it is lit."""
 
+    def __repr__(self) -> str:
+        depths = self.depth[np.isfinite(self.depth)]
+        between = f", depth={depths.min():.4g}..{depths.max():.4g}" if depths.size else ""
+        return f"RayHits(rays={len(self)}, hits={depths.size}{between}, color_space={self.color_space!r})"
+
     def __len__(self) -> int:
         return len(self.depth)
 

@@ -71,7 +71,7 @@ class PlacedInstance:
         matrix = self.transform
         scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
         scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
-        return f"name={self.name!r}, position=({', '.join(f'{value:.4g}' for value in matrix[:3, 3])}){scaled}"
+        return f"name={self.name!r}, position=({', '.join(f'{value:z.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
 def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> _Doubles:

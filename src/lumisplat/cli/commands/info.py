@@ -111,7 +111,7 @@ def _holds_cameras(path: Path) -> bool:
     if os.path.isdir(path):  # Path.is_dir raises on names that are too long; the reader says so
         return any((path / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
     of_colmap = path.stem in ("cameras", "images") and path.suffix in (".bin", ".txt")
-    return of_colmap or (path.suffix.lower() == ".json" and path.name != "meta.json")
+    return of_colmap or (path.suffix.lower() == ".json" and path.name not in ("meta.json", "lod-meta.json"))
 
 
 def _cameras(path: Path) -> list[ls.Camera]:

@@ -105,7 +105,7 @@ def counted(count: int, noun: str) -> str:
 
 def light_positions(lights: Iterable[ls.LightPoint]) -> str:
     """Where lights are, in a line."""
-    return ", ".join("({:.3g}, {:.3g}, {:.3g})".format(*light.position) for light in lights)
+    return ", ".join(f"({', '.join(f'{x:z.3g}' for x in light.position)})" for light in lights)
 
 
 def found_light(lighter: ls.AvatarLighter) -> str | None:
@@ -113,7 +113,7 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
     if lighter.estimate is not None:
         return light_positions(lighter.estimate.lights)
     if lighter.sun is not None:
-        direction = ",".join(f"{x:.3g}" for x in lighter.sun.light.direction)
+        direction = ",".join(f"{x:z.3g}" for x in lighter.sun.light.direction)
         return f"a sun that shines along {direction}, with a confidence of {lighter.sun.confidence:.2f}"
     return None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -138,7 +138,7 @@ def light_row(light: Light) -> tuple[str, str]:
         texts.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
     for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):
         if (vector := getattr(light, name, None)) is not None:
-            texts.append("{} ({:.4g}, {:.4g}, {:.4g})".format(title, *vector))
+            texts.append(f"{title} {_point(vector)}")
     for name in ("range", "radius"):
         value = getattr(light, name, 0.0)
         if 0.0 < value < math.inf:
@@ -218,7 +218,12 @@ def image_size(image: Array) -> str:
 
 def box(low: Array, high: Array) -> str:
     """A box by two of its corners."""
-    return "({:.4g}, {:.4g}, {:.4g}) to ({:.4g}, {:.4g}, {:.4g})".format(*low, *high)
+    return f"{_point(low)} to {_point(high)}"
+
+
+def _point(values: Iterable[float]) -> str:
+    """A point or a direction; -0 is 0."""
+    return f"({', '.join(f'{value:z.4g}' for value in values)})"
 
 
 def _setting(value: object) -> str:

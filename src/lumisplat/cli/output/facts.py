@@ -131,8 +131,8 @@ def radiance_facts(image: Any) -> Facts:
 
 
 def _box(corners: tuple[Any, Any]) -> list[list[float]]:
-    """Two corners."""
-    return [[float(value) for value in corner] for corner in corners]
+    """Two corners; -0 becomes 0."""
+    return [[float(value) + 0.0 for value in corner] for corner in corners]
 
 
 def _plain(value: Any) -> Any:

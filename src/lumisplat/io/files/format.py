@@ -7,6 +7,8 @@ from pathlib import Path
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import check_regular
 
+STREAMED_SOG = "lod-meta.json"
+"""The file of a streamed SOG that lists its levels and chunks."""
 _INNER_LISTED = 8
 """How many captures of a folder a message lists."""
 
@@ -16,19 +18,30 @@ def format_of(path: Path) -> str:
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
-        raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{_inner_sog(path)}")
+        if (path / STREAMED_SOG).is_file():
+            raise _streamed(path, path)
+        given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
+        raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
         raise FormatError(path, "no such file")
     check_regular(path, path.stat())
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")
+    if path.name == STREAMED_SOG:
+        raise _streamed(path, path.parent)
     return ".sog" if path.name == "meta.json" else path.suffix.lower()
 
 
+def _streamed(path: Path, folder: Path) -> FormatError:
+    """What to do with a streamed SOG, whose levels and chunks are captures of their own."""
+    chunks = f", or give one of its chunks: {inner}" if (inner := _inner_sog(folder)) else ""
+    return FormatError(
+        path, f"is a streamed SOG, which is not supported yet: convert it to one .sog with splat-transform{chunks}"
+    )
+
+
 def _inner_sog(folder: Path) -> str:
-    """Which folders in a folder are SOG captures, such as the levels of a streamed one, as the end of a message."""
-    inner = sorted(meta.parent.name for meta in folder.glob("*/meta.json"))
-    if not inner:
-        return ""
+    """The SOG captures in a folder, by their paths from there: the first few, and how many more there are."""
+    inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
     more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
-    return f": give one of the captures in it, {', '.join(inner[:_INNER_LISTED])}{more}"
+    return ", ".join(inner[:_INNER_LISTED]) + more
