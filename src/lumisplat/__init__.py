@@ -32,7 +32,15 @@ if TYPE_CHECKING:
     )
     from lumisplat.demo.scene import demo_cameras, demo_scene
     from lumisplat.demo.scene_lit import demo_scene_lit
-    from lumisplat.errors import ConfigError, DeviceError, FormatError, LumisplatError, MissingExtraError, SceneError
+    from lumisplat.errors import (
+        ConfigError,
+        DeviceError,
+        FormatError,
+        LumisplatError,
+        MissingExtraError,
+        MissingFileError,
+        SceneError,
+    )
     from lumisplat.frame.frame import Frame
     from lumisplat.io import (
         load,
@@ -132,6 +140,7 @@ _MODULE_OF = {
     "Mesh": "scene.mesh",
     "MeshInstance": "scene.scene",
     "MissingExtraError": "errors",
+    "MissingFileError": "errors",
     "NormalEstimate": "config",
     "NormalMethod": "config",
     "Pipeline": "config",
@@ -246,6 +255,7 @@ __all__ = [
     "Mesh",
     "MeshInstance",
     "MissingExtraError",
+    "MissingFileError",
     "NormalEstimate",
     "NormalMethod",
     "Pipeline",

@@ -5,6 +5,7 @@ LumisplatError
 ├── MissingExtraError  an optional package is not installed (also an ImportError)
 ├── SceneError         bad data: shape, NaN, empty (also a ValueError)
 │   └── FormatError    a file we cannot read or write: names the path
+│       └── MissingFileError  a file that does not exist (also a FileNotFoundError)
 └── DeviceError        a missing device, out of memory, a failed launch
 
 Messages say what, where, what was expected and what to do, in one line.
@@ -53,6 +54,10 @@ class FormatError(SceneError):
     def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
         super().__init__(f"{os.fspath(path)}: {problem}")
         self.path = os.fspath(path)
+
+
+class MissingFileError(FormatError, FileNotFoundError):
+    """A file or a folder that is to be read does not exist; ``path`` names it, ``filename`` and ``errno`` are None."""
 
 
 class DeviceError(LumisplatError, RuntimeError):

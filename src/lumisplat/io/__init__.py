@@ -100,9 +100,10 @@ def load(
         Captures have the axes of the usual Gaussian PLY (SPZ is mirrored), meshes have the axes of their files.
 
     Raises:
-        FormatError: The file is missing, unknown, damaged or truncated, holds no Gaussians or invalid values, or needs
-            more memory than there is. The message names it.
+        FormatError: The file is unknown, damaged or truncated, holds no Gaussians or invalid values, or needs more
+            memory than there is. The message names it.
         SceneError: ``up`` is no direction.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns
 
@@ -111,6 +112,8 @@ def load(
             loaded = _read(Path(path), drop_invalid, crease_angle, up, progress)
         if isinstance(loaded, SplatColumns):
             loaded = gaussians_from_columns(path, loaded, drop_invalid=drop_invalid)
+    except FormatError:
+        raise
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     except MemoryError:
@@ -212,6 +215,7 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
     Raises:
         FormatError: The file is not a camera file, has no frames, or has a frame whose pose or intrinsics are invalid;
             names the frame.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.camera_files import read_cameras
 
@@ -230,6 +234,7 @@ def load_camera_path(path: PathLike, *, width: int | None = None, height: int | 
 
     Raises:
         FormatError: The file cannot be read, has no cameras, or has cameras of different sizes or models.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.camera_files import read_camera_way
 
@@ -244,6 +249,7 @@ def load_config(path: PathLike) -> RenderConfig:
 
     Raises:
         FormatError: The file cannot be read, or a setting is unknown or invalid; names the line and the setting.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.scene_toml.config_file import read_config
     from lumisplat.io.scene_toml.scene_file import read_document
@@ -278,7 +284,8 @@ def load_image(path: PathLike) -> FloatArray:
         Display-referred sRGB, 0..1, shape (H, W, 3), row 0 at the top.
 
     Raises:
-        FormatError: The file is missing, damaged, or not a picture.
+        FormatError: The file is damaged, or not a picture.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.images.picture import read_picture
 
@@ -297,7 +304,8 @@ def load_radiance(path: PathLike) -> FloatArray:
         values become 0, and one log line counts them.
 
     Raises:
-        FormatError: The file is missing, damaged or truncated, or holds 8-bit display colours.
+        FormatError: The file is damaged or truncated, or holds 8-bit display colours.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.images.radiance import read_radiance
 
@@ -319,6 +327,7 @@ def load_rig(path: PathLike, *, vertex_colors: bool = True, allow_outside: bool 
     Raises:
         FormatError: The file is malformed, has neither a skin nor an animation, is skinned without weights or with
             weights that sum to 0, or has keys that are not finite or not in order.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.gltf.rigs import read_rig
 
@@ -336,9 +345,9 @@ def load_sequence(folder: PathLike, fps: float, *, drop_invalid: bool = False) -
         drop_invalid: As in `load`, for each frame.
 
     Raises:
-        FormatError: The folder does not exist, holds no frame or frames of two kinds, or the first frame cannot be
-            read.
+        FormatError: The folder holds no frame or frames of two kinds, or the first frame cannot be read.
         SceneError: ``fps`` is out of range.
+        MissingFileError: There is no such folder: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.splats.sequence import read_sequence
 
@@ -359,6 +368,7 @@ def load_animation(
     Raises:
         FormatError: The file, or a file that it names, cannot be read, or an entry is invalid; names the line and the
             key.
+        MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
     from lumisplat.io.scene_toml.animation import read_animation
 

@@ -216,7 +216,8 @@ class DeepShadowMap:
 
         Raises:
             DeviceError: There is no such device, or it is out of memory.
-            FormatError: The file is missing, or is not a deep shadow map.
+            FormatError: The file is not a deep shadow map.
+            MissingFileError: There is no such file.
         """
         stored = read_map(path)
         launcher = Launcher(device)

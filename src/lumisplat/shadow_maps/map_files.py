@@ -17,7 +17,7 @@ import warp as wp
 from lumisplat.config import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 from lumisplat.constants import SHADOW_TILE
 from lumisplat.device.structs.shadow_map import Atlas
-from lumisplat.errors import FormatError, LumisplatError
+from lumisplat.errors import FormatError, LumisplatError, MissingFileError
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import check_regular
 from lumisplat.math.arrays import FloatArray
@@ -84,7 +84,8 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
     """Reads what `write_map` wrote.
 
     Raises:
-        FormatError: The file is missing, or is not a deep shadow map.
+        FormatError: The file is not a deep shadow map, or cannot be read.
+        MissingFileError: There is no such file.
     """
     try:
         check_regular(path, os.stat(path))
@@ -99,6 +100,8 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
         )
     except FormatError:
         raise
+    except FileNotFoundError:
+        raise MissingFileError(path, "no such file") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     except _FOREIGN_FILE_ERRORS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lumisplat.errors import FormatError
+from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import check_regular
 
 STREAMED_SOG = "lod-meta.json"
@@ -23,7 +23,7 @@ def format_of(path: Path) -> str:
         given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
-        raise FormatError(path, "no such file")
+        raise MissingFileError(path, "no such file")
     check_regular(path, path.stat())
     if path.stat().st_size == 0:
         raise FormatError(path, "is empty: zero bytes")

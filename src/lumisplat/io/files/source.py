@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from lumisplat.constants import FILE_BYTES_MAX
-from lumisplat.errors import FormatError, LumisplatError, SceneError
+from lumisplat.errors import FormatError, LumisplatError, MissingFileError, SceneError
 
 PathLike = str | os.PathLike[str]
 
@@ -25,7 +25,8 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
         wanted_by: The file that refers to this one, named in errors.
 
     Raises:
-        FormatError: The file is missing, a folder, a device or a pipe, empty, too large or not readable.
+        FormatError: The file is a folder, a device or a pipe, empty, too large or not readable.
+        MissingFileError: There is no such file.
     """
     because = f" (needed by {os.fspath(wanted_by)})" if wanted_by is not None else ""
     try:
@@ -41,7 +42,7 @@ def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
     except MemoryError:
         raise FormatError(path, f"does not fit into memory{because}") from None
     except FileNotFoundError:
-        raise FormatError(path, f"no such file{because}") from None
+        raise MissingFileError(path, f"no such file{because}") from None
     except (OSError, ValueError) as error:
         raise FormatError(path, f"cannot be read{because}: {getattr(error, 'strerror', None) or error}") from None
     if not data:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from lumisplat.errors import FormatError
+from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike
 from lumisplat.scene.animation.sequence import GaussianSequence
 from lumisplat.scene.gaussians import Gaussians
@@ -36,12 +36,17 @@ def frame_paths(folder: Path) -> list[Path]:
     """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers.
 
     Raises:
-        FormatError: The folder does not exist, holds no frame, or holds frames with different extensions.
+        FormatError: The folder holds no frame, or holds frames with different extensions.
+        MissingFileError: There is no such folder.
     """
     try:
+        if not folder.exists():
+            raise MissingFileError(folder, "no such folder")
         if not folder.is_dir():
-            raise FormatError(folder, "is a file, expected a folder of frames" if folder.exists() else "no such folder")
+            raise FormatError(folder, "is a file, expected a folder of frames")
         files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    except FormatError:
+        raise
     except OSError as error:
         raise FormatError(folder, f"cannot be read: {error.strerror or error}") from None
     kinds = {path: kind for path in files if (kind := _extension(path))}

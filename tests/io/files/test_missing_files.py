@@ -1,0 +1,46 @@
+"""Files that do not exist: one error of ours that is also Python's own, from everything that loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import lumisplat as ls
+
+LOADERS: dict[str, Callable[[Path], Any]] = {
+    "a.ply": ls.load,
+    "a.spz": ls.load,
+    "a.glb": ls.load,
+    "meta.json": ls.load,
+    "a.toml": ls.load,
+    "b.toml": ls.load_config,
+    "c.toml": ls.load_animation,
+    "cameras.json": ls.load_cameras,
+    "camera_path.json": ls.load_camera_path,
+    "a.png": ls.load_image,
+    "a.hdr": ls.load_radiance,
+    "b.glb": ls.load_rig,
+    "frames": lambda folder: ls.load_sequence(folder, 24.0),
+    "map.npz": lambda path: ls.DeepShadowMap.load(path, device="cpu"),
+}
+
+
+@pytest.mark.parametrize("name", LOADERS)
+@pytest.mark.parametrize("kind", [FileNotFoundError, ls.FormatError, ls.MissingFileError])
+def test_a_missing_file_is_caught_either_way(tmp_path: Path, name: str, kind: type[Exception]) -> None:
+    """As a FileNotFoundError and as the error of files; the message and ``path`` name it."""
+    with pytest.raises(kind, match=r": no such (file|folder)$") as caught:
+        LOADERS[name](tmp_path / name)
+    assert isinstance(caught.value, ls.MissingFileError) and caught.value.path == str(tmp_path / name)
+
+
+def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None:
+    """Damaged files and folders are errors of files alone."""
+    (tmp_path / "a.ply").write_bytes(b"ply")
+    for path in (tmp_path / "a.ply", tmp_path):
+        with pytest.raises(ls.FormatError) as caught:
+            ls.load(path)
+        assert not isinstance(caught.value, OSError)
