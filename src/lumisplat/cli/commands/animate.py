@@ -19,11 +19,11 @@ from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, setting
-from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.video import check_video, write_video
 
@@ -91,7 +91,7 @@ class Animate(FrameCommand):
             folder = FrameFolder(self.output, self.format)
             folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
             missing = [index for index in wanted if not folder.is_finished(index)]
-            remarks = partial(unused_options, config, raster=[], rays=self.rays, light=self.light)
+            remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light)
             frames = AnimationFrames(animation, cameras, renderer, folder, stats=self.stats, remarks=remarks)
             try:
                 frames.render(missing, report)

@@ -16,11 +16,11 @@ from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
-from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.pictures import check_writable
+from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
 from lumisplat.cli.output.video import check_video, write_video
@@ -73,7 +73,7 @@ class Orbit(FrameCommand):
             folder = FrameFolder(self.output, "png", "orbit.json")
             folder.prepare(self._origin(config, renderer.device), self.overwrite)
             missing = [index for index in range(count) if not folder.is_finished(index)]
-            for line in unused_options(config, scene, [], self.rays, self.light):
+            for line in frame_remarks(config, scene, [], self.rays, self.light):
                 _log.warning("%s", line)
             try:
                 self._render({folder.path(k): cameras[k] for k in missing}, renderer, scene, report)

@@ -13,11 +13,11 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
-from lumisplat.cli.options.unused import unused_options
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
+from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 from lumisplat.cli.output.stats import print_stats
 
@@ -89,7 +89,7 @@ class Render(FrameCommand):
             renderer = self.start_renderer(report, config, profile=self.stats)
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
             scene = self.light.lit_scene(scene, environment)
-            for line in unused_options(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
+            for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
             shots = shots or self._shots([self.own_camera(scene, *self.scene)])
             self._render(shots, renderer, scene, writer, report)

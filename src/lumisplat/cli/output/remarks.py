@@ -1,0 +1,47 @@
+"""Lines about a frame's settings that are logged before it is rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import lumisplat as ls
+from lumisplat.cli.options.lighting import LightOptions
+from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.options.unused import unused_options
+
+if TYPE_CHECKING:
+    from lumisplat.scene.materials import Material
+
+
+def frame_remarks(
+    config: ls.RenderConfig, scene: ls.Scene, raster: list[str], rays: RayOptions, light: LightOptions
+) -> Iterator[str]:
+    """What has no effect, and what comes out black; arguments as of `unused_options`."""
+    yield from unused_options(config, scene, raster, rays, light)
+    yield from _dark_sides(config, scene)
+
+
+def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
+    """A line if lamps alone light things beside a capture, which was captured in light from everywhere."""
+    lights = [light for light in scene.lights if light.enabled]
+    is_surrounded = any(isinstance(light, ls.LightEnvironment) for light in lights)
+    if config.lighting is False or not lights or is_surrounded or not scene.splats:
+        return
+    relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_only]
+    things = {
+        "meshes": any(_needs_light(instance.mesh.material) for instance in scene.meshes),
+        "relit captures": any(map(_needs_light, relit)),
+    }
+    dark = " and ".join(name for name, is_dark in things.items() if is_dark)
+    if dark:
+        yield (
+            f"sides of {dark} that no light reaches are black: [environment] in a scene.toml (such as intensity = 0.3, "
+            "visible = false) or --environment FILE lights them from all around"
+        )
+
+
+def _needs_light(material: Material) -> bool:
+    """Whether a surface is black where no light reaches it: mirrors and glass show something else."""
+    own = material.emissive + (material.ambient if isinstance(material, ls.MaterialSimple) else ())
+    return not material.is_smooth and not any(own)

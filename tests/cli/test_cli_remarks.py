@@ -1,0 +1,74 @@
+"""Lines before a frame: surfaces that will be black for lack of light from all around."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.cli.options.lighting import LightOptions
+from lumisplat.cli.options.rays import RayOptions
+from lumisplat.cli.output.remarks import frame_remarks
+from support.files.cli_files import Workplace
+from support.scenes.raster_scenes import one_gaussian, quad
+
+LAMP, SKY = ls.LightPoint((0, 0, 1)), ls.LightEnvironment()
+KEPT = ls.SplatInstance(one_gaussian(), shadow_only=True)
+RELIT = ls.SplatInstance(one_gaussian(), material=ls.MaterialPbr())
+WALL, MIRROR = quad(4.0), quad(4.0, material=ls.MaterialPbr(roughness=0.0, metallic=1.0))
+LAMPLIT = quad(4.0, material=ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.2, 0.2, 0.2)))
+
+
+def remarks(scene: ls.Scene, **changes: object) -> list[str]:
+    """The lines about a scene."""
+    config = ls.RenderConfig(**changes)  # pyright: ignore[reportArgumentType]
+    return list(frame_remarks(config, scene, [], RayOptions(), LightOptions()))
+
+
+@pytest.mark.parametrize(
+    ("scene", "things"),
+    [
+        (ls.Scene([KEPT], [WALL], [LAMP]), "meshes"),
+        (ls.Scene([KEPT, RELIT], [], [LAMP]), "relit captures"),
+        (ls.Scene([RELIT], [MIRROR, WALL], [LAMP, ls.LightEnvironment(enabled=False)]), "meshes and relit captures"),
+    ],
+)
+def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str) -> None:
+    """One line names what is black, and what lights it."""
+    (line,) = remarks(scene)
+    assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
+    assert "--environment FILE" in line
+    assert remarks(scene, lighting=False) == []
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ls.Scene([KEPT], [WALL], [LAMP, SKY]),
+        ls.Scene([], [WALL], [LAMP]),
+        ls.Scene([KEPT], [WALL]),
+        ls.Scene([KEPT], [MIRROR, LAMPLIT], [LAMP]),
+    ],
+)
+def test_nothing_is_said_of_other_scenes(scene: ls.Scene) -> None:
+    """An environment lights all sides; meshes alone, mirrors and ambient light are as they were asked for."""
+    assert remarks(scene) == []
+
+
+@pytest.mark.parametrize("command", ["render", "orbit"])
+def test_commands_say_it_once_and_the_environment_helps(tmp_path, capsys, monkeypatch, caplog, command) -> None:
+    """As the line says it, in a scene.toml."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    work = Workplace(tmp_path, capsys)
+    scene = '[[splats]]\npath = "capture.ply"\nshadow_only = true\n[[meshes]]\npath = "mesh.obj"\n'
+    scene += '[[lights]]\ntype = "point"\nposition = [0, 0, 9]\n'
+    sky = "[environment]\nintensity = 0.3\nvisible = false\n"
+    options = ("--width", "16", "--device", "cpu", *(("--seconds", "0.08") if command == "orbit" else ()))
+    for name, text, count in (("dark", scene, 1), ("sky", scene + sky, 0)):
+        caplog.clear()
+        work.path(f"{name}.toml").write_text(text)
+        with caplog.at_level(logging.WARNING, "lumisplat"):
+            assert work.run(command, f"@{name}.toml", "-o", f"@{name}", *options).status == 0
+        assert sum("that no light reaches" in record.getMessage() for record in caplog.records) == count
