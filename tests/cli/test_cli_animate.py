@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -346,6 +348,19 @@ def test_options_without_effect_are_said(work, caplog):
         "not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)",
         "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
     ]
+
+
+def test_actors_in_the_dark_are_told_which_option_helps(work, caplog):
+    """The option, its value, and the key of a scene file, which is one that files have."""
+    work.path("dark.toml").write_text(RELIT)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert work.run("animate", "@dark.toml", "-o", "@frames", "--frames", "0").status == 0
+    line = next(record.getMessage() for record in caplog.records if "come out as dark" in record.getMessage())
+    assert re.search(r"a --gamma of \S+ shows them half as bright as they were captured, \S+ as bright", line)
+    key = re.search(r"(\w+) in (\[animation.*\])", line)
+    assert key is not None
+    work.path("bright.toml").write_text(f"{RELIT}\n{key[2]}\n{key[1]} = 12.5\n")
+    assert ls.load_animation(work.path("bright.toml")).lighting.transfer.gamma == 12.5
 
 
 def test_formats_and_stats(work):

@@ -251,8 +251,13 @@ class AvatarLighter:
         mean = _mean_luminance(probe)
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
-            advice = f": a gamma of up to {1.0 / mean:.2g} brightens them" if mean > 1e-3 else ""
-            _log.warning("actors stand in %.2g of display white, and come out as dark%s", mean, advice)
+            line = f"actors stand in {mean:.2g} of display white, and come out as dark"
+            if mean > 1e-3:
+                line += (
+                    f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as they were captured, "
+                    f"{1.0 / mean:.2g} as bright (in a scene.toml: gamma in [animation.lighting.transfer])"
+                )
+            _log.warning("%s", line)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """The lights for meshes, and an environment of the rest of the light at their place.
