@@ -21,7 +21,6 @@ class Preset:
     name: str
     width: int
     height: int
-    exercises: str
     count: int = 0
     """Gaussians of a synthetic capture; 0: the biker."""
     peer: bool = False
@@ -63,30 +62,23 @@ class Preset:
 
 SIZES = ((640, 360), (1280, 720), (1920, 1088))
 RASTER = [
-    *(Preset(f"biker-{w}x{h}", w, h, "a real capture, 152,746 Gaussians, SH 0", peer=True) for w, h in SIZES),
-    Preset("synthetic-10k", 1280, 720, "fixed costs", 10_000),
-    Preset("synthetic-100k", 1280, 720, "a small capture, SH 3", 100_000, peer=True),
-    Preset("synthetic-1M", 1280, 720, "a room, SH 3", 1_000_000),
-    Preset("synthetic-3M", 1280, 720, "a large outdoor capture, SH 3; memory", 3_000_000),
+    *(Preset(f"biker-{w}x{h}", w, h, peer=True) for w, h in SIZES),  # a real capture, 152,746 Gaussians, SH 0
+    Preset("synthetic-10k", 1280, 720, 10_000),  # fixed costs
+    Preset("synthetic-100k", 1280, 720, 100_000, peer=True),  # a small capture, SH 3
+    Preset("synthetic-1M", 1280, 720, 1_000_000),  # a room, SH 3
+    Preset("synthetic-3M", 1280, 720, 3_000_000),  # a large outdoor capture, SH 3; memory
 ]
 MITSUBA_T = 0.01
 """Transmittance at which the peer stops."""
 COUNTS = {"10k": 10_000, "100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
 TRACE = [
-    Preset("trace-sorted", 640, 360, "where the peer stops", peer=True, trace=("sorted", MITSUBA_T)),
-    Preset("trace-sorted-full", 640, 360, "where images are finished", peer=True, trace=("sorted", 1e-4)),
-    Preset("trace-as-trained", 640, 360, "the defaults", peer=True, trace=("sorted", 1e-4), as_trained=True),
-    Preset("trace-stochastic-hit", 640, 360, "one sample", peer=True, trace=("stochastic-hit", 0.0)),
-    Preset("trace-stochastic-pass", 640, 360, "one sample", peer=True, trace=("stochastic-pass", 0.0)),
+    Preset("trace-sorted", 640, 360, peer=True, trace=("sorted", MITSUBA_T)),  # where the peer stops
+    Preset("trace-sorted-full", 640, 360, peer=True, trace=("sorted", 1e-4)),  # where images are finished
+    Preset("trace-as-trained", 640, 360, peer=True, trace=("sorted", 1e-4), as_trained=True),  # the defaults
+    Preset("trace-stochastic-hit", 640, 360, peer=True, trace=("stochastic-hit", 0.0)),  # one sample
+    Preset("trace-stochastic-pass", 640, 360, peer=True, trace=("stochastic-pass", 0.0)),  # one sample
     *(
-        Preset(
-            f"trace-synthetic-{name}",
-            640,
-            360,
-            "cost of a ray by the number of Gaussians",
-            count,
-            trace=("sorted", 1e-4),
-        )
+        Preset(f"trace-synthetic-{name}", 640, 360, count, trace=("sorted", 1e-4))  # the cost of a ray by their number
         for name, count in COUNTS.items()
     ),
 ]

@@ -26,7 +26,7 @@ LAMP = ls.LightPoint((1.0, -3.0, -3.0), intensity=30.0)
 
 def view(setting: Setting, count: int) -> ls.Camera:
     """The camera of the benchmarks' synthetic sets."""
-    return Preset("first light", setting.width, setting.width * 9 // 16, "", count).camera()
+    return Preset("first light", setting.width, setting.width * 9 // 16, count).camera()
 
 
 def raster_times(setting: Setting) -> Iterator[Finding]:
