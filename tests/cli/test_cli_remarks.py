@@ -10,7 +10,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.rays import RayOptions
-from lumisplat.cli.output.remarks import frame_remarks
+from lumisplat.cli.options.remarks import frame_remarks
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import one_gaussian, quad
 

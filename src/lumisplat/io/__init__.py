@@ -132,13 +132,11 @@ def _read(
 ) -> SplatColumns | Mesh | Scene:
     extension = format_of(path)
     if extension == ".ply":
-        return _read_ply(path, progress)
+        return _import("ply_files.read_ply")(path, progress)
     if extension == ".toml":
         from lumisplat.io.scene_toml.scene_file import read_scene_file
-        from lumisplat.scene.up import up_vector
 
-        load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-        return read_scene_file(path, load_asset, None if up is None else up_vector(up))
+        return read_scene_file(path, partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle), up)
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {READABLE}")
     read: Callable[..., SplatColumns | Mesh | Scene] = _import(_READERS[extension])
@@ -149,22 +147,6 @@ def _import(function: str) -> Any:
     """A function of this package, imported on first use: ``splats.spz.read_spz``."""
     module, _, name = function.rpartition(".")
     return getattr(import_module(f"{__name__}.{module}"), name)
-
-
-def _read_ply(path: Path, progress: Progress | None) -> SplatColumns | Mesh:
-    from lumisplat.io.ply.header import read_ply_header
-    from lumisplat.io.splats.compressed_ply import is_compressed_header, read_compressed_ply
-    from lumisplat.io.splats.splat_ply import is_gaussian_element, read_splat_ply
-
-    header = read_ply_header(path)
-    if is_compressed_header(header):
-        return read_compressed_ply(header)
-    vertex, face = header.element("vertex"), header.element("face")
-    if face is not None and face.count and not (vertex and is_gaussian_element(vertex)):
-        from lumisplat.io.meshes.mesh_ply import read_ply_mesh
-
-        return read_ply_mesh(header)
-    return read_splat_ply(header, progress)
 
 
 def save(path: PathLike, gaussians: Gaussians) -> None:

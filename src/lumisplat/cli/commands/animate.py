@@ -18,12 +18,12 @@ from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import RayGroup, RayOptions
+from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, setting
 from lumisplat.cli.output.animation_frames import AnimationFrames, with_actors
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.pictures import check_writable
-from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.video import check_video, write_video
 

@@ -16,11 +16,11 @@ from lumisplat.cli.input.file_marks import file_marks
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.pictures import check_writable
-from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
 from lumisplat.cli.output.video import check_video, write_video

@@ -12,12 +12,12 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.frame import FrameCommand
+from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
-from lumisplat.cli.output.remarks import frame_remarks
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
 from lumisplat.cli.output.stats import print_stats
 

@@ -52,7 +52,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.ground import lowest
 from lumisplat.scene.ops.smooth_normals import smooth_normals
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
+from lumisplat.scene.up import Vector, up_vector
 
 _ENTRY = {"path": TEXT, **PLACEMENT, **STANDING, "ground": NUMBER, "name": TEXT, "material": TEXT_OR_TABLE}
 _KEYS = {
@@ -75,7 +75,7 @@ def read_document(path: PathLike) -> TomlTable:
     return document
 
 
-def read_scene_file(path: PathLike, load: Load, up: Vector | None = None) -> Scene:
+def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None = None) -> Scene:
     """Reads a scene file and the files that it names, with actors at time 0. A file named twice is loaded once.
 
     ``kernel_degree`` of a capture and ``material`` of a mesh replace those of the file; all meshes of a file change.
@@ -84,15 +84,17 @@ def read_scene_file(path: PathLike, load: Load, up: Vector | None = None) -> Sce
     Args:
         path: The ``.toml`` file.
         load: Reads one capture or mesh.
-        up: Up of a file that does not say it; None: as `scene_up` finds it.
+        up: Up of a file that does not say it, an axis or a direction; None: as `scene_up` finds it.
 
     Raises:
         FormatError: The file is not TOML, has an unknown or invalid entry, or names a file of the wrong kind.
+        SceneError: ``up`` is no direction.
     """
+    direction = None if up is None else list(up_vector(up))
     with parsing(path, "a scene file"):
         document = read_document(path)
-        if up is not None:
-            document.values.setdefault("up", list(up))
+        if direction is not None:
+            document.values.setdefault("up", direction)
         if all(document.values.get(key, []) == [] for key in _SHOWN):
             raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
         read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
