@@ -14,11 +14,11 @@ import numpy.typing as npt
 from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.distortion import distortion_jacobian, undistort
 from lumisplat.scene.camera import Camera
 
-_Doubles = npt.NDArray[np.float64]
 _Image = npt.NDArray[Any]
 
 _NEAREST = ("depth", "normal", "gaussian_index", "instance_index")
@@ -92,7 +92,7 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
     return replace(frame, **changes)
 
 
-def _magnifications(camera: Camera) -> _Doubles:
+def _magnifications(camera: Camera) -> Doubles:
     """By how much the lens magnifies, relative to its middle: singular values all over the image, shape (N, 2)."""
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
@@ -101,13 +101,13 @@ def _magnifications(camera: Camera) -> _Doubles:
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=np.float64)
 
 
-def _corners(camera: Camera) -> _Doubles:
+def _corners(camera: Camera) -> Doubles:
     """The corners of all pixels, without focal length, shape (N, 2)."""
     x, y = np.meshgrid(np.arange(camera.width + 1.0), np.arange(camera.height + 1.0))
     return (np.stack([x, y], axis=-1).reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
 
 
-def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> _Doubles:
+def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
     """Where the pinhole sees what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
     x, y = np.meshgrid(np.arange(camera.width) + right, np.arange(camera.height) + down)
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
@@ -115,7 +115,7 @@ def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> _Doub
     return seen * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)
 
 
-def _nearest(image: _Image, points: _Doubles, empty: float) -> _Image:
+def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
     """The values of the nearest pixels."""
     seen = ~np.isnan(points[..., 0])
     x, y = (np.where(seen, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
@@ -124,7 +124,7 @@ def _nearest(image: _Image, points: _Doubles, empty: float) -> _Image:
     return values
 
 
-def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
+def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
     """The mean over points of an image, (H, W, C), interpolated by Catmull-Rom's cubics without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
     for point in points:
@@ -132,12 +132,12 @@ def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
         corner = np.where(seen[..., None], point - 0.5, 0.0)
         first = np.floor(corner).astype(np.int64)
         weights = _cubic(np.asarray(corner - first, dtype=np.float64))
-        value: _Doubles = np.zeros(total.shape)
+        value: Doubles = np.zeros(total.shape)
         low, high = np.full_like(total, np.inf), np.full_like(total, -np.inf)
         for j, i in np.ndindex(4, 4):
             x = np.clip(first[..., 0] + i - 1, 0, image.shape[1] - 1)
             y = np.clip(first[..., 1] + j - 1, 0, image.shape[0] - 1)
-            texel: _Doubles = image[y, x].astype(np.float64)
+            texel: Doubles = image[y, x].astype(np.float64)
             value = np.asarray(value + weights[i][..., :1] * weights[j][..., 1:] * texel, dtype=np.float64)
             if i in (1, 2) and j in (1, 2):
                 low, high = np.minimum(low, texel), np.maximum(high, texel)
@@ -145,7 +145,7 @@ def _filtered(image: _Image, points: list[_Doubles], empty: _Doubles) -> _Image:
     return (total / len(points)).astype(image.dtype)
 
 
-def _cubic(share: _Doubles) -> list[_Doubles]:
+def _cubic(share: Doubles) -> list[Doubles]:
     """Weights of the four neighbours of a point at a share of the way between the middle two (Catmull-Rom 1974)."""
     s, r = share, 1.0 - share
     return [-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s]

@@ -7,17 +7,15 @@ length: tangents for a pinhole, radians for a fisheye.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.constants import DISTORTION_RESIDUAL, DISTORTION_STEPS
-
-_Doubles = npt.NDArray[np.float64]
+from lumisplat.math.arrays import Doubles
 
 Coefficients = tuple[float, float, float, float, float, float]
 """k1, k2, k3, k4, p1, p2."""
 
 
-def distort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
     """Where a lens shows points, shape (..., 2)."""
     *_, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
@@ -30,7 +28,7 @@ def distort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
     )
 
 
-def undistort(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
     """What a lens shows at points, shape (..., 2), by Newton's method; NaN where it shows nothing.
 
     Of several solutions, the one inside `distortion_reach` counts: beyond it the polynomial folds back.
@@ -58,7 +56,7 @@ def distortion_reach(coefficients: Coefficients) -> float:
     return float(np.sqrt(squares.min())) if squares.size else np.inf
 
 
-def distortion_jacobian(points: _Doubles, coefficients: Coefficients) -> _Doubles:
+def distortion_jacobian(points: Doubles, coefficients: Coefficients) -> Doubles:
     """Derivative of `distort`, shape (..., 2, 2)."""
     k1, k2, k3, k4, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
@@ -69,7 +67,7 @@ def distortion_jacobian(points: _Doubles, coefficients: Coefficients) -> _Double
     return np.stack([np.stack([uu, mixed], axis=-1), np.stack([mixed, vv], axis=-1)], axis=-2)
 
 
-def _radial(points: _Doubles, coefficients: Coefficients) -> tuple[_Doubles, _Doubles, _Doubles, _Doubles]:
+def _radial(points: Doubles, coefficients: Coefficients) -> tuple[Doubles, Doubles, Doubles, Doubles]:
     """The coordinates u and v of points, u^2 + v^2, and the radial polynomial there, shape (...) each."""
     k1, k2, k3, k4, _, _ = coefficients
     u, v = points[..., 0], points[..., 1]
@@ -77,14 +75,14 @@ def _radial(points: _Doubles, coefficients: Coefficients) -> tuple[_Doubles, _Do
     return u, v, s, 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
 
 
-def _solved(matrices: _Doubles, vectors: _Doubles) -> _Doubles:
+def _solved(matrices: Doubles, vectors: Doubles) -> Doubles:
     """The solutions of 2 x 2 systems, by Cramer's rule."""
     a, b, c, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
 
 
-def _within(points: _Doubles, reach: float) -> _Doubles:
+def _within(points: Doubles, reach: float) -> Doubles:
     """Points, those outside of a circle moved onto it."""
     if reach == np.inf:
         return np.array(points)

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-_Doubles = npt.NDArray[np.float64]
+from lumisplat.math.arrays import Doubles
 
 
-def panorama_directions(height: int, width: int) -> _Doubles:
+def panorama_directions(height: int, width: int) -> Doubles:
     """Unit directions of the pixel centres, shape (H, W, 3)."""
     theta = (np.arange(height)[:, None] + 0.5) * (np.pi / height)
     phi = (np.arange(width) + 0.5) * (2.0 * np.pi / width) - np.pi
@@ -19,13 +19,13 @@ def panorama_directions(height: int, width: int) -> _Doubles:
     return np.stack(np.broadcast_arrays(sine * np.sin(phi), np.cos(theta), -sine * np.cos(phi)), axis=-1)
 
 
-def panorama_solid_angles(height: int, width: int) -> _Doubles:
+def panorama_solid_angles(height: int, width: int) -> Doubles:
     """Exact solid angle of one pixel in each row, steradians, shape (H,). Times the width, they sum to 4 pi."""
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
     return (edges[:-1] - edges[1:]) * (2.0 * np.pi / width)
 
 
-def panorama_lookup(image: npt.NDArray[np.floating], directions: _Doubles) -> _Doubles:
+def panorama_lookup(image: npt.NDArray[np.floating], directions: Doubles) -> Doubles:
     """Values of an image along unit directions: bilinear, with the left and right edges joined, as kernels look it up.
 
     Args:

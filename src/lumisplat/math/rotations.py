@@ -6,12 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles
 
 _Floats = npt.NDArray[np.floating]
-_Doubles = npt.NDArray[np.float64]
 
 
-def rotation_matrix(wxyz: npt.ArrayLike) -> _Doubles:
+def rotation_matrix(wxyz: npt.ArrayLike) -> Doubles:
     """The rotation matrix of one quaternion of any length above 0, shape (3, 3) from (4,).
 
     Raises:
@@ -23,7 +23,7 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> _Doubles:
     return matrices_from_quaternions(quaternion[None])[0]
 
 
-def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> _Doubles:
+def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> Doubles:
     """The matrix that turns about the fixed x axis, then y, then z, by angles in degrees, right-handed, shape (3,)."""
     x, y, z = np.radians(np.asarray(angles, dtype=np.float64))
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
@@ -32,7 +32,7 @@ def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> _Doubles:
     return about_z @ about_y @ about_x
 
 
-def matrices_from_quaternions(wxyz: _Floats) -> _Doubles:
+def matrices_from_quaternions(wxyz: _Floats) -> Doubles:
     """Rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
     w, x, y, z = np.asarray(wxyz, dtype=np.float64).T
     scaled = np.array(
@@ -75,7 +75,7 @@ def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
     return right @ matrix.T
 
 
-def slerp(first: _Floats, second: _Floats, share: float) -> _Doubles:
+def slerp(first: _Floats, second: _Floats, share: float) -> Doubles:
     """Interpolates between two unit quaternions along the shorter arc (Shoemake 1985).
 
     Args:
@@ -97,7 +97,7 @@ def slerp(first: _Floats, second: _Floats, share: float) -> _Doubles:
     return blend / np.linalg.norm(blend)
 
 
-def axis_rotation(axis: npt.ArrayLike, angle: float) -> _Doubles:
+def axis_rotation(axis: npt.ArrayLike, angle: float) -> Doubles:
     """The rotation about a unit axis, shape (3,), by an angle in radians, counter-clockwise seen against it, (3, 3)."""
     x, y, z = np.sin(0.5 * angle) * np.asarray(axis, dtype=np.float64)
     return rotation_matrix((np.cos(0.5 * angle), x, y, z))

@@ -5,21 +5,22 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.math.arrays import Doubles
+
 _Floats = npt.NDArray[np.floating]
-_Doubles = npt.NDArray[np.float64]
 
 
-def transform_points(matrix: _Doubles, points: _Floats) -> _Doubles:
+def transform_points(matrix: Doubles, points: _Floats) -> Doubles:
     """Points, shape (V, 3), under one affine transform, shape (3 or 4, 4)."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def transform_points_each(matrices: _Floats, points: _Floats) -> _Doubles:
+def transform_points_each(matrices: _Floats, points: _Floats) -> Doubles:
     """Points, shape (V, 3), each under its own affine transform, shape (V or 1, 3 or 4, 4)."""
     return (matrices[:, :3, :3] @ points[:, :, None])[:, :, 0] + matrices[:, :3, 3]
 
 
-def transform_normals_each(matrices: _Floats, normals: _Floats) -> _Doubles:
+def transform_normals_each(matrices: _Floats, normals: _Floats) -> Doubles:
     """Normals, shape (V, 3), each under its own transform, shape (V or 1, 3 or 4, 4). The results have any length."""
     # Cofactors transform normals as the inverse transpose does, up to length, and exist for singular matrices too.
     # Where a matrix mirrors, the cofactors flip the normal.

@@ -12,13 +12,11 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number, quoted
 from lumisplat.constants import SH_C0
 from lumisplat.errors import ConfigError, SceneError, check_shapes
-from lumisplat.math.arrays import FloatArray, float_array, normalise_rows, refuse_rows
+from lumisplat.math.arrays import Doubles, FloatArray, float_array, normalise_rows, refuse_rows
 from lumisplat.math.color import decode_srgb
 from lumisplat.metrics.chromaticity import luminance
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
-
-_Doubles = npt.NDArray[np.float64]
 
 Lit = Gaussians | SplatInstance | Scene
 """What `LitPoints.of` takes."""
@@ -112,7 +110,7 @@ def check_radius(radius: object) -> float:
 class _Ball(NamedTuple):
     """The part of space that counts."""
 
-    center: _Doubles
+    center: Doubles
     radius: float
 
     @classmethod
@@ -122,7 +120,7 @@ class _Ball(NamedTuple):
         check_shapes(around=(point, "3"))
         return cls(point, checked)
 
-    def distances(self, instance: SplatInstance) -> _Doubles:
+    def distances(self, instance: SplatInstance) -> Doubles:
         """Distances of the means from the centre, shape (N,)."""
         return np.linalg.norm(instance.world_means - self.center, axis=1)
 
@@ -144,7 +142,7 @@ def _instances(subject: object) -> Iterator[SplatInstance]:
 
 def _points(
     instance: SplatInstance, rows: npt.NDArray[np.bool_], ball: _Ball | None
-) -> tuple[_Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+) -> tuple[Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
     """Positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
     selected = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
     positions = instance.world_means[rows]

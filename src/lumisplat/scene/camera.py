@@ -12,11 +12,9 @@ import numpy.typing as npt
 from lumisplat.config.checks import enum_member, is_number
 from lumisplat.constants import EXPOSURE_MAX, NEAR_PLANE
 from lumisplat.errors import ConfigError, SceneError
-from lumisplat.math.arrays import finite_numbers, matrix_4x4
+from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import check_positive
-
-_Doubles = npt.NDArray[np.float64]
 
 _RIGID_ERROR = 1e-3
 """Largest error of the scalar products of a rotation's rows."""
@@ -168,12 +166,12 @@ class Camera:
         )
 
     @property
-    def world_from_camera(self) -> _Doubles:
+    def world_from_camera(self) -> Doubles:
         """Inverse pose, shape (4, 4)."""
         return np.asarray(np.linalg.inv(self.camera_from_world), dtype=np.float64)
 
     @property
-    def eye(self) -> _Doubles:
+    def eye(self) -> Doubles:
         """World position of the centre of projection, shape (3,); orthographic: of the principal point."""
         return self.world_from_camera[:3, 3]
 
@@ -190,18 +188,18 @@ class Camera:
         return any(self.distortion)
 
     @property
-    def shutter_motion(self) -> _Doubles:
+    def shutter_motion(self) -> Doubles:
         """Motion of the eye from the start of the first row to the end of the last, world space, shape (3,)."""
         return self._world_from_camera_end[:3, 3] - self.eye
 
     @property
-    def shutter_turn(self) -> _Doubles:
+    def shutter_turn(self) -> Doubles:
         """Rotation of the camera over the same time: axis in world space times angle in radians, shape (3,)."""
         sine, cosine = self._turn()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
 
-    def ray_directions(self) -> _Doubles:
+    def ray_directions(self) -> Doubles:
         """Unit directions through the pixel centres, camera space, shape (H, W, 3).
 
         Pixels of a fisheye or of a distorting lens that have no ray have direction 0. Orthographic rays start on the
@@ -239,17 +237,17 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
     @property
-    def _world_from_camera_end(self) -> _Doubles:
+    def _world_from_camera_end(self) -> Doubles:
         end = self.camera_from_world if self.camera_from_world_end is None else self.camera_from_world_end
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
-    def _turn(self) -> tuple[_Doubles, float]:
+    def _turn(self) -> tuple[Doubles, float]:
         """The rotation from the first pose to the last: axis times sine (exactly 0 without a rotation), and cosine."""
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
 
-def camera_pose(eye: _Doubles, right: _Doubles, forward: _Doubles) -> _Doubles:
+def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:
     """``camera_from_world``, shape (4, 4), from the eye and two perpendicular unit axes in world space, shape (3,)."""
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
@@ -293,14 +291,14 @@ def _pixel_count(name: str, value: object) -> int:
     return int(value)
 
 
-def _point(name: str, values: npt.ArrayLike) -> _Doubles:
+def _point(name: str, values: npt.ArrayLike) -> Doubles:
     point = finite_numbers(values, (3,))
     if point is None:
         raise SceneError(f"camera {name} is {values}, expected three finite numbers")
     return point
 
 
-def _rigid(name: str, values: npt.ArrayLike) -> _Doubles:
+def _rigid(name: str, values: npt.ArrayLike) -> Doubles:
     matrix = matrix_4x4(name, values)
     rotation = matrix[:3, :3]
     error = np.abs(rotation @ rotation.T - np.eye(3)).max()

@@ -11,11 +11,9 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import SIMILARITY_TOLERANCE
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers, matrix_4x4
+from lumisplat.math.arrays import Doubles, finite_numbers, matrix_4x4
 from lumisplat.math.rotations import axis_rotation
 from lumisplat.scene.up import front_vector, up_vector
-
-_Doubles = npt.NDArray[np.float64]
 
 
 class Placing(NamedTuple):
@@ -51,10 +49,10 @@ class PlacedInstance:
     """In place of ``world_from_object``: world position to which its front, +z, is turned, with ``up`` up."""
 
     @property
-    def transform(self) -> _Doubles:
+    def transform(self) -> Doubles:
         """``world_from_object``, never None."""
         # A field of the subclasses, which takes its place behind what they place.
-        matrix: _Doubles | None = getattr(self, "world_from_object")  # noqa: B009
+        matrix: Doubles | None = getattr(self, "world_from_object")  # noqa: B009
         assert matrix is not None
         return matrix
 
@@ -74,7 +72,7 @@ class PlacedInstance:
         return f"name={self.name!r}, position=({', '.join(f'{value:z.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
-def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> _Doubles:
+def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> Doubles:
     """``world_from_object``, shape (4, 4): points are scaled, turned, stood upright, then moved.
 
     Raises:
@@ -96,7 +94,7 @@ def placed(world_from_object: npt.ArrayLike | None, placing: Placing) -> _Double
     return matrix_4x4("world_from_object", matrix)
 
 
-def _standing(placing: Placing, position: _Doubles) -> _Doubles:
+def _standing(placing: Placing, position: Doubles) -> Doubles:
     """The rotation that stands an object with y up and its front at +z upright, and turns it to what it looks at."""
     up = np.array(up_vector("y-up" if placing.up is None else placing.up))
     front = front_vector(up)
@@ -112,7 +110,7 @@ def _standing(placing: Placing, position: _Doubles) -> _Doubles:
     return np.stack([np.cross(up, front), up, front], axis=1)
 
 
-def _vector(name: str, values: npt.ArrayLike | None, rest: float) -> _Doubles:
+def _vector(name: str, values: npt.ArrayLike | None, rest: float) -> Doubles:
     if values is None:
         return np.full(3, rest)
     vector = finite_numbers(values, (3,))

@@ -6,12 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers
+from lumisplat.math.arrays import Doubles, finite_numbers
 from lumisplat.scene.checks import check_positive, check_whole
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.mesh import Mesh
-
-_Doubles = npt.NDArray[np.float64]
 
 
 def plane(width: float = 1.0, depth: float = 1.0, *, material: Material | None = None) -> Mesh:
@@ -99,9 +97,9 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
     )
 
 
-def _axes(right: str, up: str) -> _Doubles:
+def _axes(right: str, up: str) -> Doubles:
     """The rotation whose columns are two signed axes and their cross product, shape (3, 3)."""
-    x: _Doubles
-    y: _Doubles
+    x: Doubles
+    y: Doubles
     x, y = (np.eye(3)["xyz".index(name[-1])] * (-1.0 if name[0] == "-" else 1.0) for name in (right, up))
     return np.stack([x, y, np.cross(x, y)], axis=1)

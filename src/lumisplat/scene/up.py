@@ -6,10 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers
+from lumisplat.math.arrays import Doubles, finite_numbers
 
 Vector = tuple[float, float, float]
-_Doubles = npt.NDArray[np.float64]
 
 UP_AXES: dict[str, Vector] = {
     "y-down": (0.0, -1.0, 0.0),
@@ -50,7 +49,7 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
     return x, y, z
 
 
-def front_vector(up: npt.ArrayLike) -> _Doubles:
+def front_vector(up: npt.ArrayLike) -> Doubles:
     """The horizontal unit vector towards the eye that sees a scene from the front, shape (3,).
 
     Args:

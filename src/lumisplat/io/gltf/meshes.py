@@ -14,6 +14,7 @@ from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.gltf.skins import Influences, read_influences
 from lumisplat.io.gltf.vertex_colors import warn_black
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
+from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
 from lumisplat.scene.animation.skinning import blend_matrices
 from lumisplat.scene.materials import Material
@@ -21,28 +22,26 @@ from lumisplat.scene.mesh import Mesh
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
-_Floats = npt.NDArray[np.float32]
-
 
 @dataclass(frozen=True, slots=True)
 class RawPrimitive:
     """A triangle primitive as stored, V vertices."""
 
-    positions: _Floats
+    positions: FloatArray
     """Shape (V, 3)."""
-    normals: _Floats | None
+    normals: FloatArray | None
     """Normals of any length, shape (V, 3)."""
-    uvs: _Floats | None
-    colors: _Floats | None
+    uvs: FloatArray | None
+    colors: FloatArray | None
     """Clipped to 0..1, shape (V, 3)."""
     triangles: npt.NDArray[np.int64]
     """Shape (F, 3); indices may be out of range."""
     material: Material
     influences: Influences | None
     """Joints and weights, if the node has a skin."""
-    morph_positions: dict[int, _Floats]
+    morph_positions: dict[int, FloatArray]
     """Offsets by the number of the morph target, shape (V, 3) each; a target need not have any."""
-    morph_normals: dict[int, _Floats]
+    morph_normals: dict[int, FloatArray]
     name: str
 
 
@@ -90,7 +89,7 @@ def read_meshes(
     return meshes
 
 
-def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[_Floats, npt.NDArray[np.floating] | None]:
+def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[FloatArray, npt.NDArray[np.floating] | None]:
     """Positions and normals with weighted morph targets added."""
     positions, normals = raw.positions, raw.normals
     for target, offsets in raw.morph_positions.items():
@@ -174,9 +173,9 @@ def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.in
     return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
-def _morphs(primitive: GltfPrimitive, name: str, base: _Floats, wanted: set[int] | None) -> dict[int, _Floats]:
+def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, wanted: set[int] | None) -> dict[int, FloatArray]:
     """Offsets of an attribute by the number of the morph target, for the targets that have them."""
-    found: dict[int, _Floats] = {}
+    found: dict[int, FloatArray] = {}
     for number, target in enumerate(primitive.item.targets or []):
         if name in target and (wanted is None or number in wanted):
             offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")

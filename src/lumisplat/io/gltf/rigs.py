@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing
@@ -21,14 +20,12 @@ from lumisplat.io.gltf.scene import check_extensions
 from lumisplat.io.gltf.skins import Influences, Skin, read_skin
 from lumisplat.io.gltf.vertex_colors import warn_black
 from lumisplat.io.meshes.mesh_arrays import placeable_material
-from lumisplat.math.arrays import IntArray, read_only_view
+from lumisplat.math.arrays import Doubles, IntArray, read_only_view
 from lumisplat.scene.animation.clips import Channel, Clip
 from lumisplat.scene.animation.rig import MorphTargets, Rig, RigPart, RigPose, RigSurface, join_triangles
 from lumisplat.scene.animation.skeleton import Skeleton
 
 _log = logging.getLogger("lumisplat")
-
-_Doubles = npt.NDArray[np.float64]
 
 
 class _Piece(NamedTuple):
@@ -121,7 +118,7 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...]) -> Iterator[_Piece]:
             yield _Piece(raw, _part(raw, skin, index, weights))
 
 
-def _part(raw: RawPrimitive, skin: Skin, node: int, weights: _Doubles) -> RigPart:
+def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:
     """A primitive as a part of the rig; without influences, all vertices follow the first joint."""
     count = len(raw.positions)
     influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
@@ -136,7 +133,7 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: _Doubles) -> RigPar
     )
 
 
-def _morphs(raw: RawPrimitive, node: int, weights: _Doubles) -> MorphTargets | None:
+def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | None:
     """The morph targets of a primitive, zero where a target has no offsets; None if there are no targets."""
     numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
     if not numbers:

@@ -25,7 +25,7 @@ from lumisplat.device.structs.light import (
     EnvironmentData,
     LightData,
 )
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.rotations import rotation_matrix
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.struct_tables import table_dtype
@@ -43,8 +43,6 @@ from lumisplat.scene.scene import Scene
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """The image of an environment of one colour."""
-
-Doubles = npt.NDArray[np.float64]
 
 
 class LightTable:

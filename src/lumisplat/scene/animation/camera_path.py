@@ -13,13 +13,11 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import ANIMATION_FRAMES_MAX
 from lumisplat.errors import SceneError, check_shapes
-from lumisplat.math.arrays import finite_array
+from lumisplat.math.arrays import Doubles, finite_array
 from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import items_of
-
-_Doubles = npt.NDArray[np.float64]
 
 _SAME = ("width", "height", "model", "distortion")
 """What all cameras of a path have in common."""
@@ -140,7 +138,7 @@ class CameraPath:
         return replace(self, times=times * (seconds / times[-1]) if times[-1] > 0.0 else times)
 
 
-def _aligned(quaternions: npt.NDArray[np.floating]) -> _Doubles:
+def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
     """Quaternions of the same rotations, each on the side of the one before."""
     aligned = np.array(quaternions, dtype=np.float64)
     for k in range(1, len(aligned)):
@@ -149,7 +147,7 @@ def _aligned(quaternions: npt.NDArray[np.floating]) -> _Doubles:
     return aligned
 
 
-def _cubic(times: _Doubles, values: _Doubles, time: float) -> _Doubles:
+def _cubic(times: Doubles, values: Doubles, time: float) -> Doubles:
     """Values, shape (K, N), at a time between the first and the last: Hermite's cubic through two neighbours.
 
     The slope at a key is that from the key before to the key after it, at the ends to the neighbour.
@@ -162,6 +160,6 @@ def _cubic(times: _Doubles, values: _Doubles, time: float) -> _Doubles:
     return values[k] + s * first + s * s * (3.0 * step - 2.0 * first - last) + s * s * s * (first + last - 2.0 * step)
 
 
-def _slope(times: _Doubles, values: _Doubles, k: int) -> _Doubles:
+def _slope(times: Doubles, values: Doubles, k: int) -> Doubles:
     before, after = max(k - 1, 0), min(k + 1, len(times) - 1)
     return (values[after] - values[before]) / (times[after] - times[before])

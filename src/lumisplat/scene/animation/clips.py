@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import slerp
-
-_Floats = npt.NDArray[np.float64]
 
 
 class Channel(Enum):
@@ -43,14 +41,14 @@ class Track:
     node: int
     channel: Channel
     interpolation: Interpolation
-    times: _Floats
+    times: Doubles
     """Seconds, not falling, shape (K,)."""
-    values: _Floats
+    values: Doubles
     """Shape (K, C)."""
-    tangents: _Floats | None = None
+    tangents: Doubles | None = None
     """Tangents of a spline, incoming and outgoing at each key, units per second, shape (K, 2, C)."""
 
-    def at(self, time: float) -> _Floats:
+    def at(self, time: float) -> Doubles:
         """The value at a time, shape (C,). It is constant before the first key and after the last one."""
         before = int(np.searchsorted(self.times, time, side="right")) - 1
         if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
@@ -67,7 +65,7 @@ class Track:
             return slerp(first, second, share)
         return (1.0 - share) * first + share * second
 
-    def _normalise(self, value: _Floats) -> _Floats:
+    def _normalise(self, value: Doubles) -> Doubles:
         """Rotations scaled back to length 1, which splines do not keep; other values as they are."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 

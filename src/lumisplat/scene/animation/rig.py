@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import FloatArray, IntArray, read_only_view
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, read_only_view
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
 from lumisplat.scene.animation.clips import Channel, Clip
 from lumisplat.scene.animation.keyframes import check_time
@@ -18,8 +18,6 @@ from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import check_triangles
 
-_Floats = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MorphTargets:
@@ -27,7 +25,7 @@ class MorphTargets:
 
     node: int
     """The node whose weights a clip changes."""
-    weights: _Floats
+    weights: Doubles
     """Weights at rest, shape (T,)."""
     positions: FloatArray
     """Shape (T, V, 3)."""
@@ -45,7 +43,7 @@ class RigPart:
     """Shape (V, 3)."""
     nodes: IntArray
     """Nodes that are the J joints, shape (J,)."""
-    joint_from_bind: _Floats
+    joint_from_bind: Doubles
     """Inverse bind matrices, shape (J, 4, 4)."""
     joints: IntArray
     """Indices of the joints of each vertex, 0..J-1, shape (V, K)."""
@@ -53,11 +51,11 @@ class RigPart:
     """Weights of these joints, at least 0 and of a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
 
-    def matrices(self, world_from_node: _Floats) -> _Floats:
+    def matrices(self, world_from_node: Doubles) -> Doubles:
         """``world_from_bind`` of each vertex, shape (V, 3, 4)."""
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
-    def pose_vertices(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
+    def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
         """Positions and normals (of any length) in world space, shape (V, 3) each."""
         positions: npt.NDArray[np.floating] = self.positions
         normals: npt.NDArray[np.floating] | None = self.normals
@@ -87,7 +85,7 @@ class RigSurface:
     _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
     """Triangles left in the last pose that lost some, by the mask of those left."""
 
-    def pose_vertices(self, pose: RigPose) -> tuple[_Floats, _Floats | None]:
+    def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
         """Positions and normals (of any length) of all vertices in world space, shape (V, 3) each."""
         moved = [part.pose_vertices(pose) for part in self.parts]
         normals = [normals for _, normals in moved if normals is not None]
@@ -124,9 +122,9 @@ class RigSurface:
 class RigPose:
     """The state of a rig at a time: what moves its vertices."""
 
-    world_from_node: _Floats
+    world_from_node: Doubles
     """Shape (N, 4, 4)."""
-    morph_weights: dict[int, _Floats]
+    morph_weights: dict[int, Doubles]
     """Weights of morph targets by node, for the nodes whose weights the clip changes."""
 
 
@@ -263,7 +261,7 @@ def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skel
     return read_only_view(np.concatenate(shifted).astype(np.int32))
 
 
-def _normalise(normals: _Floats) -> FloatArray:
+def _normalise(normals: Doubles) -> FloatArray:
     """Normals of unit length; zero ones stay zero, for `Mesh` to fill."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0).astype(np.float32)

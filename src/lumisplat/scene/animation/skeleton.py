@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.animation.clips import Channel, Clip
-
-_Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,16 +20,16 @@ class Skeleton:
     """Index of each node's parent; None for a root."""
     order: tuple[int, ...]
     """All nodes, parents first."""
-    translations: _Floats
+    translations: Doubles
     """Shape (N, 3)."""
-    rotations_wxyz: _Floats
+    rotations_wxyz: Doubles
     """Unit quaternions, shape (N, 4)."""
-    scales: _Floats
+    scales: Doubles
     """Shape (N, 3)."""
-    matrices: Mapping[int, _Floats]
+    matrices: Mapping[int, Doubles]
     """``parent_from_node`` of the nodes that have a matrix instead of the three parts; clips do not move them."""
 
-    def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> _Floats:
+    def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
         """The transforms of all nodes to world space, shape (N, 4, 4).
 
         Args:

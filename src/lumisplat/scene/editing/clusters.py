@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import DECIMATE_COLOR_WEIGHT, DECIMATE_NEIGHBOURS
-from lumisplat.scene.editing.moments import Doubles, Moments, log_determinants, mixture
+from lumisplat.math.arrays import Doubles
+from lumisplat.scene.editing.moments import Moments, log_determinants, mixture
 from lumisplat.scene.editing.morton import morton_codes
 
 DECIMATE_BLOCK = 2**13

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import SH_C0
-from lumisplat.math.arrays import read_only_view
+from lumisplat.math.arrays import Doubles, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.checks import check_argument, check_whole
 from lumisplat.scene.editing.clusters import clusters
-from lumisplat.scene.editing.moments import Doubles, areas, mixtures, moments_of, shapes
+from lumisplat.scene.editing.moments import areas, mixtures, moments_of, shapes
 from lumisplat.scene.gaussians import Gaussians
 
 

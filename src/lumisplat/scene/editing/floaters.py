@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import FLOATER_NEIGHBOURS, FLOATER_REACH
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.editing.remaining import remaining
 from lumisplat.scene.gaussians import Gaussians
@@ -18,7 +18,6 @@ from lumisplat.scene.gaussians import Gaussians
 FLOATER_PAIRS = 2**24
 """Candidates whose distances are in memory at once: a few hundred MB."""
 
-_Flags = npt.NDArray[np.bool_]
 _Indices = npt.NDArray[np.intp]
 
 _STENCIL = np.array(sorted(itertools.product((-1, 0, 1), repeat=3), key=lambda offset: sum(map(abs, offset))))
@@ -72,7 +71,7 @@ def remove_floaters(
     return remaining(gaussians, ~floating)
 
 
-def _with_few(means: FloatArray, rows: _Indices, radii: FloatArray, neighbours: int) -> _Flags:
+def _with_few(means: FloatArray, rows: _Indices, radii: FloatArray, neighbours: int) -> Flags:
     """Which of the Gaussians ``rows`` have fewer others than ``neighbours`` within their radii."""
     # The 27 cells around are near enough if two of their diagonals are the smallest radius: this settles nearly all.
     small = _Cells.of(means, float(radii[rows].min()) / np.sqrt(12.0))

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import DECIMATE_OPACITY_MIN, SCALE_MIN
+from lumisplat.math.arrays import Doubles
 from lumisplat.math.rotations import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.gaussians import Gaussians
-
-Doubles = npt.NDArray[np.float64]
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 """Where the six entries of a packed symmetric matrix stand."""

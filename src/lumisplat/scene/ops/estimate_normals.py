@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from lumisplat.config import NormalEstimate, enum_member
 from lumisplat.constants import NORMAL_NEIGHBOURS, NORMAL_NEIGHBOURS_MIN, NORMAL_NEIGHBOURS_PER_CELL
-from lumisplat.math.arrays import FloatArray, read_only_view
+from lumisplat.math.arrays import Doubles, FloatArray, read_only_view
 from lumisplat.math.rotations import matrices_from_quaternions
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.outward_side import outward_signs
 from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs
-
-_Doubles = npt.NDArray[np.float64]
 
 
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
@@ -50,7 +47,7 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
     return read_only_view((axes * signs[:, None]).astype(np.float32))
 
 
-def _scaled_axes(gaussians: Gaussians) -> list[_Doubles]:
+def _scaled_axes(gaussians: Gaussians) -> list[Doubles]:
     """The axes of each Gaussian times their scales, from the smallest to the largest, shape (N, 3) each."""
     order = np.argsort(gaussians.scales, axis=1, kind="stable")
     # The axes are the columns of the matrices.
@@ -59,7 +56,7 @@ def _scaled_axes(gaussians: Gaussians) -> list[_Doubles]:
     return [axes[rows, order[:, rank]] for rank in range(3)]
 
 
-def _plane_normals(gaussians: Gaussians, fallback: _Doubles) -> _Doubles:
+def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
     """Normals, of either sign, of the planes through the means around each Gaussian, shape (N, 3)."""
     pairs, radius = _neighbours(gaussians.means)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import FRAMING_FARTHEST
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import finite_numbers
+from lumisplat.math.arrays import Doubles, finite_numbers
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.scene import Scene
@@ -24,8 +24,6 @@ FRAMING_ELEVATION = 0.2
 
 FRAMING_MARGIN = 1.05
 """Room around the scene's box, as a factor of the distance."""
-
-_Points = npt.NDArray[np.float64]
 
 
 def frame_camera(
@@ -81,7 +79,7 @@ def frame_camera(
     )
 
 
-def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[_Points, _Points]:
+def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doubles]:
     """The direction from the target to an eye, and up in its image."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
@@ -92,7 +90,7 @@ def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[_Points, _Poi
     return backward, up
 
 
-def target_point(scene: Scene, target: npt.ArrayLike | None) -> _Points:
+def target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
     """A world position that is given, shape (3,); None: the middle of the bulk of the scene.
 
     Raises:
@@ -108,7 +106,7 @@ def target_point(scene: Scene, target: npt.ArrayLike | None) -> _Points:
 
 
 def _fitting_distance(
-    scene: Scene, center: _Points, sides: list[tuple[_Points, _Points]], lens: tuple[float, float]
+    scene: Scene, center: Doubles, sides: list[tuple[Doubles, Doubles]], lens: tuple[float, float]
 ) -> float:
     """Distance from ``center`` at which the bulk of the scene fits from all sides.
 

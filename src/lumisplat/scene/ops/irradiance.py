@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import LIGHT_DISTANCE_MIN
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,
@@ -18,10 +19,8 @@ from lumisplat.scene.lights import (
     LightSpot,
 )
 
-_Doubles = npt.NDArray[np.float64]
 
-
-def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> _Doubles:
+def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
     """Irradiance of surfaces that face a light, all of which shines from its centre as for hard shadows.
 
     Args:
@@ -40,7 +39,7 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> _Double
     return (_candela_share(light, offset, distance2) / distance2)[:, None] * power
 
 
-def _candela_share(light: Light, offset: _Doubles, distance2: _Doubles) -> _Doubles:
+def _candela_share(light: Light, offset: Doubles, distance2: Doubles) -> Doubles:
     """Candela towards each point at an intensity of 1, shape (N,)."""
     if isinstance(light, LightSphere):
         return np.full_like(distance2, math.pi * light.radius**2)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 
-_Points = npt.NDArray[np.float64]
 
-
-def world_rays(camera: Camera) -> tuple[_Points, _Points]:
+def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
     """Origins and unit directions of the rays through the pixel centres, world space, both of shape (H, W, 3).
 
     Pixels of a fisheye that have no ray have direction 0. With a rolling shutter each row has its own pose.
@@ -26,7 +24,7 @@ def world_rays(camera: Camera) -> tuple[_Points, _Points]:
     return moved + _rotate(starts @ rotation.T, turn), _rotate(directions @ rotation.T, turn)
 
 
-def _rotate(vectors: _Points, turn: _Points) -> _Points:
+def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:
     """Rotates vectors about ``turn`` by its length in radians (Rodrigues), shapes (H, W, 3) and (H, 1, 3)."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)

@@ -10,20 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import SAMPLING_DEFAULT_COUNTS, SAMPLING_SPACINGS_PER_DIAGONAL
+from lumisplat.math.arrays import Doubles
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import area_vectors
-
-_Doubles = npt.NDArray[np.float64]
 
 
 class SurfacePoints(NamedTuple):
     """M points on triangles."""
 
-    positions: _Doubles
+    positions: Doubles
     """Shape (M, 3)."""
     faces: npt.NDArray[np.integer]
     """Triangle of each point, shape (M,)."""
-    weights: _Doubles
+    weights: Doubles
     """Barycentric coordinates, shape (M, 3)."""
 
     def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
@@ -31,7 +30,7 @@ class SurfacePoints(NamedTuple):
         return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
 
 
-def face_areas_and_normals(mesh: Mesh) -> tuple[_Doubles, _Doubles]:
+def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
     """Areas of the triangles, shape (F,), and their unit normals (0 without an area), shape (F, 3)."""
     vectors = area_vectors(mesh.positions, mesh.indices)
     doubled = np.linalg.norm(vectors, axis=1)
@@ -53,10 +52,10 @@ def default_count(meshes: Sequence[Mesh]) -> int:
     return int(np.clip(math.ceil(ideal), *SAMPLING_DEFAULT_COUNTS))
 
 
-def stratified_points(mesh: Mesh, areas: _Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
+def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
     """Points stratified by area over the triangles, and by the R2 sequence (Roberts 2018) within each triangle."""
     cumulative = np.cumsum(areas)
-    strata: _Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
+    strata: Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
     faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
     plastic = 1.3247179572447460
     steps = np.arange(count)[:, None] * np.array([1.0 / plastic, 1.0 / plastic**2])
@@ -70,7 +69,7 @@ def stratified_points(mesh: Mesh, areas: _Doubles, count: int, rng: np.random.Ge
 
 def interpolate_vertices(
     values: npt.NDArray[np.floating], corners: npt.NDArray[np.integer], weights: npt.NDArray[np.floating]
-) -> _Doubles:
+) -> Doubles:
     """Interpolates vertex values, shape (V, D), at points on triangles.
 
     Args:
