@@ -111,15 +111,15 @@ def test_unknown_attributes_are_errors() -> None:
 def test_device_memory_of_frames_is_used_again() -> None:
     """When they are dropped, or all of their images are read."""
     renderer = lazy_renderer(SETTINGS["lit"])
-    lent = renderer._buffers.downloads.lent
+    downloads = renderer._buffers.downloads
     frame = renderer.render(scene(*LAMPS), camera())
-    assert lent == {"host": 0, "device": 1}
+    assert downloads.lent == {"host": 0, "device": 1}
     for name in unread(frame):
         getattr(frame, name)
-    assert lent == {"host": 1, "device": 0}
+    assert downloads.lent == {"host": 1, "device": 0}
     del frame
     gc.collect()
-    assert lent == {"host": 0, "device": 0}
+    assert downloads.lent == {"host": 0, "device": 0}
     memory = [renderer.render(scene(*LAMPS), camera()).stats for _ in range(3)]
     assert len({stats.memory_bytes for stats in memory if stats}) == 1
 

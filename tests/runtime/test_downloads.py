@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -117,3 +118,40 @@ def test_a_full_device_downloads_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     assert isinstance(copies, CopiesNow)
     assert copies.words("a").tolist() == [3.0]
     assert lender.lent == {"host": 0, "device": 0}
+
+
+def test_memory_may_come_back_while_more_is_lent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when the garbage collector runs in the middle of it, on the same thread: nothing waits, nothing is lost."""
+    lender = Downloads(is_lazy=True)
+    held = [lender.copies({"a": array_of(1.0)})]
+    make = downloads._empty  # pyright: ignore[reportPrivateUsage]
+
+    def dropping(*args: Any, **options: Any) -> Any:
+        held.clear()
+        return make(*args, **options)
+
+    monkeypatch.setattr(downloads, "_empty", dropping)
+    kept = lender.copies({"a": array_of(2.0, 3.0)})
+    assert lender.lent == {"host": 0, "device": 1}
+    assert kept.words("a").tolist() == [2.0, 3.0]
+    assert lender.device_bytes == 16  # of what came back, too, until the next frame of another size
+
+
+def test_threads_that_lend_at_once_do_not_lend_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last block goes to one of two threads, although the second one asks while the first gets its memory."""
+    lender = Downloads(is_lazy=True)
+    held = [lender.copies({"a": array_of(1.0)}) for _ in range(FRAME_BLOCKS_MAX - 1)]
+    make = downloads._empty  # pyright: ignore[reportPrivateUsage]
+    other = Thread(target=lambda: held.append(lender.copies({"a": array_of(2.0)})))
+
+    def interrupted(*args: Any, **options: Any) -> Any:
+        if other.ident is None:
+            other.start()
+            other.join(0.2)  # it has to wait; without a lock, it is done by then
+        return make(*args, **options)
+
+    monkeypatch.setattr(downloads, "_empty", interrupted)
+    held.append(lender.copies({"a": array_of(3.0)}))
+    other.join()
+    assert lender.lent == {"host": 0, "device": FRAME_BLOCKS_MAX}
+    assert sum(isinstance(copies, CopiesLater) for copies in held) == FRAME_BLOCKS_MAX

@@ -10,7 +10,9 @@ image when it is read: the next frame may then be drawn, and what nobody reads i
 
 from __future__ import annotations
 
+import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar, cast
 
@@ -102,7 +104,10 @@ class CopiesLater:
 
 
 class Downloads:
-    """Lends memory to what is copied to the host.
+    """Lends memory to what is copied to the host, to any thread.
+
+    Memory comes back when what holds it is finalised, on any thread and at any moment, also while that thread lends:
+    finalizers therefore take no lock, and only note in a deque, whose operations are atomic, what has come back.
 
     Args:
         is_lazy: Frames are copied on the device, and downloaded when they are read.
@@ -110,16 +115,26 @@ class Downloads:
 
     def __init__(self, *, is_lazy: bool = False) -> None:
         self.is_lazy = is_lazy
+        self._lock = threading.Lock()
+        self._returned: deque[tuple[str, DeviceArray]] = deque()
         self._free: dict[str, list[DeviceArray]] = {"host": [], "device": []}
+        self._lent = {"host": 0, "device": 0}
         self._stream: Any = None
         self._block_bytes = 0
-        self.lent = {"host": 0, "device": 0}
+
+    @property
+    def lent(self) -> dict[str, int]:
         """Blocks whose contents somebody still holds, in each kind of memory."""
+        with self._lock:
+            self._take_back()
+            return dict(self._lent)
 
     @property
     def device_bytes(self) -> int:
         """Memory of frames that wait on the device, or have waited there, bytes."""
-        return self._block_bytes * (len(self._free["device"]) + self.lent["device"])
+        with self._lock:
+            self._take_back()
+            return self._block_bytes * (len(self._free["device"]) + self._lent["device"])
 
     def copies(self, arrays: Mapping[str, DeviceArray]) -> Copies:
         """Copies of arrays of 32-bit words, as they are now: nothing else writes to them."""
@@ -127,7 +142,7 @@ class Downloads:
         if block is None:
             return CopiesNow({name: _numpy(array) for name, array in arrays.items()})
         copies = CopiesLater(arrays, block, self)
-        weakref.finalize(copies, self._give_back, "device", block).atexit = False
+        weakref.finalize(copies, self._returned.append, ("device", block)).atexit = False
         return copies
 
     def lend_host(self, source: DeviceArray) -> tuple[DeviceArray, npt.NDArray[np.float32]] | None:
@@ -137,7 +152,7 @@ class Downloads:
         if block is None:
             return None
         values = block.numpy()
-        weakref.finalize(values, self._give_back, "host", block).atexit = False
+        weakref.finalize(values, self._returned.append, ("host", block)).atexit = False
         return block, values
 
     def stream_of(self, device: wp.Device) -> Any:
@@ -159,16 +174,21 @@ class Downloads:
 
     def _lend(self, kind: str, size: int, make: Callable[[], DeviceArray]) -> DeviceArray | None:
         """A block; those of other sizes are given up, as images of one size follow each other."""
-        if self.lent[kind] >= FRAME_BLOCKS_MAX:
-            return None
-        free = self._free[kind] = [block for block in self._free[kind] if block.size == size]
-        block = free.pop() if free else make()
-        self.lent[kind] += 1
-        return block
+        with self._lock:
+            self._take_back()
+            if self._lent[kind] >= FRAME_BLOCKS_MAX:
+                return None
+            free = self._free[kind] = [block for block in self._free[kind] if block.size == size]
+            block = free.pop() if free else make()
+            self._lent[kind] += 1
+            return block
 
-    def _give_back(self, kind: str, block: DeviceArray) -> None:
-        self.lent[kind] -= 1
-        self._free[kind].append(block)
+    def _take_back(self) -> None:
+        """Counts what has come back as free; the caller holds the lock."""
+        while self._returned:
+            kind, block = self._returned.popleft()
+            self._lent[kind] -= 1
+            self._free[kind].append(block)
 
 
 def _as_array(values: npt.NDArray[np.float32]) -> DeviceArray:
