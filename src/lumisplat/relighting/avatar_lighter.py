@@ -233,12 +233,12 @@ class AvatarLighter:
         if key not in self._normals:
             self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
         probe = self._probes.at(centroid([actor]))
-        self._warn_of_dark_place(probe)
         transfer = self.config.transfer
         normals = (self._normals[key][1] @ actor.transform[:3, :3].T / actor.scale).astype(np.float32)
         scales = light_scales(probe, normals, transfer)
         if self._suns is not None:
             scales = np.minimum(scales + self._suns.scales(actor, probe, normals), np.float32(transfer.scale_max))
+        self._warn_of_darkness(float((scales @ np.array(LUMINANCE)).mean()))
         return scale_light_of(actor, transfer.gamma * scales)
 
     def _forget_normals(self, actors: list[PlacedActor]) -> None:
@@ -246,9 +246,8 @@ class AvatarLighter:
         present = {id(actor.gaussians) for actor in actors if isinstance(actor, SplatInstance)}
         self._normals = {key: held for key, held in self._normals.items() if key in present}
 
-    def _warn_of_dark_place(self, probe: EnvironmentProbe) -> None:
-        """Warns, once, if actors become much darker than they were captured."""
-        mean = _mean_luminance(probe)
+    def _warn_of_darkness(self, mean: float) -> None:
+        """Warns, once, if actors become much darker than they were captured, by the mean light on them."""
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
             line = f"actors stand in {mean:.2g} of display white, and come out as dark"

@@ -196,8 +196,8 @@ def _nothing_found(center: Doubles, radius: float, stands_out: bool) -> str:
     where = f"within {radius:.3g} of ({place})"
     if stands_out:
         return (
-            f"no lamp found {where}: bright things stand out, but none lights what is around it; give a sun "
-            "(estimate_sun may find it) or lights yourself, or evidence=0 to take what is bright for a lamp"
+            f"no lamp found {where}: bright things stand out, but none lights what is around it; give a sun or lights "
+            "yourself, or an evidence of 0 to take what is bright for a lamp"
         )
     return (
         f"no light found {where}: nothing bright stands out from its surroundings; give a sun or lights yourself, or "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,3 +45,12 @@ def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None
         with pytest.raises(ls.FormatError) as caught:
             ls.load(path)
         assert not isinstance(caught.value, OSError)
+
+
+def test_errors_cross_processes(tmp_path: Path) -> None:
+    """A pickled one is the same, with its path: worker processes raise them, too."""
+    with pytest.raises(ls.MissingFileError) as raised:
+        ls.load(tmp_path / "none.ply")
+    error = pickle.loads(pickle.dumps(raised.value))
+    assert type(error) is ls.MissingFileError
+    assert (str(error), error.path) == (str(raised.value), str(tmp_path / "none.ply"))
