@@ -59,7 +59,7 @@ BASE = LitPreset("raster", "unlit")
 
 LIGHT = [
     LitPreset(pipeline.value, kind)
-    for pipeline in ls.Pipeline
+    for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID)
     for kind in KINDS
     # The raster follows no mirrors.
     if not (pipeline is ls.Pipeline.RASTER and kind == "bounces")

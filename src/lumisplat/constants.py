@@ -177,6 +177,9 @@ GGX_WIDTH_MIN = 1e-6
 LIGHT_DISTANCE_MIN = 1e-6
 """Distance, scene units, below which a point light gets no brighter, so that it stays finite."""
 
+LIGHT_COSINE_MIN = 0.1
+"""Lights are chosen as if they were at least this cosine above the horizon: parts of them may be."""
+
 LIGHT_POWER_MAX = 1e30
 """Candela, lux, radiance and irradiance at most: what float32 still multiplies with."""
 
@@ -209,6 +212,26 @@ AGX_PIVOT = (10.0 / 16.5, 0.5)
 AGX_SLOPE, AGX_TOE, AGX_SHOULDER = 2.0, 3.0, 3.25
 """Slope at the pivot, and the powers that bend the curve below and above it."""
 AGX_GAMMA = 2.2
+
+# --- Paths of light that bounces (docs/method/paths.md) ---
+
+EMITTER_MARGIN = 1e-5
+"""Shadow rays to triangles that shine end before them by this share of the way."""
+
+SPECULAR_BOUNCES = 3
+"""Reflections and refractions that a ray follows, unless told."""
+
+PATH_BOUNCES = 8
+"""Bounces of a path, unless told."""
+
+SAMPLES_OF_PATHS = 64
+"""Paths a pixel, unless told."""
+
+ROULETTE_BOUNCE = 3
+"""From this bounce on, paths end at random."""
+
+ROULETTE_RANGE = (0.05, 0.95)
+"""Probability with which they go on: their largest throughput, clamped to this."""
 
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 

@@ -21,9 +21,9 @@ WHOLE = "expected a whole number from"
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        (ls.RenderConfig, {"pipeline": "rays"}, "pipeline is 'rays', expected 'raster', 'trace' or 'hybrid'"),
-        (ls.RenderConfig, {"pipeline": None}, "pipeline is None, expected 'raster', 'trace' or 'hybrid'"),
-        (ls.RenderConfig, {"pipeline": ls.TraceStrategy.SORTED}, "expected 'raster', 'trace' or 'hybrid'"),
+        (ls.RenderConfig, {"pipeline": "rays"}, "pipeline is 'rays', expected 'raster', 'trace', 'hybrid' or 'path'"),
+        (ls.RenderConfig, {"pipeline": None}, "pipeline is None, expected 'raster', 'trace', 'hybrid' or 'path'"),
+        (ls.RenderConfig, {"pipeline": ls.TraceStrategy.SORTED}, "expected 'raster', 'trace', 'hybrid' or 'path'"),
         (
             ls.RasterConfig,
             {"antialiasing": "On"},

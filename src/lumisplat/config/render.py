@@ -30,6 +30,8 @@ class Pipeline(Enum):
     """Rays through the Gaussians themselves, mirrors and glass included."""
     HYBRID = "hybrid"
     """Rasterised first; rays continue from there, for shadows, mirrors and glass."""
+    PATH = "path"
+    """Paths of light that bounces, in any direction and as often as ``max_bounces``: an unbiased reference."""
 
 
 class Shadows(Enum):
@@ -65,14 +67,17 @@ class RenderConfig:
 
     Each group is read by the stage that it is named after and by no other. Which pipelines have that stage:
 
-    ===============  =====================  ===========================  ================
-    group            ``RASTER``             ``HYBRID``                   ``TRACE``
-    ===============  =====================  ===========================  ================
+    ===============  =====================  ===========================  =================
+    group            ``RASTER``             ``HYBRID``                   ``TRACE``, ``PATH``
+    ===============  =====================  ===========================  =================
     ``raster``       all that is seen       what the camera sees first   not read
     ``trace``        not read               what mirrors and glass show  all that is seen
     ``response``     shadow rays            mirrored and shadow rays     all rays
     ``shadow_rays``  shadow rays            shadow rays                  shadow rays
-    ===============  =====================  ===========================  ================
+    ===============  =====================  ===========================  =================
+
+    Paths meet one Gaussian at a time, whatever ``trace.strategy`` says, and lights have the size that they have,
+    whatever ``shadows`` says unless it is off.
 
     A choice may be given by its value, here and in all other settings: ``pipeline="hybrid"`` is
     ``pipeline=Pipeline.HYBRID``.
@@ -105,17 +110,18 @@ class RenderConfig:
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``. A single
     name, or several with commas, becomes a tuple."""
     samples: int | None = None
-    """Samples a pixel, averaged, at least 1. None: as many as random light needs, 16 for an environment and for soft
-    shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted raster is
-    exact with one, and takes no more."""
+    """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
+    and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted
+    raster is exact with one, and takes no more."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
     seed: int = 0
     """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
-    max_bounces: int = 3
-    """Reflections and refractions that a ray follows, 0..64, in the trace and hybrid pipelines; beyond, it sees the
-    background."""
+    max_bounces: int | None = None
+    """Reflections and refractions that a ray follows, 0..64, in the trace and hybrid pipelines, beyond which it sees
+    the background; in the path pipeline bounces of any kind, beyond which there is no light: 0 is direct light. None:
+    3, and 8 in the path pipeline."""
 
     def __post_init__(self) -> None:
         take_enum(self, "pipeline", Pipeline)
@@ -135,7 +141,8 @@ class RenderConfig:
             check_whole("samples", self.samples, 1, SAMPLES_MAX)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)
-        check_whole("max_bounces", self.max_bounces, 0, 64)
+        if self.max_bounces is not None:
+            check_whole("max_bounces", self.max_bounces, 0, 64)
 
 
 def _checked_aovs(aovs: object) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
-from lumisplat.renderer.integrators import specular_wave_kernels
+from lumisplat.renderer.integrators import path_kernels, specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
 from lumisplat.renderer.raster import (
     binning_kernels,
@@ -37,7 +37,9 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.casts_shadows:
         modules += gaussian_shadow_modules(launcher, config) if plan.splat_shadows.exist else []
         modules += [mesh_shadow_kernels] if plan.has_meshes else []
-    if plan.spawns_shadow_rays:
+    if plan.traces_paths:
+        modules += [path_kernels]
+    elif plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     if plan.follows_rays:
         modules += [gaussian_bvh_kernels]
@@ -45,7 +47,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
         modules += raster_modules(plan, launcher, config)
-    if plan.max_bounces:
+    if plan.max_bounces and not plan.traces_paths:
         modules += [specular_wave_kernels]
     if plan.is_sampled:
         modules += [camera_ray_kernels, film_kernels]

@@ -19,7 +19,7 @@ from lumisplat.errors import SceneError
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
-from lumisplat.renderer.integrators.whitted import WhittedIntegrator
+from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
@@ -72,7 +72,7 @@ class RayQueries:
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of the rays.
-        integrator: Computes their radiance.
+        integrators: Compute their radiance.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class RayQueries:
         buffers: Buffers,
         config: RenderConfig,
         tracer: RayTracer,
-        integrator: WhittedIntegrator,
+        integrators: Integrators,
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
-        self._tracer, self._integrator = tracer, integrator
+        self._tracer, self._integrators = tracer, integrators
         exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
@@ -142,7 +142,7 @@ class RayQueries:
             scene.begin_sample(sample, is_last=sample == samples - 1)
             self._load(scene, first, count, inputs, rays)
             hits = self._tracer.find_hits(scene, rays, "rays")
-            wave = self._integrator.shade(scene, plan, hits, sample)
+            wave = self._integrators.of(plan).shade(scene, plan, hits, sample)
             if plan.is_lit:
                 self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, film)

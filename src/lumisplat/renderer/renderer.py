@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
@@ -16,7 +16,7 @@ from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
 from lumisplat.renderer.film.film import Film
-from lumisplat.renderer.integrators.whitted import WhittedIntegrator
+from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
@@ -58,10 +58,11 @@ class Renderer:
         self._unlit_raster = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
         self._raster = RasterHits(launcher, buffers, config, binning=binning, meshes=meshes, splats=splats)
         self._camera_rays = CameraRays(launcher, buffers)
-        self._tracer = RayTracer(launcher, buffers, config)
-        self._integrator = WhittedIntegrator(launcher, buffers, config, self._tracer)
+        traced = traced_config(config)
+        self._tracer = RayTracer(launcher, buffers, traced)
+        self._integrators = Integrators(launcher, buffers, traced, self._tracer)
         self._film = Film(launcher, buffers)
-        self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrator)
+        self._queries = RayQueries(launcher, buffers, traced, self._tracer, self._integrators)
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
         self._loaded: set[int] = set()
@@ -121,11 +122,12 @@ class Renderer:
         first = 0 if resume is None else resume.samples
         end = first + plan.samples
         self._grain.warn_of(plan, end)
+        integrator = self._integrators.of(plan)
         for sample in range(first, end):
             self._scene.begin_sample(sample, is_last=sample == end - 1)
             hits = self._find_hits(plan)
-            wave = self._integrator.shade(self._scene, plan, hits, sample)
-            lights = self._integrator.light_images(self._scene, plan, hits)
+            wave = integrator.shade(self._scene, plan, hits, sample)
+            lights = integrator.light_images(self._scene, plan, hits)
             self._film.add(self._scene, wave, lights)
             if progress:
                 progress("tracing", (sample - first + 1) / plan.samples)
@@ -156,7 +158,7 @@ class Renderer:
 
     def _sync_rays(self, scene: Scene) -> FramePlan:
         """Syncs the scene for rays that a caller gives."""
-        if self.config.pipeline is not Pipeline.TRACE:
+        if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
@@ -168,6 +170,8 @@ class Renderer:
         """Refuses what cannot be drawn, and logs what is drawn differently."""
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
+        if plan.traces_paths and (missing := {"lights", "reflection"} & plan.aovs):
+            raise ConfigError(f"aovs holds {', '.join(sorted(missing))}, which Pipeline.PATH does not tell apart")
         if plan.rasterises:
             refuse_lens(camera)
             self._warnings.warn_of_degree(scene)
@@ -216,6 +220,13 @@ class Renderer:
                 memory_bytes=self._scene.bytes + self._buffers.bytes,
             ),
         )
+
+
+def traced_config(config: RenderConfig) -> RenderConfig:
+    """The settings of rays: paths meet one surface at a time, which is drawn by the opacities of all."""
+    if config.pipeline is not Pipeline.PATH:
+        return config
+    return replace(config, trace=replace(config.trace, strategy=TraceStrategy.STOCHASTIC_HIT))
 
 
 def create_renderer(

@@ -186,7 +186,7 @@ class LightDirectional:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightSphere:
-    """A sphere whose surface shines equally in all directions. It lights the scene, but is not itself visible.
+    """A sphere whose surface shines equally in all directions. Only the path pipeline shows it.
 
     Outside of it, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
 
@@ -202,6 +202,8 @@ class LightSphere:
     """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
+    visible: bool = field(default=True, kw_only=True)
+    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
     name: str = field(default="", kw_only=True)
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
@@ -215,6 +217,7 @@ class LightSphere:
             *,
             enabled: bool = True,
             casts_shadow: bool = True,
+            visible: bool = True,
             name: str = "",
         ) -> None: ...
 
@@ -222,11 +225,12 @@ class LightSphere:
         _check_shared(self)
         object.__setattr__(self, "position", vector("position", self.position))
         _check_number("radius", self.radius, 0.0, above=True)
+        check_flag("visible", self.visible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightRect:
-    """A rectangle (or parallelogram) that shines on one side. It lights the scene, but is not itself visible.
+    """A rectangle (or parallelogram) that shines on one side. Only the path pipeline shows it.
 
     Raises:
         SceneError: A value is not finite, negative or of the wrong shape, or the edges are parallel.
@@ -243,6 +247,8 @@ class LightRect:
     """Radiance: candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
+    visible: bool = field(default=True, kw_only=True)
+    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
     name: str = field(default="", kw_only=True)
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """In place of the edges: world position towards which it faces."""
@@ -261,6 +267,7 @@ class LightRect:
             *,
             enabled: bool = True,
             casts_shadow: bool = True,
+            visible: bool = True,
             name: str = "",
             target: npt.ArrayLike | None = None,
             size: npt.ArrayLike | None = None,
@@ -277,6 +284,7 @@ class LightRect:
         area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
         if not area > 1e-9 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
             raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
+        check_flag("visible", self.visible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

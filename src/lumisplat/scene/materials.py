@@ -102,6 +102,11 @@ class MaterialPbr:
             object.__setattr__(self, name, _texture(name, getattr(self, name)))
 
     @property
+    def is_emissive(self) -> bool:
+        """Whether it shines by itself."""
+        return any(self.emissive)
+
+    @property
     def is_smooth(self) -> bool:
         """Whether rays are reflected or refracted by it."""
         return self.roughness == 0.0
@@ -161,6 +166,11 @@ class MaterialSimple:
         if not is_number(self.shininess) or not 0.0 <= self.shininess <= 1e4:
             raise SceneError(f"shininess is {self.shininess}, expected 0 to 10,000")
         object.__setattr__(self, "base_color_texture", _texture("base_color_texture", self.base_color_texture))
+
+    @property
+    def is_emissive(self) -> bool:
+        """Whether it shines by itself, or by ambient light."""
+        return any(self.emissive) or any(self.ambient)
 
     @property
     def is_smooth(self) -> bool:

@@ -10,9 +10,10 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
 from support.compare.ways import WAYS, renderer_of
+from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
-PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
+PIPELINES = pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 GREEN, RED = np.array([0.2, 0.7, 0.3]), np.array([0.8, 0.3, 0.2])
 GLOWING = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))

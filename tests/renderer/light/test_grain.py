@@ -15,6 +15,7 @@ from lumisplat.cli.output import demo_pictures
 from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
 from lumisplat.demo.shapes import icosphere
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 SUN = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
@@ -63,7 +64,7 @@ def test_samples_are_chosen_by_what_is_lit(content: ls.Scene, settings: dict[str
     assert FramePlan.of(ls.RenderConfig(**settings), content).samples == samples
 
 
-@pytest.mark.parametrize("pipeline", ls.Pipeline)
+@pytest.mark.parametrize("pipeline", DIRECT)
 def test_an_environment_shows_no_pepper_by_default(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
     """A bright window in a dark room: one sample leaves black points next to bright ones, the default does not."""
     image = np.full((16, 32, 3), 0.02, np.float32)
@@ -106,7 +107,7 @@ def test_too_few_samples_are_warned_of_once(caplog: pytest.LogCaptureFixture) ->
     assert not caplog.records
 
 
-@pytest.mark.parametrize("pipeline", ls.Pipeline, ids=lambda pipeline: pipeline.value)
+@pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 def test_samples_that_nobody_asked_for_leave_captures_as_they_are(pipeline: ls.Pipeline) -> None:
     """A kept capture before a mesh that needs samples: pixels without the mesh have the bits of an unlit frame."""
     content = scene(replace(SKY, visible=False))

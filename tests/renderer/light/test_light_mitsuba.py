@@ -14,6 +14,7 @@ import pytest
 
 import lumisplat as ls
 from support.scenes.light_scenes import LightScene, light_scenes
+from support.scenes.pipelines import DIRECT
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 SCENES = light_scenes()
@@ -71,7 +72,7 @@ def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
     return blocks[enough] / counts[enough][:, None]
 
 
-@pytest.mark.parametrize("pipeline", ls.Pipeline, ids=lambda pipeline: pipeline.value)
+@pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("name", SHARP)
 def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
     """Every pixel by itself: point, spot and directional light on diffuse and metal, and in mirror and glass."""

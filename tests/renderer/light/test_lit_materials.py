@@ -9,11 +9,12 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
+from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 """Under it, a diffuse surface square to the view shows its albedo."""
-PIPELINES = list(ls.Pipeline)
+PIPELINES = DIRECT
 
 
 def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls.Mesh:

@@ -8,8 +8,9 @@ import pytest
 import lumisplat as ls
 from lumisplat.scene.lights import Light
 from support.scenes.light_scenes import matte
+from support.scenes.pipelines import DIRECT
 
-PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
+PIPELINES = pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 SIDE = ls.LightDirectional((-1.0, -0.3, -0.2), intensity=np.pi)
 BEHIND = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 FRONT = ls.Camera.look_at((0.0, 0.0, 3.4), (0.0, 0.0, 0.0), width=96, height=96, fov_y=0.75)

@@ -18,6 +18,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes.lit_scene import config
+from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import front_camera, joined, random_gaussians
 
 
@@ -97,7 +98,7 @@ def copied(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("copied")
 @pytest.mark.parametrize("lighting", [False, True], ids=["unlit", "lit"])
-@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+@pytest.mark.parametrize("pipeline", DIRECT)
 def test_animated_sets_keep_their_memory(pipeline: ls.Pipeline, lighting: bool) -> None:
     """New values every frame come to where the last ones were: graphs stay, and only hierarchies are refitted."""
     shown, camera = polished(), ls.Camera.look_at((0.0, 0.5, -2.0), (0.0, 0.0, 0.0), width=48, height=32)

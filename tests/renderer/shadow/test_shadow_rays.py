@@ -18,6 +18,7 @@ from lumisplat.renderer.shadow import stochastic_bvh
 from support.files.splat_files import load_gaussians
 from support.oracles import shadow_oracle
 from support.oracles.raster_oracle import normalized
+from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import checker_quad, joined, one_gaussian, quad, random_gaussians, similarity
 from support.scenes.shadow_rig import SCHEDULES, ShadowRig
 from support.scenes.trace_scenes import copies, placed_scene
@@ -569,7 +570,7 @@ def test_stochastic_takes_no_part_in_threshold_and_tint(rig: ShadowRig) -> None:
     np.testing.assert_array_equal(plain, other)
 
 
-@pytest.mark.parametrize("pipeline", ls.Pipeline)
+@pytest.mark.parametrize("pipeline", DIRECT)
 def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
     """Two samples and two more are four: each sample draws its own shadows, whenever it is rendered."""
     floor = ls.SplatInstance(

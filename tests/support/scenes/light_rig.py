@@ -12,8 +12,9 @@ import lumisplat as ls
 from lumisplat.scene.materials import Material
 from support.compare.images import assert_close
 from support.scenes.light_scenes import parallelogram
+from support.scenes.pipelines import DIRECT
 
-PIPELINES = pytest.mark.parametrize("pipeline", ls.Pipeline, ids=lambda pipeline: pipeline.value)
+PIPELINES = pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 RAYS = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID], ids=lambda pipeline: pipeline.value)
 
 

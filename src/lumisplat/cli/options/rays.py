@@ -23,12 +23,12 @@ class RayOptions:
     """sorted: all Gaussians on a ray in order, without noise. stochastic-hit: a random one of them, the fastest.
     stochastic-pass: a random few of them. --samples average the noise."""
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
-    """Rays a pixel; more of them smooth edges and average noise. auto: as many as random light needs, 16 under an
-    environment (8 for captures alone) and for soft shadows of lights that have a size, else 1."""
+    """Rays a pixel; more of them smooth edges and average noise. auto: 64 paths; else as many as random light needs, 16
+    under an environment (8 for captures alone) and for soft shadows of lights that have a size, else 1."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Another one gives other noise, the same one the same image."""
-    max_bounces: Annotated[int | None, setting("N", "3")] = None
-    """Reflections and refractions that a ray follows."""
+    max_bounces: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
+    """Reflections and refractions that a ray follows, or bounces of a path: 0 is direct light. auto: 3, of paths 8."""
     kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
     """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
@@ -58,7 +58,7 @@ class RayOptions:
             "samples": None if self.samples == "auto" else self.samples,
             "jitter": False if self.no_jitter else None,
             "seed": self.seed,
-            "max_bounces": self.max_bounces,
+            "max_bounces": None if self.max_bounces == "auto" else self.max_bounces,
         }
         groups = {
             "trace": {

@@ -122,6 +122,8 @@ def blend_hits(
 ) -> bool:
     """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether it is opaque then."""
     ray = ray_of(rays, i)
+    if config.offset < FAR:
+        ray.t_min = 0.0  # small Gaussians count before it
     pixel = load_pixel(radiance, i)
     is_opaque = bool(False)
     head = int(progress.kept.head)
@@ -176,10 +178,11 @@ def end_of_hits(limit: float, scene: SceneBvh) -> float:
 
 
 @wp.func
-def begin_pass(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> float:
+def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scene: SceneBvh) -> float:
     """Begins a pass of all rays; returns the least distance at which a hit may count."""
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
+    nearest_offset = wp.where(config.offset < FAR, config.offset_absolute, FAR)
     for lane in range(traced.rays.shape[0]):
         begin_ray_pass(traced.rays[lane], lane * slots)
         traced.cut_t[lane] = end_of_hits(packet.limit[lane], scene)
@@ -187,10 +190,11 @@ def begin_pass(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> flo
         if packet.limit[lane] > 0.0:
             start = traced.rays[lane].start_t
             before = start - REWIND * wp.abs(start)
+            from_t = lesser(packet.t_min[lane], nearest_offset)
             if scene.hit_distance == HIT_PEAK:
-                before = larger(packet.t_min[lane], before)
+                before = larger(from_t, before)
             if scene.hit_distance == HIT_HULL:
-                before = packet.t_min[lane]
+                before = from_t
             begin = lesser(begin, before)
     return begin
 
@@ -312,7 +316,10 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
     ) -> float:
         """Adds the hits of a Gaussian to the lists of their rays; returns the distance of the nearest first hit."""
         index = instance.first + particle.index
-        t, distance2 = hit_distances(particle, instance.scale, instance.hit_distance, FAR, packet)
+        begin = float(FAR)
+        if config.offset < FAR:
+            begin = config.offset * instance.scale * particle.largest_scale + config.offset_absolute
+        t, distance2 = hit_distances(particle, instance.scale, instance.hit_distance, begin, packet)
         t, found = hits_before_cut(traced, t, index)
         nearest = float(FAR)
         if found == 0:

@@ -134,13 +134,10 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
 
 
 @wp.func
-def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Linear radiance, without lights, of the mesh that ray ``i`` hits: emission and reflected ambient light."""
-    number = wave[0].meshes.instance[i]
+def emission_at(number: int, corners: wp.vec3i, weights: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Linear radiance, without lights, of a point of mesh instance ``number``: emission and reflected ambient light."""
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes
-    corners = meshes.indices[wave[0].meshes.face[i]]
-    weights = hit_weights(wave[0].meshes.weights[i])
     emission = material.emissive
     if material.model == BSDF_PBR:
         if material.emissive_texture.width > 0 and not is_black(emission):
@@ -151,3 +148,10 @@ def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
     if is_black(emission):
         return emission
     return wp.cw_mul(emission, surface_color(scene[0].mesh_instances[number], meshes, corners, weights))
+
+
+@wp.func
+def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """The same where ray ``i`` hits a mesh."""
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    return emission_at(wave[0].meshes.instance[i], corners, hit_weights(wave[0].meshes.weights[i]), scene)

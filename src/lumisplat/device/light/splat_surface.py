@@ -23,7 +23,7 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
         return True
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_BACKGROUND
-    return scene[0].environment.exists != 0
+    return wave[0].traces_paths != 0 or scene[0].environment.exists != 0
 
 
 @wp.func

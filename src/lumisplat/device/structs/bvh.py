@@ -149,3 +149,7 @@ class TraceData:
     acceptance_scale: float
     sh_degree: int
     """Highest that is evaluated."""
+    offset: float
+    """Largest scales of a Gaussian beyond which it counts, even before a ray's ``t_min``; FAR: not before that."""
+    offset_absolute: float
+    """Added to that, scene units."""

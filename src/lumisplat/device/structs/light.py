@@ -40,6 +40,8 @@ class LightData:
     outer: float
     """The same of the angle from which on it is dark. Cosines near 1 would lose the digits of small cones."""
     casts_shadow: int
+    visible: int
+    """1: paths see it, as a rectangle or a sphere."""
 
 
 @struct
@@ -54,6 +56,8 @@ class EnvironmentData:
     """Rotation."""
     power: wp.vec3
     """Factor of the image."""
+    mean: float
+    """Luminance, mean over all directions."""
     texels: wp.array[wp.vec3]
     width: int
     height: int
@@ -61,6 +65,23 @@ class EnvironmentData:
     """Cumulative share of the light up to the end of each row."""
     column_ends: wp.array[float]
     """The same within each row, up to the end of each texel."""
+
+
+@struct
+class EmitterData:
+    """The triangles of all meshes that shine, and the table that samples them by their power."""
+
+    ends: wp.array[float]
+    """Cumulative share of the power up to the end of each; without elements: no mesh shines."""
+    instances: wp.array[int]
+    """The mesh instance of each."""
+    first: wp.array[int]
+    """First triangle here of each mesh instance; -1: it does not shine."""
+    power: float
+    """Luminance times area, of all."""
+    center: wp.vec3
+    """Of a sphere that holds most of them, world space."""
+    radius: float
 
 
 @struct

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.light import Bsdf, EnvironmentData, LightData
+from lumisplat.device.structs.light import Bsdf, EmitterData, EnvironmentData, LightData
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
 
@@ -100,6 +100,7 @@ class ShadingScene:
     """Of the splat instances, then of the mesh instances."""
     lights: wp.array[LightData]
     environment: EnvironmentData
+    emitters: EmitterData
 
 
 @struct
@@ -226,6 +227,8 @@ class WaveData:
 
     from_camera: int
     """1: the rays are the first ones, not reflected or refracted."""
+    traces_paths: int
+    """1: paths go on behind it in one direction each, which add what is infinitely far."""
     may_branch: int
     """1: smooth meshes send rays on where these are worth following."""
     rays: RayData

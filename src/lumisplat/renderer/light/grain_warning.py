@@ -17,7 +17,7 @@ class GrainWarning:
 
     def warn_of(self, plan: FramePlan, samples: int) -> None:
         """Logs that so many samples, given by the user, are few for the light of the frame."""
-        if samples < plan.samples_wanted and not self._has_warned:
+        if plan.grain and samples < plan.samples_wanted and not self._has_warned:
             self._has_warned = True
             _log.warning(
                 "light from %s is grainy with %d %s a pixel: %d or more make it smooth, and are the default",

@@ -46,6 +46,14 @@ def far_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
 
 
 @wp.func
+def shows_environment(scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
+    """Whether the environment is a part of what rays see; paths add it where they go on."""
+    if wave[0].from_camera != 0:
+        return scene[0].settings[0].camera_sees != SEES_NOTHING
+    return wave[0].traces_paths == 0
+
+
+@wp.func
 def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
     """Whether the reflected and the refracted ray are worth tracing, 0 or 1 each."""
     if wave[0].may_branch == 0:
@@ -176,7 +184,8 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     beyond = wp.vec3(0.0)
     if wave[0].meshes.face[i] >= 0:
         light = surface.transmittance * mesh_emission(i, scene, wave)
-        if scene[0].mesh_instances[wave[0].meshes.instance[i]].material.smooth != 0:
+        smooth = scene[0].mesh_instances[wave[0].meshes.instance[i]].material.smooth
+        if smooth != 0 and wave[0].traces_paths == 0:
             bounce = bounce_of_ray(i, True, scene, wave)
             branches = followed_branches(i, bounce, surface.transmittance, wave)
             store_branches(i, branches, wave)
@@ -186,7 +195,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
             if branches[1] == 0 and not is_black(bounce.refracted):
                 seen = far_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
                 beyond += surface.transmittance * wp.cw_mul(bounce.refracted, seen)
-    elif over_light and not (from_camera and camera_sees == SEES_NOTHING):
+    elif over_light and shows_environment(scene, wave):
         light = surface.transmittance * environment_radiance(scene[0].environment, wave[0].rays.direction[i])
 
     if reflects_light(surface):

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
-from lumisplat.constants import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
+from lumisplat.constants import (
+    PATH_BOUNCES,
+    SAMPLES_OF_PATHS,
+    SAMPLES_OF_RANDOM_LIGHT,
+    SAMPLES_OF_SKY_ON_SPLATS,
+    SPECULAR_BOUNCES,
+)
 from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
@@ -47,6 +53,8 @@ class FramePlan:
     """Lights light the surfaces that reflect."""
     rasterises: bool
     """Primary hits are rasterised; otherwise traced."""
+    traces_paths: bool
+    """Light bounces in all directions, by paths."""
     follows_rays: bool
     """Some rays traverse the scene's bounding volume hierarchies: from the camera, from mirrors, or to lights."""
     traces_rays: bool
@@ -71,7 +79,10 @@ class FramePlan:
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
     max_bounces: int
-    """How many times a ray is reflected or refracted by smooth meshes at most; 0 in scenes without any."""
+    """How many times a ray is reflected or refracted by smooth meshes at most, 0 in scenes without any; or a path by
+    any surface."""
+    has_headlight: bool
+    """A light at the camera replaces those that the scene does not have."""
     has_meshes: bool
     """The scene has mesh instances."""
     has_shadow_only: bool
@@ -86,38 +97,41 @@ class FramePlan:
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of a frame of a scene."""
-        is_lit = scene.is_lit_by_default if config.lighting is None else config.lighting
-        rasterises = config.pipeline is not Pipeline.TRACE
+        is_path = config.pipeline is Pipeline.PATH
+        is_lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
+        traces_paths = is_path and is_lit
+        rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
         only_rasterises = config.pipeline is Pipeline.RASTER
-        casts = any(light.enabled and light.casts_shadow for light in scene.lights)
+        casts = any(light.enabled and light.casts_shadow for light in scene.lights) or (is_path and shines(scene))
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         has_blockers = splat_shadows.exist or bool(scene.meshes)
         casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
         has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
-        has_unshadowed = (
-            is_lit and reflects and not (casts_shadows and all(light.casts_shadow for light in scene.lights))
-        )
-        grain = random_light(config, scene) if has_unshadowed or casts_shadows else ()
-        samples_wanted = samples_of(grain, scene)
+        all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
+        has_unshadowed = is_lit and not is_path and reflects and not all_cast
+        grain = random_light(config, scene) if not is_path and (has_unshadowed or casts_shadows) else ()
+        samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
+            traces_paths=traces_paths,
             follows_rays=(casts_shadows and splat_shadows.exist) or not only_rasterises,
             traces_rays=not only_rasterises,
             has_unshadowed=has_unshadowed,
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
-            spawns_shadow_rays=casts_shadows or "lights" in aovs,
+            spawns_shadow_rays=casts_shadows or traces_paths or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             samples=config.samples or samples_wanted,
             jitters=config.jitter and not (config.samples is None and keeps_captures(scene)),
             samples_wanted=samples_wanted,
             grain=grain,
-            max_bounces=config.max_bounces if has_mirrors and not only_rasterises else 0,
+            max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
+            has_headlight=is_lit and not scene.lights and not (is_path and shines(scene)),
             has_meshes=bool(scene.meshes),
-            mixes_sets=is_lit and len({is_relit(instance) for instance in scene.splats}) > 1,
+            mixes_sets=is_lit and not is_path and len({is_relit(instance) for instance in scene.splats}) > 1,
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,
             for_camera=True,
@@ -127,8 +141,23 @@ class FramePlan:
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of rays that a caller gives: without a camera, its headlight, a background, and further images."""
         lighting = bool(scene.lights) if config.lighting is None else config.lighting
-        plan = cls.of(replace(config, pipeline=Pipeline.TRACE, aovs=(), lighting=lighting), scene)
+        pipeline = Pipeline.PATH if config.pipeline is Pipeline.PATH else Pipeline.TRACE
+        plan = cls.of(replace(config, pipeline=pipeline, aovs=(), lighting=lighting), scene)
         return replace(plan, for_camera=False)
+
+
+def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -> int:
+    """How often light bounces at most."""
+    if traces_paths:
+        return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
+    if not has_mirrors or config.pipeline is Pipeline.RASTER:
+        return 0
+    return SPECULAR_BOUNCES if config.max_bounces is None else config.max_bounces
+
+
+def shines(scene: Scene) -> bool:
+    """Whether something in a scene shines by itself, so that paths find light without any lamp."""
+    return bool(scene.splats) or any(instance.mesh.material.is_emissive for instance in scene.meshes)
 
 
 def reflects_light(scene: Scene) -> bool:

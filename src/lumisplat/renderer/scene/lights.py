@@ -58,20 +58,24 @@ class LightTable:
         """Distinct names of the lights: their own, else ``light`` and their number in the scene."""
         self._image: FloatArray | None = None
         self._brightest = 1.0
+        self._mean = np.ones(3)
 
-    def sync(self, scene: Scene, camera: Camera, buffers: Buffers, *, is_lit: bool = True) -> None:
-        """Writes the lights of a scene; a scene without lights gets a headlight.
+    def sync(
+        self, scene: Scene, camera: Camera, buffers: Buffers, *, is_lit: bool = True, has_headlight: bool | None = None
+    ) -> None:
+        """Writes the lights of a scene.
 
         Args:
             scene: The scene with the lights.
             camera: The camera, at whose eye the headlight is.
             buffers: Hold the arrays; the same ones in every call.
             is_lit: Whether the frame is lit; if not, no lights are written.
+            has_headlight: Whether there is one in place of lights; None: if it is lit and has no lights.
         """
         lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled and is_lit]
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
         table = light_table([light for _, light in lights])
-        if is_lit and not scene.lights:
+        if is_lit and not scene.lights if has_headlight is None else has_headlight:
             self.names, table = ("headlight",), headlight_table(camera)
         self.count = len(table)
         self.lights = buffers.upload("lights", LightData, table if self.count else np.zeros(1, table.dtype))
@@ -86,12 +90,14 @@ class LightTable:
             self._upload(image, buffers)
             self._image = image
         data.exists = int(light is not None)
+        data.mean = 0.0
         if light is not None:
             wxyz = np.asarray(light.rotation_wxyz, dtype=np.float64)
             power = np.minimum(power_of(light), LIGHT_POWER_MAX / self._brightest)
             data.visible = int(light.visible)
             data.world_from_environment = wp.mat33(*rotation_matrix(wxyz).ravel())
             data.power = wp.vec3(*power)
+            data.mean = float(np.minimum(power * self._mean, LIGHT_POWER_MAX) @ np.array(LUMINANCE))
 
     def _upload(self, image: npt.NDArray[np.floating], buffers: Buffers) -> None:
         data = self.environment
@@ -104,6 +110,7 @@ class LightTable:
         ):
             setattr(data, name, buffers.upload(f"environment.{name}", dtype, np.ascontiguousarray(values)))
         self._brightest = max(1.0, float(image.max()))
+        self._mean = mean_radiance(image)
 
 
 def power_of(light: Light) -> Doubles:
@@ -117,6 +124,7 @@ def light_table(lights: list[Light]) -> np.ndarray:
     for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
         row["power"] = power_of(light)
         row["casts_shadow"] = light.casts_shadow
+        row["visible"] = isinstance(light, LightRect | LightSphere) and light.visible
         row["range"] = math.inf
         if isinstance(light, LightPoint | LightSpot | LightSphere | LightRect):
             row["position"] = np.clip(light.position, -TRANSFORM_MAX, TRANSFORM_MAX)
@@ -158,6 +166,13 @@ def headlight_table(camera: Camera) -> np.ndarray:
     return table
 
 
+def mean_radiance(image: npt.NDArray[np.floating]) -> Doubles:
+    """Radiance of an environment's image, mean over all directions, shape (3,)."""
+    edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
+    means: Doubles = 0.5 * ((edges[:-1] - edges[1:]) @ image.mean(axis=1, dtype=np.float64))
+    return means
+
+
 def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Cumulative shares of an environment's rows, shape (H,), and of each row's texels, shape (H, W).
 
@@ -168,8 +183,8 @@ def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
     mean = _cell_means(np.pad(across, ((1, 1), (0, 0)), mode="edge"))
     edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
-    rows = _ends(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
-    return rows, np.stack([_ends(row) for row in mean])
+    rows = cumulative_shares(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
+    return rows, np.stack([cumulative_shares(row) for row in mean])
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -181,7 +196,7 @@ def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
 
 
-def _ends(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+def cumulative_shares(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     """Cumulative shares, exact in float32, so that every weight above 0 gets a share."""
     total = float(weights.sum(dtype=np.float64))
     if total == 0.0:

@@ -16,6 +16,7 @@ from lumisplat.device.structs.shading import (
     ShadingSettings,
     SplatAttributes,
 )
+from lumisplat.renderer.scene.emitters import Emitters
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.lights import LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
@@ -39,6 +40,7 @@ class ShadingTables:
     def __init__(self, buffers: Buffers, config: RenderConfig, device: str) -> None:
         self._buffers, self._config, self._device = buffers, config, device
         self._table = LightTable()
+        self._emitters = Emitters()
         self._attributes: DeviceArray
         self._version: int | None = None
         self.data: Any = None
@@ -80,9 +82,9 @@ class ShadingTables:
             texture_first: First texel of a texture among those of all meshes.
             version: Changes with the arrays of assets.
         """
-        self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit)
+        self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit, has_headlight=plan.has_headlight)
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()
-        self.has_headlight = plan.is_lit and not scene.lights
+        self.has_headlight = plan.has_headlight
         if version != self._version:
             rows = [asset.attributes for asset in assets]
             self._attributes = upload_structs(rows, SplatAttributes, self._device)
@@ -93,6 +95,9 @@ class ShadingTables:
         row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(plan))
         row.lights = self._table.lights
         row.environment = self._table.environment
+        if plan.traces_paths:
+            self._emitters.sync(scene, self._buffers)
+        row.emitters = self._emitters.data
         self.data = self._buffers.upload("shading", ShadingScene, rows_of([row]))
 
     def _settings(self, plan: FramePlan) -> np.ndarray:
@@ -106,7 +111,7 @@ class ShadingTables:
         elif self._table.environment.exists and self._table.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
         row["light_count"] = self._table.count
-        row["soft"] = config.shadows is Shadows.SOFT
+        row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
         return table

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.config import NormalMethod, Pipeline, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
-from lumisplat.device.structs.bvh import STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
+from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
@@ -30,7 +30,7 @@ class GaussianTracer:
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
-        config: Settings; they do not change.
+        config: Settings; they do not change. In the path pipeline, rays leave surfaces of Gaussians as shadow rays do.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
@@ -39,7 +39,11 @@ class GaussianTracer:
         stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
         self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
         self._settings = buffers.get("trace.settings", TraceData, 1)
-        assign_table(self._settings, trace_table(launcher, config.trace))
+        table = trace_table(launcher, config.trace)
+        if config.pipeline is Pipeline.PATH:
+            table["offset"] = config.shadow_rays.offset
+            table["offset_absolute"] = config.shadow_rays.offset_absolute
+        assign_table(self._settings, table)
 
     def find(self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
@@ -84,4 +88,5 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     row["depth_iso_transmittance"] = 0.5 if is_hit else config.depth_iso_transmittance
     row["acceptance_scale"] = config.acceptance_scale
     row["sh_degree"] = config.sh_degree
+    row["offset"] = FAR
     return table

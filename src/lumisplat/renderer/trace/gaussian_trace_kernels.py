@@ -82,7 +82,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
             begin_rays(traced)
             again = bool(True)
             while again:
-                begin = begin_pass(traced, packet, scene)
+                begin = begin_pass(traced, packet, config, scene)
                 reach = largest(traced.cut_t)
                 end = largest(packet.limit)
                 nearest = float(FAR)  # of the hits in the lists

@@ -1,0 +1,91 @@
+"""Triangles that shine, as lights: points sampled by their power, and the density of such samples."""
+
+import warp as wp
+
+from lumisplat.constants import EMITTER_MARGIN, ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
+from lumisplat.device.light.environment import first_above, start_of
+from lumisplat.device.light.mesh_interaction import emission_at
+from lumisplat.device.material.specular_bounce import spawn_point
+from lumisplat.device.structs.light import LightSample
+from lumisplat.device.structs.shading import ShadingScene
+
+wp.set_module_options({"enable_backward": False})
+
+BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
+NEARER = wp.constant(wp.float32(1.0 - EMITTER_MARGIN))
+BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
+
+
+@wp.func
+def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
+    """Probability with which triangle ``k`` of those that shine is sampled."""
+    return scene[0].emitters.ends[k] - start_of(scene[0].emitters.ends, 0, k)
+
+
+@wp.func
+def area_density(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
+    """Density, per steradian, of a point of a triangle that is sampled with probability ``share``.
+
+    Args:
+        share: Of the triangle.
+        across: Cross product of two of its edges, world space.
+        direction: Unit, to the point.
+        distance2: To it, squared.
+    """
+    projected = 0.5 * wp.abs(wp.dot(across, direction))
+    if projected <= 0.0:
+        return 0.0
+    return share * distance2 / projected
+
+
+@wp.func
+def edge_product(number: int, corners: wp.vec3i, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Cross product of two edges of a triangle of mesh instance ``number``, world space: twice its area long."""
+    world_from_object = scene[0].mesh_instances[number].world_from_object
+    p0 = scene[0].meshes.positions[corners[0]]
+    edge1 = world_from_object * (scene[0].meshes.positions[corners[1]] - p0)
+    edge2 = world_from_object * (scene[0].meshes.positions[corners[2]] - p0)
+    return wp.cross(edge1, edge2)
+
+
+@wp.func
+def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
+    """A point of the triangles that shine, as ``point`` sees it.
+
+    Args:
+        point: World space.
+        u: Random, 0..1 each: where on a triangle.
+        which: Random, 0..1: on which.
+        scene: With the triangles.
+    """
+    sample = LightSample()
+    emitters = scene[0].emitters
+    k = first_above(emitters.ends, 0, emitters.ends.shape[0], wp.min(which, BELOW_ONE))
+    number = emitters.instances[k]
+    instance = scene[0].mesh_instances[number]
+    corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
+    root = wp.sqrt(u[0])
+    weights = wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
+    across = edge_product(number, corners, scene)
+    if wp.length(across) <= 0.0:
+        return sample
+    side = wp.normalize(across)
+    local = (
+        weights[0] * scene[0].meshes.positions[corners[0]]
+        + weights[1] * scene[0].meshes.positions[corners[1]]
+        + weights[2] * scene[0].meshes.positions[corners[2]]
+    )
+    if wp.dot(side, instance.position + instance.world_from_object * local - point) > 0.0:
+        side = -side
+    way = spawn_point(instance, scene[0].meshes, corners, weights, side) - point
+    distance2 = wp.dot(way, way)
+    if distance2 <= 0.0:
+        return sample
+    sample.distance = wp.sqrt(distance2)
+    sample.direction = way / sample.distance
+    sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
+    sample.density = area_density(emitter_share(k, scene), across, sample.direction, distance2)
+    if sample.density > 0.0:
+        radiance = emission_at(number, corners, weights, scene)
+        sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)
+    return sample

@@ -1,0 +1,80 @@
+"""Which light a path samples at a surface: in proportion to what each would send there, unshadowed.
+
+The triangles that shine are one light more, after all others. The equations are in docs/method/paths.md#lights.
+"""
+
+import warp as wp
+
+from lumisplat.constants import LIGHT_COSINE_MIN, LUMINANCE
+from lumisplat.device.light.light import sample_light
+from lumisplat.device.math.directions import PI
+from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
+from lumisplat.device.structs.path import LightChoice, PathVertex
+from lumisplat.device.structs.shading import ShadingScene
+
+wp.set_module_options({"enable_backward": False})
+
+WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
+COSINE_MIN = wp.constant(wp.float32(LIGHT_COSINE_MIN))
+TINY = wp.constant(wp.float32(1e-30))
+
+
+@wp.func
+def choice_count(scene: wp.array[ShadingScene]) -> int:
+    """Lights among which paths choose."""
+    return scene[0].settings[0].light_count + wp.where(scene[0].emitters.ends.shape[0] > 0, 1, 0)
+
+
+@wp.func
+def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
+    """About the irradiance that light ``number`` gives a surface; above 0 wherever it gives any."""
+    if number == scene[0].settings[0].light_count:
+        emitters = scene[0].emitters
+        away = emitters.center - position
+        return emitters.power / wp.max(wp.max(wp.dot(away, away), emitters.radius * emitters.radius), TINY)
+    light = scene[0].lights[number]
+    if light.kind == LIGHT_ENVIRONMENT:
+        return PI * scene[0].environment.mean
+    sample = sample_light(light, position, 0, wp.vec2(0.5))
+    cosine = wp.max(wp.dot(normal, sample.direction), COSINE_MIN)  # soft lights reach above the horizon
+    return cosine * wp.dot(WEIGHTS, sample.irradiance)
+
+
+@wp.func
+def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
+    """About the irradiance that all lights give a surface."""
+    total = float(0.0)
+    for number in range(choice_count(scene)):
+        total += light_importance(number, position, normal, scene)
+    return total
+
+
+@wp.func
+def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
+    """The light to be sampled at a surface.
+
+    Args:
+        u: Random, 0..1.
+        vertex: The surface.
+        scene: With the lights.
+    """
+    choice = LightChoice()
+    choice.number = -1
+    if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
+        return choice
+    rest = u * vertex.importance
+    for number in range(choice_count(scene)):
+        importance = light_importance(number, vertex.position, vertex.normal, scene)
+        if importance > 0.0 and rest >= 0.0:
+            choice.number = number
+            choice.probability = importance / vertex.importance
+            rest -= importance
+    return choice
+
+
+@wp.func
+def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingScene]) -> float:
+    """Probability with which ``chosen_light`` chooses light ``number`` at a surface."""
+    if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
+        return 0.0
+    return light_importance(number, vertex.position, vertex.normal, scene) / vertex.importance

@@ -1,0 +1,360 @@
+"""Paths, wave by wave. One item is one ray of a wave, with its two interactions; at most one path is on each.
+
+``extend_paths`` and ``add_direct_light`` run before and after the shadow rays of a wave; ``spawn_paths`` starts the
+rays of the next one. The equations are in docs/method/paths.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.light_choice import chosen_light, total_importance
+from lumisplat.device.light.mesh_interaction import mesh_emission
+from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
+from lumisplat.device.light.shadow_terminator import lift_of, lifted
+from lumisplat.device.material.bsdf import bsdf_sample, mean_of
+from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
+from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.mesh.mesh_surface import hit_weights
+from lumisplat.device.structs.path import (
+    BRANCH_MESH,
+    BRANCH_NONE,
+    BRANCH_REFRACTED,
+    BRANCH_SPLATS,
+    Branch,
+    PathData,
+    PathSteps,
+    PathVertex,
+)
+from lumisplat.device.structs.rays import Bounce, RayData
+from lumisplat.device.structs.shading import SEES_NOTHING, Contribution, Interaction, ShadingScene, WaveData
+
+wp.set_module_options(SHADE_OPTIONS)
+
+ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
+GOES_ON_MIN = wp.constant(wp.float32(ROULETTE_RANGE[0]))
+GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
+
+# Branches of a ray's key: 0 is the ray that goes on.
+LIGHT_POINT_BRANCH = wp.constant(2)
+"""Which point of a light; at a mesh behind Gaussians, the next one."""
+LIGHT_BRANCH = wp.constant(4)
+"""Which light; at a mesh behind Gaussians, the next one."""
+DIRECTION_BRANCH = wp.constant(6)
+"""In which direction a path goes on."""
+WAY_BRANCH = wp.constant(7)
+"""By which surface, and by which part of its BSDF."""
+ROULETTE_BRANCH = wp.constant(8)
+
+
+@wp.kernel
+def begin_paths(start: int, paths_out: PathData):
+    """Item = ray of the first wave: a path begins with it."""
+    i = start + wp.tid()
+    paths_out.root[i] = i
+    paths_out.throughput[i] = wp.vec3(1.0)
+    paths_out.density[i] = 0.0
+    paths_out.position[i] = wp.vec3(0.0)
+    paths_out.normal[i] = wp.vec3(0.0)
+    paths_out.importance[i] = 0.0
+    paths_out.is_specular[i] = True
+
+
+@wp.func
+def branch_of(u: float, splats: Interaction, mesh: Interaction, reflected: float, refracted: float) -> Branch:
+    """By which surface a path goes on, in proportion to what about each reflects.
+
+    Args:
+        u: Random, 0..1.
+        splats: Interaction with the surface of the Gaussians.
+        mesh: With the mesh behind them.
+        reflected: Share of the ray that the mesh reflects as a mirror.
+        refracted: Share that it refracts.
+    """
+    shares = wp.vec4(scattering_share(splats), scattering_share(mesh), reflected, refracted)
+    total = shares[0] + shares[1] + shares[2] + shares[3]
+    branch = Branch()
+    branch.kind = BRANCH_NONE
+    if not (total > 0.0 and total < wp.inf):
+        return branch
+    rest = u * total
+    for kind in range(4):
+        if shares[kind] > 0.0 and rest >= 0.0:
+            branch.kind = kind
+            branch.probability = shares[kind] / total
+            rest -= shares[kind]
+    return branch
+
+
+@wp.func
+def scattering_share(interaction: Interaction) -> float:
+    """About the share of a ray that an interaction scatters; above 0 wherever it scatters any."""
+    if not interaction.exists or interaction.shadow_only:
+        return 0.0
+    bsdf = interaction.bsdf
+    return interaction.weight * wp.max(mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing, 1e-6)
+
+
+@wp.func
+def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
+    """Whether what is in the way of light ``number`` blocks it: always, if it is that of meshes."""
+    if number == scene[0].settings[0].light_count:
+        return True
+    return scene[0].lights[number].casts_shadow != 0
+
+
+@wp.func
+def start_shadow_ray(
+    i: int,
+    j: int,
+    number: int,
+    interaction: Interaction,
+    contribution: Contribution,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    rays_out: RayData,
+):
+    """Starts shadow ray ``j``, from an interaction of ray ``i`` towards light ``number``."""
+    origin = wave[0].interactions.spawn_point[j]
+    height = wave[0].interactions.smooth_height[j]
+    if height > 0.0:
+        geometric_normal = wave[0].interactions.geometric_normal[j]
+        lift = lift_of(height, interaction.horizon_normal, geometric_normal, contribution.direction)
+        contribution = lifted(contribution, lift)
+        origin += lift
+    rays_out.is_active[j] = True
+    rays_out.origin[j] = origin
+    rays_out.direction[j] = contribution.direction
+    rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
+    rays_out.t_max[j] = contribution.distance
+    if number < scene[0].settings[0].light_count:
+        rays_out.t_max[j] = wp.min(contribution.distance, scene[0].lights[number].range)
+    rays_out.path_length[j] = 0.0
+    rays_out.spread[j] = 0.0
+    slot = j / (rays_out.t_max.shape[0] / 2)
+    rays_out.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], LIGHT_POINT_BRANCH + slot)
+    rays_out.sample_key[j] = branch_key(wave[0].rays.sample_key[i], LIGHT_POINT_BRANCH + slot)
+
+
+@wp.kernel
+def extend_paths(
+    start: int,
+    number: int,
+    bounces: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    paths: PathData,
+    light_inout: wp.array[wp.vec3],
+    rays_out: RayData,
+    contributions_out: wp.array[wp.vec3],
+    steps_out: PathSteps,
+):
+    """Adds what paths see, samples a light where they are, and says where they go on.
+
+    Args:
+        start: First item.
+        number: Of the wave.
+        bounces: After so many, paths end: they only see what shines.
+        no_shadows: Light passes through everything.
+        scene: The scene.
+        wave: The wave.
+        paths: Its paths.
+        light_inout: Light of the rays of the first wave.
+        rays_out: Shadow rays, two a ray; active where a light has a shadow.
+        contributions_out: What the lights contribute, without shadows, two a ray.
+        steps_out: Where paths go on.
+    """
+    i = start + wp.tid()
+    stride = contributions_out.shape[0] // 2
+    steps_out.goes_on[i] = 0
+    for slot in range(2):
+        contributions_out[slot * stride + i] = wp.vec3(0.0)
+        rays_out.is_active[slot * stride + i] = False
+    if not wave[0].rays.is_active[i]:
+        return
+    throughput = paths.throughput[i]
+    hits_mesh = wave[0].meshes.face[i] >= 0
+    transmittance = wave[0].gaussians.transmittance[i]
+    direction = wave[0].rays.direction[i]
+    if number > 0:
+        seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+        seen += wave[0].radiance.light[i]
+        if hits_mesh:
+            share = emitted_share(i, paths, scene, wave)
+            if share < 1.0:
+                seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave)
+        else:
+            seen += transmittance * far_light(i, direction, paths, scene)
+        light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
+    end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    on_way = light_on_way(i, end, paths, scene, wave)
+    if number > 0 or scene[0].settings[0].camera_sees != SEES_NOTHING:
+        light_inout[paths.root[i]] += wp.cw_mul(throughput, on_way)
+    if number > bounces:
+        return
+
+    splats = Interaction()
+    mesh = Interaction()
+    if wave[0].interactions.exists[i]:
+        splats = load_interaction(i, wave)
+    if wave[0].interactions.exists[stride + i]:
+        mesh = load_interaction(stride + i, wave)
+    bounce = Bounce()
+    if hits_mesh and transmittance > 0.0:
+        if scene[0].mesh_instances[wave[0].meshes.instance[i]].material.smooth != 0:
+            bounce = bounce_of_ray(i, True, scene, wave)
+    key = wave[0].rays.pixel_key[i]
+    sample = scene[0].sample[0].index
+    ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
+    reflected = transmittance * wp.max(bounce.reflected)
+    refracted = transmittance * wp.max(bounce.refracted)
+    branch = branch_of(ways[0], splats, mesh, reflected, refracted)
+
+    # Direct light of both surfaces, and the lights that the one by which the path goes on may choose among.
+    scattered = splats
+    vertex = PathVertex()
+    total = scattering_share(splats) + scattering_share(mesh) + reflected + refracted
+    for slot in range(2):
+        interaction = splats
+        if slot == 1:
+            interaction = mesh
+        if scattering_share(interaction) > 0.0:
+            j = slot * stride + i
+            u = sobol_2d(branch_key(key, LIGHT_POINT_BRANCH + slot), sample)
+            which = sobol_2d(branch_key(key, LIGHT_BRANCH + slot), sample)
+            here = PathVertex()
+            here.position = interaction.position
+            here.normal = interaction.normal
+            here.importance = total_importance(here.position, here.normal, scene)
+            choice = chosen_light(which[0], here, scene)
+            if branch.kind == slot:
+                scattered = interaction
+                vertex = here
+            if choice.number >= 0:
+                branch_share = scattering_share(interaction) / total
+                contribution = sampled_light(choice, branch_share, interaction, u, which[1], scene)
+                contributions_out[j] = wp.cw_mul(throughput, contribution.color)
+                is_shadowed = not no_shadows and casts_shadow(choice.number, scene)
+                if is_shadowed and not is_black(contributions_out[j]):
+                    start_shadow_ray(i, j, choice.number, interaction, contribution, scene, wave, rays_out)
+
+    if branch.kind == BRANCH_NONE:
+        return
+    step = wp.vec3(0.0)
+    way = wp.vec3(0.0)
+    origin = wp.vec3(0.0)
+    t_min = float(0.0)
+    density = float(0.0)
+    spread = wave[0].rays.spread[i]
+    length = wave[0].meshes.t[i]
+    is_specular = paths.is_specular[i]
+    if branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH:  # noqa: PLR1714
+        j = branch.kind * stride + i
+        u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
+        sampled = bsdf_sample(scattered.bsdf, scattered.normal, scattered.wo, u, ways[1])
+        way = sampled.direction
+        if not (sampled.density > 0.0 and wp.dot(scattered.horizon_normal, way) > 0.0):
+            return
+        step = scattered.weight * sampled.weight
+        density = branch.probability * sampled.density
+        origin = wave[0].interactions.spawn_point[j]
+        t_min = wave[0].interactions.spawn_t_min[j]
+        height = wave[0].interactions.smooth_height[j]
+        if height > 0.0:
+            origin += lift_of(height, scattered.horizon_normal, wave[0].interactions.geometric_normal[j], way)
+        spread = 0.0
+        is_specular = False
+        if branch.kind == BRANCH_SPLATS:
+            length = wp.length(scattered.position - wave[0].rays.origin[i])
+    else:
+        side = bounce.side
+        way = reflect(direction, bounce.normal)
+        step = transmittance * bounce.reflected
+        if branch.kind == BRANCH_REFRACTED:
+            way = refract(direction, bounce.normal, bounce.eta)
+            step = transmittance * bounce.refracted
+            side = -bounce.side
+        corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+        instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+        origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
+
+    throughput = wp.cw_mul(throughput, step) / branch.probability
+    if number + 1 >= ROULETTE_FIRST:
+        chance = wp.clamp(wp.max(throughput), GOES_ON_MIN, GOES_ON_MAX)
+        if sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0] >= chance:
+            return
+        throughput = throughput / chance
+    if not (wp.max(throughput) > 0.0 and wp.max(throughput) < wp.inf):
+        return
+    steps_out.goes_on[i] = 1
+    steps_out.origin[i] = origin
+    steps_out.direction[i] = way
+    steps_out.t_min[i] = t_min
+    steps_out.path_length[i] = wave[0].rays.path_length[i] + length
+    steps_out.spread[i] = spread
+    steps_out.throughput[i] = throughput
+    steps_out.density[i] = density
+    steps_out.position[i] = vertex.position
+    steps_out.normal[i] = vertex.normal
+    steps_out.importance[i] = vertex.importance
+    steps_out.is_specular[i] = is_specular
+
+
+@wp.kernel
+def add_direct_light(
+    start: int,
+    wave: wp.array[WaveData],
+    paths: PathData,
+    rays: RayData,
+    contributions: wp.array[wp.vec3],
+    visibility: wp.array[wp.vec3],
+    light_inout: wp.array[wp.vec3],
+):
+    """Adds what arrives of the lights that paths have sampled."""
+    i = start + wp.tid()
+    if not wave[0].rays.is_active[i]:
+        return
+    stride = contributions.shape[0] // 2
+    arrived = wp.vec3(0.0)
+    for slot in range(2):
+        j = slot * stride + i
+        if rays.is_active[j]:
+            arrived += wp.cw_mul(contributions[j], visibility[j])
+        else:
+            arrived += contributions[j]
+    light_inout[paths.root[i]] += arrived
+
+
+@wp.kernel
+def spawn_paths(
+    start: int,
+    wave: wp.array[WaveData],
+    paths: PathData,
+    steps: PathSteps,
+    rays_out: RayData,
+    paths_out: PathData,
+):
+    """Starts the rays of the next wave."""
+    i = start + wp.tid()
+    if steps.goes_on[i] == 0:
+        return
+    child = steps.places[i] - 1
+    rays_out.is_active[child] = True
+    rays_out.origin[child] = steps.origin[i]
+    rays_out.direction[child] = steps.direction[i]
+    rays_out.t_min[child] = steps.t_min[i]
+    rays_out.t_max[child] = wp.inf
+    rays_out.path_length[child] = steps.path_length[i]
+    rays_out.spread[child] = steps.spread[i]
+    rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], 0)
+    rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], 0)
+    paths_out.root[child] = paths.root[i]
+    paths_out.throughput[child] = steps.throughput[i]
+    paths_out.density[child] = steps.density[i]
+    paths_out.position[child] = steps.position[i]
+    paths_out.normal[child] = steps.normal[i]
+    paths_out.importance[child] = steps.importance[i]
+    paths_out.is_specular[child] = steps.is_specular[i]

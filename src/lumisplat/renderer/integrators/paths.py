@@ -1,0 +1,115 @@
+"""Host pass: radiance of primary hits by paths of light, wave by wave (Kajiya 1986; Veach 1997)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.structs.path import PathData, PathSteps
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.integrators import path_kernels as kernels
+from lumisplat.renderer.light.light_images import LightImages
+from lumisplat.renderer.light.surfaces import Surfaces
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum
+
+
+class PathIntegrator:
+    """Computes the radiance of rays by one path each.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        tracer: Finds the hits of the rays on which paths go on.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
+        self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
+        self._surfaces = Surfaces(launcher, buffers)
+        self._shadows = ShadowRays(launcher, buffers, config)
+
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
+        """The first wave, with the radiance of its rays.
+
+        Args:
+            scene: The scene on the device, synced.
+            plan: Plan of the frame.
+            hits: The rays, and what they hit.
+            sample: Number of the sample.
+        """
+        self._shadows.begin_sample(sample)
+        with self._launcher.stage("light"):
+            paths = self._begin(hits)
+            first = wave = self._wave(scene, plan, hits, 0)
+            light = device_array(first.row.radiance.light)
+            steps = self._extend(scene, plan, 0, wave=wave, paths=paths, light=light)
+            for number in range(1, plan.max_bounces + 2):
+                capacity = grown_capacity(int(device_array(steps.places)[-1:].numpy()[0]))
+                if capacity == 0:
+                    break
+                rays, paths = self._spawn(wave, paths, steps, number, capacity)
+                wave = self._wave(scene, plan, self._tracer.find_hits(scene, rays, f"path{number % 2}"), number)
+                steps = self._extend(scene, plan, number, wave=wave, paths=paths, light=light)
+        return first
+
+    def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
+        """None: paths sample one light at a time."""
+        return LightImages()
+
+    def _begin(self, hits: PrimaryHits) -> PathData:
+        """One path a ray."""
+        paths = self._buffers.struct("path.paths0", PathData, hits.count)
+        self._launcher.run_banded(kernels.begin_paths, hits.count, paths)
+        return paths
+
+    def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int) -> RayWave:
+        """A wave, with what its rays see but for lights, and its interactions."""
+        # Two sets of buffers are enough: the first wave's stay, and a later one is done before the next begins.
+        return self._surfaces.shade(scene, plan, hits, min(number, 1), may_branch=False)
+
+    def _extend(
+        self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, light: DeviceArray
+    ) -> PathSteps:
+        """Adds what the paths of a wave see, and what lights send there, to the light of the first wave's rays.
+
+        Returns where the paths go on.
+        """
+        count, run = wave.count, self._launcher.run_banded
+        rays = self._buffers.struct("path.shadow_rays", RayData, 2 * count)
+        contributions = self._buffers.get("path.contributions", wp.vec3, 2 * count)
+        steps = self._buffers.struct("path.steps", PathSteps, count)
+        with self._launcher.stage("shade"):
+            run(
+                kernels.extend_paths,
+                count,
+                *(number, plan.max_bounces, not plan.casts_shadows, scene.shading, wave.data, paths, light),
+                *(rays, contributions, steps),
+                bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
+            )
+        visibility = contributions
+        if plan.casts_shadows and number <= plan.max_bounces:
+            skips = wave.row.interactions.shadow_only
+            with self._launcher.stage("shadow"):
+                visibility = self._shadows.trace(scene, rays, skips, "path.visibility", of_splats=plan.splat_shadows)
+        run(kernels.add_direct_light, count, wave.data, paths, rays, contributions, visibility, light)
+        prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
+        return steps
+
+    def _spawn(
+        self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, capacity: int
+    ) -> tuple[RayData, PathData]:
+        """The rays of the next wave, and their paths."""
+        rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
+        rays.is_active.zero_()
+        onwards = self._buffers.struct(f"path.paths{number % 2}", PathData, capacity)
+        self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, paths, steps, rays, onwards)
+        return rays, onwards

@@ -1,0 +1,109 @@
+"""The triangles that shine on the device, so that paths sample them as lights."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE
+from lumisplat.device.structs.light import EmitterData
+from lumisplat.math.arrays import Doubles
+from lumisplat.math.color import decode_srgb
+from lumisplat.renderer.scene.lights import cumulative_shares
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import MeshInstance, Scene
+
+_INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+"""Barycentric weights of the points at which textures are looked up."""
+_DARK_SHARE = 0.05
+"""Of the brightest texel: no triangle of a texture is taken for darker."""
+
+
+class Emitters:
+    """The triangles that shine, uploaded when they change."""
+
+    def __init__(self) -> None:
+        self.data = EmitterData()
+        self._key: object = None
+
+    def sync(self, scene: Scene, buffers: Buffers) -> None:
+        """Writes the table of a scene."""
+        shining = [(number, instance) for number, instance in enumerate(scene.meshes) if shines(instance)]
+        placed = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in shining]
+        key = placed, len(scene.meshes)
+        if key == self._key:
+            return
+        self._held = [instance for _, instance in shining]  # so that no other mesh gets its id
+        self._key, data = key, self.data
+        first = np.full(max(len(scene.meshes), 1), -1, np.int32)
+        first[[number for number, _ in shining]] = np.cumsum([0, *(i.mesh.face_count for _, i in shining)])[:-1]
+        powers = [powers_of(instance) for _, instance in shining]
+        power = np.concatenate(powers) if powers else np.zeros(0)
+        numbers = np.repeat([number for number, _ in shining], [len(values) for values in powers]).astype(np.int32)
+        data.first = buffers.upload("emitters.first", wp.int32, first)
+        data.power = float(min(power.sum(), LIGHT_POWER_MAX))
+        ends = cumulative_shares(power) if data.power > 0.0 else np.zeros(0, np.float32)
+        data.ends = buffers.upload("emitters.ends", wp.float32, ends)
+        data.instances = buffers.upload("emitters.instances", wp.int32, numbers)
+        if data.power > 0.0:
+            centers = np.concatenate([_centers(instance) for _, instance in shining])
+            center = np.average(centers, axis=0, weights=power)
+            data.center = wp.vec3(*center)
+            spread = np.average(((centers - center) ** 2).sum(axis=1), weights=power)
+            data.radius = float(np.sqrt(spread + _mean_area(shining)))
+
+
+def shines(instance: MeshInstance) -> bool:
+    """Whether a mesh instance emits light."""
+    return instance.mesh.material.is_emissive
+
+
+def powers_of(instance: MeshInstance) -> Doubles:
+    """Luminance times area of an instance's triangles, about, shape (F,)."""
+    mesh, material = instance.mesh, instance.mesh.material
+    emitted = np.array(material.emissive, np.float64)
+    if not isinstance(material, MaterialPbr):
+        emitted = emitted + np.array(material.ambient)
+    brightness = np.full(mesh.face_count, float(emitted @ np.array(LUMINANCE)))
+    texture = material.emissive_texture if isinstance(material, MaterialPbr) else None
+    if texture is not None and mesh.uvs is not None:
+        brightness *= _texture_means(mesh, texture)
+    return brightness * _areas(instance)
+
+
+def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8]) -> Doubles:
+    """Luminance of a texture, mean over some points of each triangle, shape (F,)."""
+    assert mesh.uvs is not None
+    points = np.einsum("pc,fcx->fpx", _INSIDE, mesh.uvs[mesh.indices])
+    height, width = texture.shape[:2]
+    columns, rows = (
+        np.floor((points[..., k] % 1.0) * size).astype(int) % size for k, size in ((0, width), (1, height))
+    )
+    luminance = decode_srgb(texture[rows, columns, :3].astype(np.float64) / 255.0) @ np.array(LUMINANCE)
+    means: Doubles = luminance.mean(axis=1)
+    return np.maximum(means, _DARK_SHARE * means.max(initial=0.0))
+
+
+def _corners(instance: MeshInstance) -> Doubles:
+    """World-space corners of the triangles, shape (F, 3, 3)."""
+    world = instance.mesh.positions.astype(np.float64) @ instance.transform[:3, :3].T + instance.transform[:3, 3]
+    corners: Doubles = world[instance.mesh.indices]
+    return corners
+
+
+def _areas(instance: MeshInstance) -> Doubles:
+    corners = _corners(instance)
+    edges = corners[:, 1:] - corners[:, :1]
+    return 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+
+
+def _centers(instance: MeshInstance) -> Doubles:
+    return _corners(instance).mean(axis=1)
+
+
+def _mean_area(shining: list[tuple[int, MeshInstance]]) -> float:
+    """Of their triangles."""
+    return float(np.concatenate([_areas(instance) for _, instance in shining]).mean())

@@ -1,0 +1,147 @@
+"""Paths in scenes whose light is known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.math.color import encode_srgb
+from support.scenes.path_scenes import (
+    as_splats,
+    assert_is,
+    ball,
+    cube_without_ceiling,
+    diffuse,
+    irradiance,
+    paths,
+    quad,
+    wide_sheet,
+)
+
+INSIDE = ls.Camera.look_at((0.1, 0.05, 0.2), (0.6, 0.3, 1.0), width=48, height=32, fov_y=1.0)
+AT_THE_FLOOR = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=24, height=24, fov_y=0.03)
+KINDS = pytest.mark.parametrize("kind", ["mesh", "gaussians"])
+
+
+def scene_of(mesh: ls.Mesh, kind: str, count: int) -> ls.Scene:
+    """A surface as a mesh, or as Gaussians."""
+    return ls.Scene(meshes=[mesh]) if kind == "mesh" else ls.Scene(splats=[as_splats(mesh, count)])
+
+
+@KINDS
+@pytest.mark.parametrize("albedo", [1.0, 0.5])
+def test_an_open_furnace(kind: str, albedo: float) -> None:
+    """A ball in even light shows its albedo times that light; a white one cannot be seen, edges included."""
+    scene = scene_of(ball(0.3, diffuse(albedo)), kind, 4000)
+    scene = replace(scene, lights=[ls.LightEnvironment(color=(0.7,) * 3)])
+    camera = ls.Camera.look_at((0.0, 0.0, -2.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=0.1)
+    frame = paths(scene, camera, 64, 16)
+    assert frame.instance_index.max() == 0
+    assert_is(frame.color[..., 1].astype(np.float64), 0.7 * albedo, share=0.005)
+
+
+@pytest.mark.parametrize("shape", ["ball", "cube"])
+@pytest.mark.parametrize("bounces", [0, 1, 3, 64])
+def test_a_closed_furnace(bounces: int, shape: str) -> None:
+    """Everything shines with 1 and reflects half: n bounces show the first terms of a geometric series."""
+    shining = diffuse(0.5, 1.0)
+    cube = [*cube_without_ceiling(shining), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), shining)]
+    scene = ls.Scene(meshes=cube if shape == "cube" else [ball(1.0, shining, hollow=True, rows=16)])
+    inside = ls.Camera.look_at((0.4, 0.5, 0.6), (0.9, 0.3, 0.8), width=48, height=32, fov_y=1.0)
+    frame = paths(scene, inside, 16, bounces)
+    truth = (1.0 - 0.5 ** (bounces + 2)) / 0.5  # direct light is one bounce of what shines
+    assert_is(frame.color[..., 1].astype(np.float64), truth, share=0.005)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.6, 0.5, 0.2)])
+def test_an_integrating_sphere(place: tuple[float, float, float]) -> None:
+    """Wherever the lamp is, what has bounced is even: rho Phi / (4 pi R^2 (1 - rho))."""
+    lamp = ls.LightPoint(place, intensity=1.0)
+    scene = ls.Scene(meshes=[ball(1.0, diffuse(0.5), hollow=True, rows=96)], lights=[lamp])
+    bounced = irradiance(paths(scene, INSIDE, 64, 64), 0.5) - irradiance(paths(scene, INSIDE, 64, 0), 0.5)
+    assert_is(bounced, 0.5 * 4.0 * np.pi / (4.0 * np.pi * 0.5))
+
+
+@pytest.mark.parametrize("lamp", ["mesh", "rect"])
+@pytest.mark.parametrize(("albedo", "truth"), [(0.5, 1.2416), (0.8, 2.8002)])
+def test_a_cube_below_a_shining_ceiling(lamp: str, albedo: float, truth: float) -> None:
+    """Irradiance at the middle of the floor, by collocation in float64; direct, by the form factor."""
+    ceiling = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(albedo, 1.0 if lamp == "mesh" else 0.0))
+    lights = [ls.LightRect((0.5, 0.99999, 0.5), (1, 0, 0), (0, 0, 1), intensity=1.0)] if lamp == "rect" else []
+    scene = ls.Scene(meshes=[*cube_without_ceiling(diffuse(albedo)), ceiling], lights=lights)
+    assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 0), albedo), np.pi * 0.239456)
+    assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 64), albedo), truth)
+
+
+@KINDS
+def test_concentric_spheres(kind: str) -> None:
+    """The outer one shines; light goes to and fro between them, per channel as each reflects."""
+    inner, outer, share = 0.8, 0.5, 0.25
+    matrix = np.array([[1.0, -inner], [-outer * share, 1.0 - outer * (1.0 - share)]])
+    truth = np.linalg.solve(matrix, [0.0, 1.0])
+    shell = ball(1.0, diffuse(outer, 1.0 / np.pi), hollow=True)
+    around = ls.Scene(meshes=[shell])
+    inside = ball(0.5, diffuse(inner))
+    scene = (
+        replace(around, meshes=[shell, inside])
+        if kind == "mesh"
+        else replace(around, splats=[as_splats(inside, 20_000)])
+    )
+    for target, expected in (((0.0, 0.0, 0.0), truth[0]), ((0.0, 0.0, -1.0), truth[1])):
+        camera = ls.Camera.look_at((0.0, 0.0, -0.8), target, width=32, height=24, fov_y=0.2)
+        values = np.pi * paths(scene, camera, 64, 32).color[..., 1].astype(np.float64)
+        assert_is(values, expected, share=0.005)
+
+
+@pytest.mark.parametrize("side", ["reflected", "transmitted"])
+def test_two_sheets(side: str) -> None:
+    """Two wide Gaussians of opacity 0.6 and albedo 0.8: light goes to and fro between them, and through both."""
+    reflectance, transmittance = 0.6 * 0.8, 0.4
+    between = 1.0 / (1.0 - reflectance**2)
+    truth = {
+        "reflected": reflectance + transmittance**2 * reflectance * between,
+        "transmitted": transmittance**2 * between,
+    }[side]
+    rows = 64
+    around = 2.0 * np.pi * ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5)
+    behind_camera = np.repeat((np.cos(around) > 0.0)[None, :, None], rows, axis=0) * np.ones(3)
+    sky = (behind_camera if side == "reflected" else 1.0 - behind_camera).astype(np.float32)
+    scene = ls.Scene(
+        splats=[wide_sheet(0.0, 0.6, 0.8), wide_sheet(1.0, 0.6, 0.8)],
+        lights=[ls.LightEnvironment(sky)],
+    )
+    camera = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=32, height=32, fov_y=0.02)
+    # By the rule for captures, two surfaces of such wide Gaussians would be one layer.
+    apart = ls.ShadowConfig(offset=0.0, offset_absolute=0.01)
+    frame = paths(scene, camera, 128, 32, shadow_rays=apart)
+    assert_is(frame.color[..., 1].astype(np.float64), truth)
+
+
+def test_captures_are_lamps() -> None:
+    """A panel of captured Gaussians over a floor gives the irradiance of its form factor."""
+    panel = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5))
+    gaussians = ls.gaussians_from_mesh(panel, 40_000)
+    shown = np.full((gaussians.count, 1, 3), (encode_srgb(0.5) - 0.5) / SH_C0)
+    capture = ls.SplatInstance(replace(gaussians, sh=shown, albedo=None))
+    floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))
+    camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
+    values = irradiance(paths(ls.Scene(splats=[capture], meshes=[floor]), camera, 128, 1), 0.5)
+    assert values.std() / np.sqrt(values.size) < 0.005
+    np.testing.assert_allclose(values.mean(), np.pi * 0.5 * 0.239456, rtol=0.02)
+
+
+def test_a_lamp_is_seen() -> None:
+    """A sphere of radiance 3 over a floor: its irradiance pi L (r / d)^2, and itself, unless it is not visible."""
+    lamp = ls.LightSphere((0.0, 2.0, 0.0), 0.25, intensity=3.0)
+    floor = quad((-5, 0, -5), (0, 0, 10), (10, 0, 0), diffuse(0.5))
+    above = ls.Camera.look_at((0, 1.0, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=24, fov_y=0.02)
+    beside = ls.Camera.look_at((0, 1.0, 3.0), (0, 2, 0), width=16, height=16, fov_y=0.02)
+    for visible in (True, False):
+        scene = ls.Scene(meshes=[floor], lights=[replace(lamp, visible=visible)])
+        below = irradiance(paths(scene, above, 16, 0), 0.5)
+        np.testing.assert_allclose(below, np.pi * 3.0 * (0.25 / 2.0) ** 2, rtol=1e-3)
+        np.testing.assert_allclose(paths(scene, beside, 4, 0).color, 3.0 * visible, rtol=1e-6)

@@ -1,0 +1,98 @@
+"""Paths against the other pipelines, and what must not change them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.scene.lights import Light
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.path_scenes import as_splats, ball, cube_without_ceiling, diffuse, paths, quad
+from support.scenes.raster_scenes import front_camera, random_gaussians
+
+LIGHTS: dict[str, Light] = {
+    "point": ls.LightPoint((0.4, 0.8, -0.5), intensity=0.6),
+    "sphere": ls.LightSphere((0.4, 0.8, -0.5), 0.1, intensity=20.0, visible=False),
+    "rect": ls.LightRect((0.4, 0.9, -0.2), (0.3, 0, 0), (0, 0, 0.3), intensity=9.0),
+    "sky": ls.LightEnvironment(color=(0.5, 0.7, 1.0), visible=False),
+}
+
+
+def balls(kind: str) -> ls.Scene:
+    """A ball that floats over a floor."""
+    floor = quad((-1, -0.4, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
+    shape = ball(0.3, diffuse(0.7), rows=32)
+    if kind == "mesh":
+        return ls.Scene(meshes=[floor, shape])
+    return ls.Scene(meshes=[floor], splats=[as_splats(shape, 6000)])
+
+
+@pytest.mark.parametrize("kind", ["mesh", "gaussians"])
+@pytest.mark.parametrize("light", LIGHTS.values(), ids=LIGHTS.keys())
+def test_direct_light_is_that_of_traced_rays(light: Light, kind: str) -> None:
+    """Without bounces, paths show what the trace pipeline does by stochastic hits, in the mean."""
+    lit = replace(balls(kind), lights=[light])
+    view = ls.Camera.look_at((0.3, 0.6, -1.4), (0.0, -0.1, 0.0), width=48, height=36, fov_y=0.7)
+    traced = ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE,
+        trace=ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT),
+        shadows=ls.Shadows.SOFT,
+        samples=64,
+    )
+    expected = ls.render(lit, view, traced, device="cpu").color
+    found = paths(lit, view, 64, 0).color
+    assert expected.mean() > 0.02
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), expected.mean(axis=(0, 1)), rtol=4e-3)
+    blocks = [image.reshape(9, 4, 12, 4, 3).mean(axis=(1, 3)) for image in (found, expected)]
+    np.testing.assert_allclose(*blocks, rtol=0.06, atol=0.004)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_change_nothing(threads: int) -> None:
+    """The same bits, with light that bounces between Gaussians, meshes, mirrors and glass."""
+    settings = config(ls.Pipeline.PATH, samples=3, max_bounces=5)
+    shown = scene(*LAMPS, SKY)
+    frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (threads, 2)]
+    np.testing.assert_array_equal(frames[0].color, frames[1].color)
+
+
+def test_a_capture_that_is_alone_stays_as_captured() -> None:
+    """To the precision of the blend: nothing lights it, and it is no light to itself."""
+    capture = ls.Scene(splats=[random_gaussians(3)])
+    view = front_camera(32, 24)
+    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, trace=chance)
+    unlit = ls.render(capture, view, replace(settings, pipeline=ls.Pipeline.TRACE), device="cpu")
+    frame = ls.render(capture, view, settings, device="cpu")
+    assert frame.captured is not None and frame.light is not None
+    np.testing.assert_allclose(frame.captured, unlit.color, atol=1e-6)
+    np.testing.assert_allclose(frame.light, 0.0, atol=1e-7)
+
+
+def test_emitters_light_by_their_area() -> None:
+    """One shining square, or the same cut into many triangles of many sizes, or as two instances: the same light."""
+    room = cube_without_ceiling(diffuse(0.5))
+    view = ls.Camera.look_at((0.5, 0.8, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=32, height=32, fov_y=0.03)
+    shine = diffuse(0.5, 1.0)
+    whole = [quad((0.2, 0.9, 0.2), (0.6, 0, 0), (0, 0, 0.6), shine)]
+    edges = np.array([0.0, 0.01, 0.1, 0.15, 0.6])
+    cut = [
+        quad((0.2 + x, 0.9, 0.2), (w, 0, 0), (0, 0, 0.6), shine)
+        for x, w in zip(edges[:-1], np.diff(edges), strict=True)
+    ]
+    halves = quad((0.2, 0.9, 0.2), (0.3, 0, 0), (0, 0, 0.6), shine)
+    moved = np.eye(4)
+    moved[0, 3] = 0.3
+    twice = [ls.MeshInstance(halves), ls.MeshInstance(halves, moved)]
+    means = [paths(ls.Scene(meshes=[*room, *shape]), view, 32, 2).color.mean() for shape in (whole, cut, twice)]
+    np.testing.assert_allclose(means, means[0], rtol=0.01)
+
+
+def test_layers_that_paths_do_not_have_are_refused() -> None:
+    """By name."""
+    settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("lights",))
+    with pytest.raises(ls.ConfigError, match=r"aovs holds lights, which Pipeline\.PATH does not tell apart"):
+        ls.render(balls("mesh"), camera(), settings, device="cpu")

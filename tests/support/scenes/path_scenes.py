@@ -1,0 +1,82 @@
+"""Closed scenes of diffuse surfaces, whose light is known, as meshes and as Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.demo.shapes import sphere
+
+Doubles = npt.NDArray[np.float64]
+
+
+def diffuse(albedo: float, emitted: float = 0.0) -> ls.MaterialPbr:
+    """Without a highlight."""
+    return ls.MaterialPbr(base_color=(albedo,) * 3, specular=0.0, roughness=1.0, emissive=(emitted,) * 3)
+
+
+def ball(radius: float, material: ls.MaterialPbr, *, hollow: bool = False, rows: int = 48) -> ls.Mesh:
+    """A sphere about the origin; ``hollow``, its triangles face inwards."""
+    mesh = sphere(radius, rows=rows, columns=2 * rows)
+    indices = mesh.indices[:, ::-1] if hollow else mesh.indices
+    return ls.Mesh(mesh.positions, indices, material=material)
+
+
+def as_splats(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
+    """Its surface as Gaussians that reflect by their albedo."""
+    return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=ls.MaterialPbr(specular=0.0, roughness=1.0))
+
+
+def quad(corner: npt.ArrayLike, u: npt.ArrayLike, v: npt.ArrayLike, material: ls.MaterialPbr) -> ls.Mesh:
+    """A parallelogram."""
+    o, u, v = (np.asarray(x, np.float64) for x in (corner, u, v))
+    return ls.Mesh(np.array([o, o + u, o + u + v, o + v]), np.array([[0, 1, 2], [0, 2, 3]]), material=material)
+
+
+def cube_without_ceiling(material: ls.MaterialPbr) -> list[ls.Mesh]:
+    """The floor and the walls of the unit cube."""
+    x, y, z = np.eye(3)
+    walls = ((0 * x, x), (z, x), (0 * x, z), (x, z))
+    return [quad(0 * x, x, z, material), *(quad(corner, along, y, material) for corner, along in walls)]
+
+
+def wide_sheet(z: float, opacity: float, albedo: float) -> ls.SplatInstance:
+    """One flat Gaussian so wide that it has the same opacity everywhere."""
+    gaussians = ls.Gaussians(
+        means=np.array([[0.0, 0.0, z]]),
+        rotations_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]]),
+        scales=np.array([[1e4, 1e4, 1e-4]]),
+        opacities=np.array([opacity]),
+        sh=np.zeros((1, 1, 3)),
+        albedo=np.full((1, 3), albedo),
+        normals=np.array([[0.0, 0.0, 1.0]]),
+    )
+    return ls.SplatInstance(gaussians, material=ls.MaterialPbr(specular=0.0, roughness=1.0))
+
+
+def paths(scene: ls.Scene, camera: ls.Camera, samples: int, max_bounces: int, **changes: object) -> ls.Frame:
+    """A frame of paths."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=max_bounces)
+    return ls.render(scene, camera, replace(config, **changes), device="cpu")
+
+
+def assert_is(values: npt.NDArray[np.floating], truth: float, *, share: float = 0.01) -> None:
+    """Values of pixels, one expectation for all: their mean is the truth within four standard errors, which are small.
+
+    Args:
+        values: Independent of one another, any shape.
+        truth: What they are on average.
+        share: The standard error is below this share of it.
+    """
+    error = values.std() / np.sqrt(values.size)
+    assert error < share * truth, "the test is too noisy to show anything"
+    assert abs(values.mean() - truth) < 4.0 * max(error, 1e-6 * truth), f"{values.mean()} +- {error}, expected {truth}"
+
+
+def irradiance(frame: ls.Frame, albedo: float) -> Doubles:
+    """Of the diffuse surfaces of a frame that shows nothing else, one value a pixel."""
+    values: Doubles = np.pi / albedo * frame.color[..., 1].astype(np.float64)
+    return values
