@@ -51,7 +51,7 @@ class Bench(LoadingCommand, DeviceCommand):
     """A file of cameras as for render."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image width; the aspect ratio is kept."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "raster")] = None
     """As for render."""
     strategy: Annotated[StrategyName | None, setting("{sorted,stochastic-hit,stochastic-pass}", "sorted")] = None
     """As for render, with --pipeline trace and hybrid."""

@@ -25,9 +25,10 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Move the camera smoothly through the cameras of this file: nerfstudio's camera_path.json, a scene.toml with
     camera keyframes, or any other camera file, one second from each camera to the next."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid}", "raster")] = None
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
-    and rays from there on for mirrors, glass and shadows."""
+    and rays from there on for mirrors, glass and shadows. path: light that bounces, and captures that light what
+    stands in them; grainy, --samples average it."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image width; alone, it keeps the camera's aspect ratio."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
