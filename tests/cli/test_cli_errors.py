@@ -180,7 +180,10 @@ def test_output_that_cannot_be_written(work, output, named):
             "'17' for argument '--hits-per-pass'. Expected one of 4, 8, 16, 32.",
         ),
         (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree is 'two', expected a whole number"),
-        (("bench", "x.ply", "--pipeline", "rays"), "argument '--pipeline'. Expected one of hybrid, path, raster, trace."),
+        (
+            ("bench", "x.ply", "--pipeline", "rays"),
+            "argument '--pipeline'. Expected one of hybrid, path, raster, trace.",
+        ),
         (("render", "x.ply", "--shadows", "dark"), "argument '--shadows'. Expected one of hard, off, soft."),
         (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
         (("render", "x.ply", "--exposure", "bright"), "--exposure is 'bright', expected a number"),
