@@ -144,4 +144,6 @@ def test_a_lamp_is_seen() -> None:
         scene = ls.Scene(meshes=[floor], lights=[replace(lamp, visible=visible)])
         below = irradiance(paths(scene, above, 16, 0), 0.5)
         np.testing.assert_allclose(below, np.pi * 3.0 * (0.25 / 2.0) ** 2, rtol=1e-3)
-        np.testing.assert_allclose(paths(scene, beside, 4, 0).color, 3.0 * visible, rtol=1e-6)
+        frame = paths(scene, beside, 4, 0, background=None)
+        np.testing.assert_allclose(frame.color, 3.0 * visible, rtol=1e-6)
+        np.testing.assert_array_equal(frame.alpha, float(visible))

@@ -29,7 +29,7 @@ from lumisplat.device.structs.path import (
     PathVertex,
 )
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import SEES_NOTHING, Contribution, Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -145,7 +145,7 @@ def extend_paths(
     bounces: int,
     no_shadows: bool,
     scene: wp.array[ShadingScene],
-    wave: wp.array[WaveData],
+    wave_inout: wp.array[WaveData],
     paths: PathData,
     light_inout: wp.array[wp.vec3],
     rays_out: RayData,
@@ -160,7 +160,7 @@ def extend_paths(
         bounces: After so many, paths end: they only see what shines.
         no_shadows: Light passes through everything.
         scene: The scene.
-        wave: The wave.
+        wave_inout: The wave; what shows a lamp becomes opaque in the first one.
         paths: Its paths.
         light_inout: Light of the rays of the first wave.
         rays_out: Shadow rays, two a ray; active where a light has a shadow.
@@ -173,40 +173,41 @@ def extend_paths(
     for slot in range(2):
         contributions_out[slot * stride + i] = wp.vec3(0.0)
         rays_out.is_active[slot * stride + i] = False
-    if not wave[0].rays.is_active[i]:
+    if not wave_inout[0].rays.is_active[i]:
         return
     throughput = paths.throughput[i]
-    hits_mesh = wave[0].meshes.face[i] >= 0
-    transmittance = wave[0].gaussians.transmittance[i]
-    direction = wave[0].rays.direction[i]
+    hits_mesh = wave_inout[0].meshes.face[i] >= 0
+    transmittance = wave_inout[0].gaussians.transmittance[i]
+    direction = wave_inout[0].rays.direction[i]
     if number > 0:
-        seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
-        seen += wave[0].radiance.light[i]
+        seen = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
+        seen += wave_inout[0].radiance.light[i]
         if hits_mesh:
-            share = emitted_share(i, paths, scene, wave)
+            share = emitted_share(i, paths, scene, wave_inout)
             if share < 1.0:
-                seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave)
+                seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave_inout)
         else:
             seen += transmittance * far_light(i, direction, paths, scene)
         light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
-    end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
-    on_way = light_on_way(i, end, paths, scene, wave)
-    if number > 0 or scene[0].settings[0].camera_sees != SEES_NOTHING:
-        light_inout[paths.root[i]] += wp.cw_mul(throughput, on_way)
+    end = wp.min(wave_inout[0].meshes.t[i], wave_inout[0].gaussians.depth[i])
+    on_way = light_on_way(i, end, paths, scene, wave_inout)
+    light_inout[paths.root[i]] += wp.cw_mul(throughput, on_way)
+    if number == 0 and not is_black(on_way):
+        wave_inout[0].radiance.alpha[i] = 1.0
     if number > bounces:
         return
 
     splats = Interaction()
     mesh = Interaction()
-    if wave[0].interactions.exists[i]:
-        splats = load_interaction(i, wave)
-    if wave[0].interactions.exists[stride + i]:
-        mesh = load_interaction(stride + i, wave)
+    if wave_inout[0].interactions.exists[i]:
+        splats = load_interaction(i, wave_inout)
+    if wave_inout[0].interactions.exists[stride + i]:
+        mesh = load_interaction(stride + i, wave_inout)
     bounce = Bounce()
     if hits_mesh and transmittance > 0.0:
-        if scene[0].mesh_instances[wave[0].meshes.instance[i]].material.smooth != 0:
-            bounce = bounce_of_ray(i, True, scene, wave)
-    key = wave[0].rays.pixel_key[i]
+        if scene[0].mesh_instances[wave_inout[0].meshes.instance[i]].material.smooth != 0:
+            bounce = bounce_of_ray(i, True, scene, wave_inout)
+    key = wave_inout[0].rays.pixel_key[i]
     sample = scene[0].sample[0].index
     ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
     reflected = transmittance * wp.max(bounce.reflected)
@@ -239,7 +240,7 @@ def extend_paths(
                 contributions_out[j] = wp.cw_mul(throughput, contribution.color)
                 is_shadowed = not no_shadows and casts_shadow(choice.number, scene)
                 if is_shadowed and not is_black(contributions_out[j]):
-                    start_shadow_ray(i, j, choice.number, interaction, contribution, scene, wave, rays_out)
+                    start_shadow_ray(i, j, choice.number, interaction, contribution, scene, wave_inout, rays_out)
 
     if branch.kind == BRANCH_NONE:
         return
@@ -248,8 +249,8 @@ def extend_paths(
     origin = wp.vec3(0.0)
     t_min = float(0.0)
     density = float(0.0)
-    spread = wave[0].rays.spread[i]
-    length = wave[0].meshes.t[i]
+    spread = wave_inout[0].rays.spread[i]
+    length = wave_inout[0].meshes.t[i]
     is_specular = paths.is_specular[i]
     if branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH:  # noqa: PLR1714
         j = branch.kind * stride + i
@@ -260,15 +261,15 @@ def extend_paths(
             return
         step = scattered.weight * sampled.weight
         density = branch.probability * sampled.density
-        origin = wave[0].interactions.spawn_point[j]
-        t_min = wave[0].interactions.spawn_t_min[j]
-        height = wave[0].interactions.smooth_height[j]
+        origin = wave_inout[0].interactions.spawn_point[j]
+        t_min = wave_inout[0].interactions.spawn_t_min[j]
+        height = wave_inout[0].interactions.smooth_height[j]
         if height > 0.0:
-            origin += lift_of(height, scattered.horizon_normal, wave[0].interactions.geometric_normal[j], way)
+            origin += lift_of(height, scattered.horizon_normal, wave_inout[0].interactions.geometric_normal[j], way)
         spread = 0.0
         is_specular = False
         if branch.kind == BRANCH_SPLATS:
-            length = wp.length(scattered.position - wave[0].rays.origin[i])
+            length = wp.length(scattered.position - wave_inout[0].rays.origin[i])
     else:
         side = bounce.side
         way = reflect(direction, bounce.normal)
@@ -277,9 +278,9 @@ def extend_paths(
             way = refract(direction, bounce.normal, bounce.eta)
             step = transmittance * bounce.refracted
             side = -bounce.side
-        corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
-        instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
-        origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
+        corners = scene[0].meshes.indices[wave_inout[0].meshes.face[i]]
+        instance = scene[0].mesh_instances[wave_inout[0].meshes.instance[i]]
+        origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave_inout[0].meshes.weights[i]), side)
 
     throughput = wp.cw_mul(throughput, step) / branch.probability
     if number + 1 >= ROULETTE_FIRST:
@@ -293,7 +294,7 @@ def extend_paths(
     steps_out.origin[i] = origin
     steps_out.direction[i] = way
     steps_out.t_min[i] = t_min
-    steps_out.path_length[i] = wave[0].rays.path_length[i] + length
+    steps_out.path_length[i] = wave_inout[0].rays.path_length[i] + length
     steps_out.spread[i] = spread
     steps_out.throughput[i] = throughput
     steps_out.density[i] = density
