@@ -119,7 +119,9 @@ class RayQueries:
         for first, batch in _batches(origins, directions, distances):
             count, rays = len(batch[0]), self._rays(len(batch[0]))
             self._load(scene, first, count, self._upload(batch), rays)
-            light = self._transmittance.trace(scene, rays, None, "rays.transmittance", opaque=True)
+            opaque = self._buffers.get("rays.opaque", wp.bool, len(rays.t_max))
+            opaque.fill_(True)
+            light = self._transmittance.trace(scene, rays, None, "rays.transmittance", opaque=opaque)
             parts.append(light.numpy()[:count, 0].copy())
         return np.concatenate(parts)
 
@@ -236,5 +238,6 @@ def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def tracing(config: RenderConfig | None) -> RenderConfig:
-    """The settings with the ray-tracing pipeline."""
-    return replace(config or RenderConfig(), pipeline=Pipeline.TRACE)
+    """The settings with a pipeline of rays: that of paths, or the ray tracer."""
+    config = config or RenderConfig()
+    return config if config.pipeline is Pipeline.PATH else replace(config, pipeline=Pipeline.TRACE)

@@ -159,7 +159,7 @@ class Renderer:
     def _sync_rays(self, scene: Scene) -> FramePlan:
         """Syncs the scene for rays that a caller gives."""
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
-            raise ConfigError("rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
+            raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or PATH: this one rasterises")
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
@@ -224,7 +224,7 @@ class Renderer:
 
 def traced_config(config: RenderConfig) -> RenderConfig:
     """The settings of rays: paths meet one surface at a time, which is drawn by the opacities of all."""
-    if config.pipeline is not Pipeline.PATH:
+    if config.pipeline is not Pipeline.PATH or config.lighting is False:
         return config
     return replace(config, trace=replace(config.trace, strategy=TraceStrategy.STOCHASTIC_HIT))
 

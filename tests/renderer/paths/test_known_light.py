@@ -10,6 +10,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import encode_srgb
+from lumisplat.scene.lights import Light
 from support.scenes.path_scenes import (
     as_splats,
     assert_is,
@@ -75,6 +76,42 @@ def test_a_cube_below_a_shining_ceiling(lamp: str, albedo: float, truth: float) 
     scene = ls.Scene(meshes=[*cube_without_ceiling(diffuse(albedo)), ceiling], lights=lights)
     assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 0), albedo), np.pi * 0.239456)
     assert_is(irradiance(paths(scene, AT_THE_FLOOR, 64, 64), albedo), truth)
+
+
+@pytest.mark.parametrize("lamp", ["mesh", "rect", "sky"])
+def test_clear_panes_change_nothing(lamp: str) -> None:
+    """Glass of index 1 between a lamp and a floor: light comes through it once, by rays that are bent or by samples."""
+    shine = quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0 if lamp == "mesh" else 0.0))
+    lights: dict[str, list[Light]] = {
+        "mesh": [],
+        "rect": [ls.LightRect((0.0, 0.999, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)],
+        "sky": [ls.LightEnvironment(color=(0.3,) * 3)],
+    }
+    clear = ls.MaterialPbr(base_color=(1.0,) * 3, roughness=0.0, transmission=1.0, ior=1.0001)
+    pane = quad((-4, 0.7, -4), (8, 0, 0), (0, 0, 8), clear)
+    floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
+    camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
+    shining = [] if lamp == "sky" else [shine]
+    open_air, behind = (
+        irradiance(paths(ls.Scene(meshes=[floor, *shining, *panes], lights=lights[lamp]), camera, 64, 16), 0.5)
+        for panes in ([], [pane])
+    )
+    assert behind.std() / np.sqrt(behind.size) < 0.01 * open_air.mean()
+    np.testing.assert_allclose(behind.mean(), open_air.mean(), rtol=0.02)
+
+
+@pytest.mark.parametrize("shadows", ["none of the light's", "short", "off"])
+def test_light_that_passes_what_is_in_its_way(shadows: str) -> None:
+    """A sky without shadows, or without any of things so far away: a floor under a roof has all of it."""
+    sky = ls.LightEnvironment(
+        casts_shadow=shadows != "none of the light's", shadow_distance=0.5 if shadows == "short" else np.inf
+    )
+    floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
+    roof = quad((-9, 1.0, -9), (18, 0, 0), (0, 0, 18), diffuse(0.0))
+    scene = ls.Scene(meshes=[floor, roof], lights=[sky])
+    camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.02)
+    frame = paths(scene, camera, 64, 0, shadows=ls.Shadows.OFF if shadows == "off" else ls.Shadows.HARD)
+    assert_is(irradiance(frame, 0.5), np.pi)
 
 
 @KINDS

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.scene.lights import Light
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.path_scenes import as_splats, ball, cube_without_ceiling, diffuse, paths, quad
-from support.scenes.raster_scenes import front_camera, random_gaussians
+from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians
 
 LIGHTS: dict[str, Light] = {
     "point": ls.LightPoint((0.4, 0.8, -0.5), intensity=0.6),
@@ -96,3 +96,47 @@ def test_layers_that_paths_do_not_have_are_refused() -> None:
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("lights",))
     with pytest.raises(ls.ConfigError, match=r"aovs holds lights, which Pipeline\.PATH does not tell apart"):
         ls.render(balls("mesh"), camera(), settings, device="cpu")
+
+
+def test_the_near_plane_of_a_camera_counts() -> None:
+    """Small Gaussians before it are not seen, as in traced frames."""
+    speck = one_gaussian((0.0, 0.0, 0.05), 0.002, 0.99, (0.9, 0.1, 0.1))
+    wall = one_gaussian((0.0, 0.0, 2.0), (2.0, 2.0, 0.01), 0.99, (0.2, 0.4, 0.8))
+    camera = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.02, near=0.2)
+    capture = ls.Scene(splats=[speck, wall])
+    red = paths(capture, camera, 32, 1).color[..., 0].mean()
+    seen = paths(capture, replace(camera, near=0.01), 32, 1).color[..., 0].mean()
+    assert red < 0.05
+    assert seen > 0.5
+
+
+def test_relit_captures_alone_have_a_headlight() -> None:
+    """They shine nothing themselves; captures that keep their look do, and meshes that are emissive."""
+    alone = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=32), 4000)])
+    view = ls.Camera.look_at((0.0, 0.0, -1.4), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.3)
+    assert paths(alone, view, 8, 2).color[10:14, 14:18].mean() > 0.4
+    kept = replace(alone, splats=[*alone.splats, one_gaussian((9.0, 0.0, 0.0), 0.1, 0.9, (0.5, 0.5, 0.5))])
+    assert paths(kept, view, 8, 2).color.max() < 0.05
+
+
+def test_given_rays_see_what_emitters_light() -> None:
+    """As frames do: rays through the pixels of a camera, without any light but a mesh that shines."""
+    room = [*cube_without_ceiling(diffuse(0.5)), quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))]
+    settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=4)
+    down = np.broadcast_to(np.array([0.0, -1.0, 0.0]), (256, 3))
+    hits = ls.trace_rays(ls.Scene(meshes=room), np.full((256, 3), 0.5), down, settings, device="cpu")
+    view = ls.Camera.look_at((0.5, 0.5, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=16, height=16, fov_y=0.01)
+    frame = paths(ls.Scene(meshes=room), view, 64, 4)
+    assert hits.color_space == "linear"
+    np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
+
+
+def test_shadow_only_captures_are_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    """That they take no shadows here."""
+    capture = replace(as_splats(ball(0.3, diffuse(0.7)), 500), material=None, shadow_only=True)
+    shown = ls.Scene(splats=[capture], lights=[LIGHTS["point"]])
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1), "cpu")
+    with caplog.at_level("WARNING", logger="lumisplat"):
+        for _ in range(2):
+            renderer.render(shown, camera())
+    assert caplog.text.count("shadow-only captures take no shadows in Pipeline.PATH") == 1

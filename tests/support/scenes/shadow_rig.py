@@ -71,7 +71,8 @@ class ShadowRig:
         rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
         rays.pixel_key.assign(sample_keys(np.arange(len(rays.pixel_key)), 0, config.seed))
         shadows.begin_sample(sample)
-        light = shadows.trace(on_device, rays, skipping, "light", opaque=opaque)
+        blocked = wp.full(len(rays.pixel_key), opaque, dtype=wp.bool, device=self._device)
+        light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked)
         return light.numpy()[: len(origins)].astype(float)
 
     def _rays(

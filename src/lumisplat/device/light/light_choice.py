@@ -26,6 +26,24 @@ def choice_count(scene: wp.array[ShadingScene]) -> int:
 
 
 @wp.func
+def meets_rays(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
+    """Whether rays that surfaces scatter show light ``number``, and its samples are weighted against them.
+
+    Not those whose samples pass what would block the rays, and those that have no extent.
+    """
+    if no_shadows:
+        return False
+    if number == scene[0].settings[0].light_count:
+        return True
+    light = scene[0].lights[number]
+    if light.casts_shadow == 0:
+        return False
+    if light.kind == LIGHT_ENVIRONMENT:
+        return light.range == wp.inf
+    return light.visible != 0
+
+
+@wp.func
 def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
     """About the irradiance that light ``number`` gives a surface; above 0 wherever it gives any."""
     if number == scene[0].settings[0].light_count:

@@ -1,7 +1,7 @@
-"""What a path receives at a surface: one sample of one light, and what its own rays see of the environment.
+"""What a path receives at a surface: one sample of one light, and what its own rays meet of lights.
 
-Both kinds of samples reach the environment: each counts by the power heuristic (Veach and Guibas 1995). The equations
-are in docs/method/paths.md.
+Both reach the environment, triangles that shine and visible lights: each counts by the power heuristic (Veach and
+Guibas 1995). The equations are in docs/method/paths.md.
 """
 
 import warp as wp
@@ -10,7 +10,7 @@ from lumisplat.device.light.direct_light import contribution_of
 from lumisplat.device.light.emitter import area_density, edge_product, emitter_share, sample_emitter
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.light import sample_light
-from lumisplat.device.light.light_choice import choice_probability
+from lumisplat.device.light.light_choice import choice_probability, meets_rays
 from lumisplat.device.light.visible_light import light_crossing
 from lumisplat.device.material.bsdf import bsdf_pdf
 from lumisplat.device.math.color import decode_srgb_color
@@ -37,6 +37,7 @@ def sampled_light(
     interaction: Interaction,
     u: wp.vec2,
     which: float,
+    is_met: bool,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
     """Contribution of the chosen light at an interaction, over the probability of the choice.
@@ -47,10 +48,10 @@ def sampled_light(
         interaction: The surface.
         u: Random, 0..1 each.
         which: Random, 0..1.
+        is_met: Whether rays show this light, see ``meets_rays``.
         scene: With the lights.
     """
     sample = LightSample()
-    meets_rays = bool(True)
     if choice.number == scene[0].settings[0].light_count:
         sample = sample_emitter(interaction.position, u, which, scene)
     else:
@@ -59,9 +60,8 @@ def sampled_light(
             sample = sample_environment(scene[0].environment, u)
         else:
             sample = sample_light(light, interaction.position, scene[0].settings[0].soft, u)
-            meets_rays = light.visible != 0
     weight = 1.0 / choice.probability
-    if meets_rays and sample.density > 0.0:
+    if is_met and sample.density > 0.0:
         density = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
         weight *= power_heuristic(choice.probability * sample.density, branch_share * density)
     return contribution_of(interaction, sample, weight)
@@ -78,7 +78,7 @@ def vertex_of(i: int, paths: PathData) -> PathVertex:
 
 
 @wp.func
-def far_light(i: int, direction: wp.vec3, paths: PathData, scene: wp.array[ShadingScene]) -> wp.vec3:
+def far_light(i: int, direction: wp.vec3, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Linear radiance that path ``i`` sees infinitely far away, weighted against samples of the environment.
 
     Without an environment, that is the background, but in mirrors only: it is a picture, and shines on nothing.
@@ -88,22 +88,32 @@ def far_light(i: int, direction: wp.vec3, paths: PathData, scene: wp.array[Shadi
             return decode_srgb_color(scene[0].settings[0].background)
         return wp.vec3(0.0)
     radiance = environment_radiance(scene[0].environment, direction)
+    if paths.is_specular[i]:
+        return radiance
     density = paths.density[i]
-    if density > 0.0:
-        vertex = vertex_of(i, paths)
-        for number in range(scene[0].settings[0].light_count):
-            if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                other = choice_probability(number, vertex, scene) * environment_density(scene[0].environment, direction)
+    for number in range(scene[0].settings[0].light_count):
+        if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
+            if not meets_rays(number, no_shadows, scene):
+                return wp.vec3(0.0)
+            if density > 0.0:
+                other = choice_probability(number, vertex_of(i, paths), scene)
+                other *= environment_density(scene[0].environment, direction)
                 radiance *= power_heuristic(density, other)
     return radiance
 
 
 @wp.func
-def emitted_share(i: int, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
+def emitted_share(
+    i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> float:
     """Weight of the emission of the mesh that the ray of path ``i`` hits, against samples of what shines."""
     density = paths.density[i]
     number = wave[0].meshes.instance[i]
-    if density <= 0.0 or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
+    if paths.is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
+        return 1.0
+    if no_shadows:
+        return 0.0
+    if density <= 0.0:
         return 1.0
     face = wave[0].meshes.face[i]
     k = scene[0].emitters.first[number] + face - scene[0].mesh_instances[number].face_first
@@ -117,14 +127,15 @@ def emitted_share(i: int, paths: PathData, scene: wp.array[ShadingScene], wave: 
 
 @wp.func
 def light_on_way(
-    i: int, end: float, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int, end: float, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
     """Linear radiance of the visible lights that the ray of path ``i`` passes up to ``end``, weighted likewise."""
     total = wp.vec3(0.0)
     density = paths.density[i]
     vertex = vertex_of(i, paths)
     for number in range(scene[0].settings[0].light_count):
-        if scene[0].lights[number].visible != 0:
+        is_shown = paths.is_specular[i] or meets_rays(number, no_shadows, scene)
+        if scene[0].lights[number].visible != 0 and is_shown:
             crossing = light_crossing(scene[0].lights[number], wave[0].rays.origin[i], wave[0].rays.direction[i])
             if crossing.t < end:
                 share = float(1.0)

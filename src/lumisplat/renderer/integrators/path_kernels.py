@@ -8,7 +8,7 @@ import warp as wp
 
 from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.light_choice import chosen_light, total_importance
+from lumisplat.device.light.light_choice import chosen_light, meets_rays, total_importance
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
 from lumisplat.device.light.shadow_terminator import lift_of, lifted
@@ -149,6 +149,7 @@ def extend_paths(
     paths: PathData,
     light_inout: wp.array[wp.vec3],
     rays_out: RayData,
+    opaque_out: wp.array[wp.bool],
     contributions_out: wp.array[wp.vec3],
     steps_out: PathSteps,
 ):
@@ -164,6 +165,7 @@ def extend_paths(
         paths: Its paths.
         light_inout: Light of the rays of the first wave.
         rays_out: Shadow rays, two a ray; active where a light has a shadow.
+        opaque_out: Shadow rays that glass blocks: towards lights that rays find through it.
         contributions_out: What the lights contribute, without shadows, two a ray.
         steps_out: Where paths go on.
     """
@@ -183,14 +185,14 @@ def extend_paths(
         seen = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
         seen += wave_inout[0].radiance.light[i]
         if hits_mesh:
-            share = emitted_share(i, paths, scene, wave_inout)
+            share = emitted_share(i, no_shadows, paths, scene, wave_inout)
             if share < 1.0:
                 seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave_inout)
         else:
-            seen += transmittance * far_light(i, direction, paths, scene)
+            seen += transmittance * far_light(i, direction, no_shadows, paths, scene)
         light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
     end = wp.min(wave_inout[0].meshes.t[i], wave_inout[0].gaussians.depth[i])
-    on_way = light_on_way(i, end, paths, scene, wave_inout)
+    on_way = light_on_way(i, end, no_shadows, paths, scene, wave_inout)
     light_inout[paths.root[i]] += wp.cw_mul(throughput, on_way)
     if number == 0 and not is_black(on_way):
         wave_inout[0].radiance.alpha[i] = 1.0
@@ -236,7 +238,9 @@ def extend_paths(
                 vertex = here
             if choice.number >= 0:
                 branch_share = scattering_share(interaction) / total
-                contribution = sampled_light(choice, branch_share, interaction, u, which[1], scene)
+                is_met = meets_rays(choice.number, no_shadows, scene)
+                opaque_out[j] = is_met
+                contribution = sampled_light(choice, branch_share, interaction, u, which[1], is_met, scene)
                 contributions_out[j] = wp.cw_mul(throughput, contribution.color)
                 is_shadowed = not no_shadows and casts_shadow(choice.number, scene)
                 if is_shadowed and not is_black(contributions_out[j]):

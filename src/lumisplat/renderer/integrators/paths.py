@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import warp as wp
 
 from lumisplat.config import RenderConfig
@@ -21,6 +23,8 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
+_log = logging.getLogger("lumisplat")
+
 
 class PathIntegrator:
     """Computes the radiance of rays by one path each.
@@ -36,6 +40,7 @@ class PathIntegrator:
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
+        self._has_warned = False
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays.
@@ -46,6 +51,7 @@ class PathIntegrator:
             hits: The rays, and what they hit.
             sample: Number of the sample.
         """
+        self._warn_of_shadow_only(plan)
         self._shadows.begin_sample(sample)
         with self._launcher.stage("light"):
             paths = self._begin(hits)
@@ -57,13 +63,20 @@ class PathIntegrator:
                 if capacity == 0:
                     break
                 rays, paths = self._spawn(wave, paths, steps, number, capacity)
-                wave = self._wave(scene, plan, self._tracer.find_hits(scene, rays, f"path{number % 2}"), number)
+                hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
+                wave = self._wave(scene, plan, hits, number)
                 steps = self._extend(scene, plan, number, wave=wave, paths=paths, light=light)
         return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """None: paths sample one light at a time."""
         return LightImages()
+
+    def _warn_of_shadow_only(self, plan: FramePlan) -> None:
+        """Logs, once, that shadow-only sets stay as captured."""
+        if plan.has_shadow_only and not self._has_warned:
+            self._has_warned = True
+            _log.warning("shadow-only captures take no shadows in Pipeline.PATH: Pipeline.TRACE and HYBRID show them")
 
     def _begin(self, hits: PrimaryHits) -> PathData:
         """One path a ray."""
@@ -86,20 +99,22 @@ class PathIntegrator:
         count, run = wave.count, self._launcher.run_banded
         rays = self._buffers.struct("path.shadow_rays", RayData, 2 * count)
         contributions = self._buffers.get("path.contributions", wp.vec3, 2 * count)
+        opaque = self._buffers.get("path.opaque", wp.bool, 2 * count)
         steps = self._buffers.struct("path.steps", PathSteps, count)
         with self._launcher.stage("shade"):
             run(
                 kernels.extend_paths,
                 count,
                 *(number, plan.max_bounces, not plan.casts_shadows, scene.shading, wave.data, paths, light),
-                *(rays, contributions, steps),
+                *(rays, opaque, contributions, steps),
                 bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
             )
         visibility = contributions
         if plan.casts_shadows and number <= plan.max_bounces:
-            skips = wave.row.interactions.shadow_only
             with self._launcher.stage("shadow"):
-                visibility = self._shadows.trace(scene, rays, skips, "path.visibility", of_splats=plan.splat_shadows)
+                visibility = self._shadows.trace(
+                    scene, rays, None, "path.visibility", opaque=opaque, of_splats=plan.splat_shadows
+                )
         run(kernels.add_direct_light, count, wave.data, paths, rays, contributions, visibility, light)
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
         return steps

@@ -36,8 +36,7 @@ class Emitters:
         key = placed, len(scene.meshes)
         if key == self._key:
             return
-        self._held = [instance for _, instance in shining]  # so that no other mesh gets its id
-        self._key, data = key, self.data
+        self._key, data = None, self.data  # a failed upload does not count as finished
         first = np.full(max(len(scene.meshes), 1), -1, np.int32)
         first[[number for number, _ in shining]] = np.cumsum([0, *(i.mesh.face_count for _, i in shining)])[:-1]
         powers = [powers_of(instance) for _, instance in shining]
@@ -54,6 +53,8 @@ class Emitters:
             data.center = wp.vec3(*center)
             spread = np.average(((centers - center) ** 2).sum(axis=1), weights=power)
             data.radius = float(np.sqrt(spread + _mean_area(shining)))
+        self._held = [instance for _, instance in shining]  # so that no other mesh gets its id
+        self._key = key
 
 
 def shines(instance: MeshInstance) -> bool:

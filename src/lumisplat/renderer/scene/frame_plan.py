@@ -140,8 +140,11 @@ class FramePlan:
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of rays that a caller gives: without a camera, its headlight, a background, and further images."""
-        lighting = bool(scene.lights) if config.lighting is None else config.lighting
-        pipeline = Pipeline.PATH if config.pipeline is Pipeline.PATH else Pipeline.TRACE
+        is_path = config.pipeline is Pipeline.PATH
+        pipeline = Pipeline.PATH if is_path else Pipeline.TRACE
+        lighting = config.lighting
+        if lighting is None:
+            lighting = bool(scene.lights) or (is_path and shines(scene))
         plan = cls.of(replace(config, pipeline=pipeline, aovs=(), lighting=lighting), scene)
         return replace(plan, for_camera=False)
 
@@ -157,7 +160,9 @@ def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -
 
 def shines(scene: Scene) -> bool:
     """Whether something in a scene shines by itself, so that paths find light without any lamp."""
-    return bool(scene.splats) or any(instance.mesh.material.is_emissive for instance in scene.meshes)
+    materials = [instance.mesh.material for instance in scene.meshes]
+    materials += [instance.material for instance in scene.splats if instance.material is not None]
+    return keeps_captures(scene) or any(material.is_emissive for material in materials)
 
 
 def reflects_light(scene: Scene) -> bool:

@@ -19,7 +19,7 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 @wp.kernel
 def shadow_by_meshes(
     start: int,
-    opaque: bool,
+    opaque: wp.array[wp.bool],
     meshes_only: bool,
     instances: wp.array[MeshInstanceData],
     meshes: MeshData,
@@ -28,7 +28,9 @@ def shadow_by_meshes(
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
-    """What all triangles between the origin and ``t_max`` let through; nothing if they are ``opaque``.
+    """What all triangles between the origin and ``t_max`` let through.
+
+    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none.
 
     ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
     shadow-only sets if ``meshes_only`` block these.
@@ -36,6 +38,9 @@ def shadow_by_meshes(
     i = start + wp.tid()
     t_max = rays.t_max[i]
     light = wp.vec3(1.0)
+    is_opaque = bool(False)
+    if opaque:
+        is_opaque = opaque[i]
     if rays.is_active[i] and t_max > 0.0:
         origin = rays.origin[i]
         direction = rays.direction[i]
@@ -56,7 +61,7 @@ def shadow_by_meshes(
                     t = ray.begin + hit.t
                     if t > 0.0 and t < t_max:
                         share = wp.vec3(0.0)
-                        if not opaque and instance.material.smooth != 0:
+                        if not is_opaque and instance.material.smooth != 0:
                             weights = hit_weights(hit.weights)
                             if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, v0, v1, v2):
                                 share = wp.vec3(1.0)

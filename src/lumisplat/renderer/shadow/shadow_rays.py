@@ -54,7 +54,7 @@ class ShadowRays:
         skips: wp.array[wp.bool] | None,
         name: str,
         *,
-        opaque: bool = False,
+        opaque: wp.array[wp.bool] | None = None,
         of_splats: SplatShadows = ON_ALL,
     ) -> DeviceArray:
         """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
@@ -66,7 +66,7 @@ class ShadowRays:
                 the result is any number.
             skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
             name: Of the buffer that holds the result.
-            opaque: All meshes are, also those of glass.
+            opaque: Array of bool: rays that glass blocks. None: it blocks none.
             of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
@@ -97,7 +97,7 @@ class ShadowRays:
         skips: wp.array[wp.bool],
         light: DeviceArray,
         *,
-        opaque: bool,
+        opaque: wp.array[wp.bool] | None,
         of_splats: SplatShadows,
     ) -> wp.array[Any]:
         """Writes what meshes let through; how far Gaussians may block what is left."""

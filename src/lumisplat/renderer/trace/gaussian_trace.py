@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lumisplat.config import NormalMethod, Pipeline, RenderConfig, TraceConfig, TraceStrategy
+from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
@@ -30,7 +30,7 @@ class GaussianTracer:
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
-        config: Settings; they do not change. In the path pipeline, rays leave surfaces of Gaussians as shadow rays do.
+        config: Settings; they do not change.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
@@ -40,12 +40,15 @@ class GaussianTracer:
         self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
         self._settings = buffers.get("trace.settings", TraceData, 1)
         table = trace_table(launcher, config.trace)
-        if config.pipeline is Pipeline.PATH:
-            table["offset"] = config.shadow_rays.offset
-            table["offset_absolute"] = config.shadow_rays.offset_absolute
         assign_table(self._settings, table)
+        self._settings_bounced = buffers.get("trace.settings_bounced", TraceData, 1)
+        table["offset"] = config.shadow_rays.offset
+        table["offset_absolute"] = config.shadow_rays.offset_absolute
+        assign_table(self._settings_bounced, table)
 
-    def find(self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str) -> GaussianHits:
+    def find(
+        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
+    ) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
 
         Args:
@@ -53,13 +56,15 @@ class GaussianTracer:
             rays: A multiple of ``PACKET_RAYS``.
             limits: Distances as float, such as those of the nearest meshes.
             name: Of the buffers that hold the result.
+            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
         """
         count = len(rays.t_max)
+        settings = self._settings_bounced if bounced else self._settings
         hits = self._buffers.struct(name, GaussianHits, count, () if scene.mixes_sets else RELIT_FIELDS)
         self._launcher.run_banded(
             self._kernels[scene.bvh.stack],
             count // self._lanes,
-            *(self._settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
+            *(settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return hits

@@ -26,16 +26,17 @@ class RayTracer:
         self._meshes = MeshTracer(launcher, buffers)
         self._gaussians = GaussianTracer(launcher, buffers, config)
 
-    def find_hits(self, scene: DeviceScene, rays: RayData, name: str) -> PrimaryHits:
+    def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
         """The nearest mesh on each ray, and what the Gaussians before it give the ray.
 
         Args:
             scene: Up to date for rays.
             rays: A multiple of ``PACKET_RAYS``.
             name: Of the buffers that hold the result.
+            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes")
         with self._launcher.stage("gaussians"):
-            gaussians = self._gaussians.find(scene, rays, meshes.t, f"{name}.gaussians")
+            gaussians = self._gaussians.find(scene, rays, meshes.t, f"{name}.gaussians", bounced=bounced)
         return PrimaryHits(rays, meshes, gaussians)
