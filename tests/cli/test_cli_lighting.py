@@ -292,8 +292,20 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
             LAMP,
             [],
         ),
+        (
+            {"pipeline": ls.Pipeline.PATH},
+            ls.Scene(),
+            ["not used by --pipeline path: --antialiasing (they are of --pipeline raster and hybrid)"],
+        ),
     ],
-    ids=["unlit raster", "unlit samples", "lit raster", "lit rays without shadows", "lit hybrid"],
+    ids=[
+        "unlit raster",
+        "unlit samples",
+        "lit raster",
+        "lit rays without shadows",
+        "lit hybrid",
+        "paths without lamps",
+    ],
 )
 def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list[str]) -> None:
     """A line for each reason; what a frame uses is not in it, and what it always uses never."""

@@ -171,7 +171,8 @@ class Renderer:
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
         if plan.traces_paths and (missing := {"lights", "reflection"} & plan.aovs):
-            raise ConfigError(f"aovs holds {', '.join(sorted(missing))}, which Pipeline.PATH does not tell apart")
+            names = ", ".join(sorted(missing))
+            raise ConfigError(f"Pipeline.PATH has no {names} among its aovs, nor views of them: Pipeline.HYBRID does")
         if plan.rasterises:
             refuse_lens(camera)
             self._warnings.warn_of_degree(scene)

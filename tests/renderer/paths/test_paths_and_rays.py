@@ -94,7 +94,7 @@ def test_emitters_light_by_their_area() -> None:
 def test_layers_that_paths_do_not_have_are_refused() -> None:
     """By name."""
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("lights",))
-    with pytest.raises(ls.ConfigError, match=r"aovs holds lights, which Pipeline\.PATH does not tell apart"):
+    with pytest.raises(ls.ConfigError, match=r"Pipeline\.PATH has no lights among its aovs"):
         ls.render(balls("mesh"), camera(), settings, device="cpu")
 
 
@@ -117,6 +117,7 @@ def test_relit_captures_alone_have_a_headlight() -> None:
     assert paths(alone, view, 8, 2).color[10:14, 14:18].mean() > 0.4
     kept = replace(alone, splats=[*alone.splats, one_gaussian((9.0, 0.0, 0.0), 0.1, 0.9, (0.5, 0.5, 0.5))])
     assert paths(kept, view, 8, 2).color.max() < 0.05
+    assert paths(kept, view, 8, 2, lighting=True).color[10:14, 14:18].mean() > 0.4
 
 
 def test_given_rays_see_what_emitters_light() -> None:

@@ -28,10 +28,12 @@ def unused_options(
         rays: The options of rays.
         light: The options of light.
     """
-    lit = scene.is_lit_by_default if config.lighting is None else config.lighting
+    is_path = config.pipeline is ls.Pipeline.PATH
+    lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
     shadowed = lit and config.shadows is not ls.Shadows.OFF
-    if config.pipeline is ls.Pipeline.TRACE and raster:
-        yield f"not used by --pipeline trace: {', '.join(raster)} (they are of --pipeline raster and hybrid)"
+    if config.pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH) and raster:
+        name = config.pipeline.value
+        yield f"not used by --pipeline {name}: {', '.join(raster)} (they are of --pipeline raster and hybrid)"
     if config.pipeline is ls.Pipeline.RASTER:
         used = given_options(rays, _used_by_raster(config, lit=lit, shadowed=shadowed))
         unused = [option for option in given_options(rays) if option not in used]

@@ -76,7 +76,7 @@ class PathIntegrator:
         """Logs, once, that shadow-only sets stay as captured."""
         if plan.has_shadow_only and not self._has_warned:
             self._has_warned = True
-            _log.warning("shadow-only captures take no shadows in Pipeline.PATH: Pipeline.TRACE and HYBRID show them")
+            _log.warning("shadow-only captures take no shadows in Pipeline.PATH: they do with Pipeline.HYBRID")
 
     def _begin(self, hits: PrimaryHits) -> PathData:
         """One path a ray."""

@@ -129,7 +129,7 @@ class FramePlan:
             samples_wanted=samples_wanted,
             grain=grain,
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
-            has_headlight=is_lit and not scene.lights and not (is_path and shines(scene)),
+            has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             mixes_sets=is_lit and not is_path and len({is_relit(instance) for instance in scene.splats}) > 1,
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
@@ -146,7 +146,8 @@ class FramePlan:
         if lighting is None:
             lighting = bool(scene.lights) or (is_path and shines(scene))
         plan = cls.of(replace(config, pipeline=pipeline, aovs=(), lighting=lighting), scene)
-        return replace(plan, for_camera=False)
+        has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
+        return replace(plan, for_camera=False, has_headlight=has_headlight)
 
 
 def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -> int:
