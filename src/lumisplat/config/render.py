@@ -31,7 +31,7 @@ class Pipeline(Enum):
     HYBRID = "hybrid"
     """Rasterised first; rays continue from there, for shadows, mirrors and glass."""
     PATH = "path"
-    """Paths of light that bounces, in any direction and as often as ``max_bounces``: an unbiased reference."""
+    """Paths of light that bounces, in any direction and as often as ``max_bounces`` (docs/method/paths.md)."""
 
 
 class Shadows(Enum):
