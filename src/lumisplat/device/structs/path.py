@@ -45,6 +45,22 @@ class PathSteps:
 
 
 @struct
+class PathStep:
+    """Where one path goes on, before chance ends it; without weight: nowhere."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    t_min: float
+    length: float
+    """From the last surface to this one, scene units."""
+    spread: float
+    weight: wp.vec3
+    """Factor of the throughput, but for the probability of the branch."""
+    density: float
+    """With which the direction was sampled, per steradian; 0: it is the only one."""
+
+
+@struct
 class PathVertex:
     """A surface of a path, as the choice of a light reads it."""
 

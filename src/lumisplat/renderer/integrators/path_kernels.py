@@ -11,7 +11,7 @@ from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.light_choice import chosen_light, meets_rays, total_importance
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
-from lumisplat.device.light.shadow_terminator import lift_of, lifted
+from lumisplat.device.light.shadow_ray import spawn_lift, start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_sample, mean_of
 from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
@@ -25,11 +25,12 @@ from lumisplat.device.structs.path import (
     BRANCH_SPLATS,
     Branch,
     PathData,
+    PathStep,
     PathSteps,
     PathVertex,
 )
 from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -106,36 +107,94 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 
 @wp.func
-def start_shadow_ray(
-    i: int,
-    j: int,
-    number: int,
-    interaction: Interaction,
-    contribution: Contribution,
-    scene: wp.array[ShadingScene],
-    wave: wp.array[WaveData],
-    rays_out: RayData,
-):
-    """Starts shadow ray ``j``, from an interaction of ray ``i`` towards light ``number``."""
-    origin = wave[0].interactions.spawn_point[j]
-    height = wave[0].interactions.smooth_height[j]
-    if height > 0.0:
-        geometric_normal = wave[0].interactions.geometric_normal[j]
-        lift = lift_of(height, interaction.horizon_normal, geometric_normal, contribution.direction)
-        contribution = lifted(contribution, lift)
-        origin += lift
-    rays_out.is_active[j] = True
-    rays_out.origin[j] = origin
-    rays_out.direction[j] = contribution.direction
-    rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
-    rays_out.t_max[j] = contribution.distance
-    if number < scene[0].settings[0].light_count:
-        rays_out.t_max[j] = wp.min(contribution.distance, scene[0].lights[number].range)
-    rays_out.path_length[j] = 0.0
-    rays_out.spread[j] = 0.0
-    slot = j / (rays_out.t_max.shape[0] / 2)
-    rays_out.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], LIGHT_POINT_BRANCH + slot)
-    rays_out.sample_key[j] = branch_key(wave[0].rays.sample_key[i], LIGHT_POINT_BRANCH + slot)
+def seen_by(
+    i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> wp.vec3:
+    """Linear radiance that a scattered, reflected or refracted ray sees of what shines, but for visible lights."""
+    transmittance = wave[0].gaussians.transmittance[i]
+    seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    seen += wave[0].radiance.light[i]
+    if wave[0].meshes.face[i] >= 0:
+        share = emitted_share(i, no_shadows, paths, scene, wave)
+        if share < 1.0:
+            seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave)
+    else:
+        seen += transmittance * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
+    return seen
+
+
+@wp.func
+def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
+    """An interaction as the choice of a light reads it."""
+    vertex = PathVertex()
+    vertex.position = interaction.position
+    vertex.normal = interaction.normal
+    vertex.importance = total_importance(vertex.position, vertex.normal, scene)
+    return vertex
+
+
+@wp.func
+def scattered_step(
+    i: int, branch: Branch, interaction: Interaction, u: wp.vec2, choice: float, wave: wp.array[WaveData]
+) -> PathStep:
+    """The step of a path that an interaction scatters.
+
+    Args:
+        i: Ray of the path.
+        branch: BRANCH_SPLATS or BRANCH_MESH.
+        interaction: With that surface.
+        u: Random, 0..1 each.
+        choice: Random, 0..1, decides between diffuse and highlight.
+        wave: Of the ray.
+    """
+    step = PathStep()
+    sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
+    if not (sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0):
+        return step
+    j = branch.kind * (wave[0].interactions.exists.shape[0] // 2) + i
+    step.direction = sampled.direction
+    step.weight = interaction.weight * sampled.weight
+    step.density = branch.probability * sampled.density
+    step.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
+    step.t_min = wave[0].interactions.spawn_t_min[j]
+    step.length = wave[0].meshes.t[i]
+    if branch.kind == BRANCH_SPLATS:
+        step.length = wp.length(interaction.position - wave[0].rays.origin[i])
+    return step
+
+
+@wp.func
+def specular_step(
+    i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> PathStep:
+    """The step of a path that a smooth mesh reflects or refracts."""
+    step = PathStep()
+    transmittance = wave[0].gaussians.transmittance[i]
+    side = bounce.side
+    step.direction = reflect(wave[0].rays.direction[i], bounce.normal)
+    step.weight = transmittance * bounce.reflected
+    if branch.kind == BRANCH_REFRACTED:
+        step.direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
+        step.weight = transmittance * bounce.refracted
+        side = -bounce.side
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    step.origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
+    step.length = wave[0].meshes.t[i]
+    step.spread = wave[0].rays.spread[i]
+    return step
+
+
+@wp.func
+def survival(number: int, throughput: wp.vec3, u: float) -> float:
+    """Probability with which a path goes on after a wave; 0: it has ended."""
+    largest = wp.max(throughput)
+    if not (largest > 0.0 and largest < wp.inf):
+        return 0.0
+    if number + 1 < ROULETTE_FIRST:
+        return 1.0
+    chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
+    return wp.where(u < chance, chance, 0.0)
 
 
 @wp.kernel
@@ -178,18 +237,8 @@ def extend_paths(
     if not wave_inout[0].rays.is_active[i]:
         return
     throughput = paths.throughput[i]
-    hits_mesh = wave_inout[0].meshes.face[i] >= 0
-    transmittance = wave_inout[0].gaussians.transmittance[i]
-    direction = wave_inout[0].rays.direction[i]
     if number > 0:
-        seen = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
-        seen += wave_inout[0].radiance.light[i]
-        if hits_mesh:
-            share = emitted_share(i, no_shadows, paths, scene, wave_inout)
-            if share < 1.0:
-                seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave_inout)
-        else:
-            seen += transmittance * far_light(i, direction, no_shadows, paths, scene)
+        seen = seen_by(i, no_shadows, paths, scene, wave_inout)
         light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
     end = wp.min(wave_inout[0].meshes.t[i], wave_inout[0].gaussians.depth[i])
     on_way = light_on_way(i, end, no_shadows, paths, scene, wave_inout)
@@ -206,7 +255,8 @@ def extend_paths(
     if wave_inout[0].interactions.exists[stride + i]:
         mesh = load_interaction(stride + i, wave_inout)
     bounce = Bounce()
-    if hits_mesh and transmittance > 0.0:
+    transmittance = wave_inout[0].gaussians.transmittance[i]
+    if wave_inout[0].meshes.face[i] >= 0 and transmittance > 0.0:
         if scene[0].mesh_instances[wave_inout[0].meshes.instance[i]].material.smooth != 0:
             bounce = bounce_of_ray(i, True, scene, wave_inout)
     key = wave_inout[0].rays.pixel_key[i]
@@ -228,10 +278,7 @@ def extend_paths(
             j = slot * stride + i
             u = sobol_2d(branch_key(key, LIGHT_POINT_BRANCH + slot), sample)
             which = sobol_2d(branch_key(key, LIGHT_BRANCH + slot), sample)
-            here = PathVertex()
-            here.position = interaction.position
-            here.normal = interaction.normal
-            here.importance = total_importance(here.position, here.normal, scene)
+            here = vertex_at(interaction, scene)
             choice = chosen_light(which[0], here, scene)
             if branch.kind == slot:
                 scattered = interaction
@@ -244,68 +291,36 @@ def extend_paths(
                 contributions_out[j] = wp.cw_mul(throughput, contribution.color)
                 is_shadowed = not no_shadows and casts_shadow(choice.number, scene)
                 if is_shadowed and not is_black(contributions_out[j]):
-                    start_shadow_ray(i, j, choice.number, interaction, contribution, scene, wave_inout, rays_out)
+                    start_shadow_ray(j, choice.number, contribution, scene, wave_inout, rays_out)
+                    ray_key = wave_inout[0].rays.sample_key[i]
+                    rays_out.pixel_key[j] = branch_key(key, LIGHT_POINT_BRANCH + slot)
+                    rays_out.sample_key[j] = branch_key(ray_key, LIGHT_POINT_BRANCH + slot)
 
     if branch.kind == BRANCH_NONE:
         return
-    step = wp.vec3(0.0)
-    way = wp.vec3(0.0)
-    origin = wp.vec3(0.0)
-    t_min = float(0.0)
-    density = float(0.0)
-    spread = wave_inout[0].rays.spread[i]
-    length = wave_inout[0].meshes.t[i]
-    is_specular = paths.is_specular[i]
-    if branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH:  # noqa: PLR1714
-        j = branch.kind * stride + i
+    step = PathStep()
+    scatters = branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH  # noqa: PLR1714
+    if scatters:
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
-        sampled = bsdf_sample(scattered.bsdf, scattered.normal, scattered.wo, u, ways[1])
-        way = sampled.direction
-        if not (sampled.density > 0.0 and wp.dot(scattered.horizon_normal, way) > 0.0):
-            return
-        step = scattered.weight * sampled.weight
-        density = branch.probability * sampled.density
-        origin = wave_inout[0].interactions.spawn_point[j]
-        t_min = wave_inout[0].interactions.spawn_t_min[j]
-        height = wave_inout[0].interactions.smooth_height[j]
-        if height > 0.0:
-            origin += lift_of(height, scattered.horizon_normal, wave_inout[0].interactions.geometric_normal[j], way)
-        spread = 0.0
-        is_specular = False
-        if branch.kind == BRANCH_SPLATS:
-            length = wp.length(scattered.position - wave_inout[0].rays.origin[i])
+        step = scattered_step(i, branch, scattered, u, ways[1], wave_inout)
     else:
-        side = bounce.side
-        way = reflect(direction, bounce.normal)
-        step = transmittance * bounce.reflected
-        if branch.kind == BRANCH_REFRACTED:
-            way = refract(direction, bounce.normal, bounce.eta)
-            step = transmittance * bounce.refracted
-            side = -bounce.side
-        corners = scene[0].meshes.indices[wave_inout[0].meshes.face[i]]
-        instance = scene[0].mesh_instances[wave_inout[0].meshes.instance[i]]
-        origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave_inout[0].meshes.weights[i]), side)
-
-    throughput = wp.cw_mul(throughput, step) / branch.probability
-    if number + 1 >= ROULETTE_FIRST:
-        chance = wp.clamp(wp.max(throughput), GOES_ON_MIN, GOES_ON_MAX)
-        if sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0] >= chance:
-            return
-        throughput = throughput / chance
-    if not (wp.max(throughput) > 0.0 and wp.max(throughput) < wp.inf):
+        step = specular_step(i, branch, bounce, scene, wave_inout)
+    throughput = wp.cw_mul(throughput, step.weight) / branch.probability
+    chance = survival(number, throughput, sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0])
+    if chance <= 0.0:
         return
     steps_out.goes_on[i] = 1
-    steps_out.origin[i] = origin
-    steps_out.direction[i] = way
-    steps_out.t_min[i] = t_min
-    steps_out.path_length[i] = wave_inout[0].rays.path_length[i] + length
-    steps_out.spread[i] = spread
-    steps_out.throughput[i] = throughput
-    steps_out.density[i] = density
+    steps_out.origin[i] = step.origin
+    steps_out.direction[i] = step.direction
+    steps_out.t_min[i] = step.t_min
+    steps_out.path_length[i] = wave_inout[0].rays.path_length[i] + step.length
+    steps_out.spread[i] = step.spread
+    steps_out.throughput[i] = throughput / chance
+    steps_out.density[i] = step.density
     steps_out.position[i] = vertex.position
     steps_out.normal[i] = vertex.normal
     steps_out.importance[i] = vertex.importance
-    steps_out.is_specular[i] = is_specular
+    steps_out.is_specular[i] = paths.is_specular[i] and not scatters
 
 
 @wp.kernel

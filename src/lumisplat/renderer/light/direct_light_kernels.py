@@ -8,7 +8,7 @@ import warp as wp
 
 from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.shadow_terminator import lift_of, lifted
+from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.light.splat_surface import is_over_light, splat_surface
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
 from lumisplat.device.structs.rays import RayData
@@ -39,19 +39,7 @@ def spawn_shadow_rays(
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
-            origin = wave[0].interactions.spawn_point[j]
-            height = wave[0].interactions.smooth_height[j]
-            if height > 0.0:
-                normal = wave[0].interactions.horizon_normal[j]
-                lift = lift_of(height, normal, wave[0].interactions.geometric_normal[j], contribution.direction)
-                contribution = lifted(contribution, lift)
-                origin += lift
-            rays_out.origin[j] = origin
-            rays_out.direction[j] = contribution.direction
-            rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
-            rays_out.t_max[j] = wp.min(contribution.distance, scene[0].lights[number].range)
-            rays_out.path_length[j] = 0.0
-            rays_out.spread[j] = 0.0
+            start_shadow_ray(j, number, contribution, scene, wave, rays_out)
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
             rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
 
