@@ -126,6 +126,7 @@ class RayRig:
         rays.spread.zero_()
         rays.sample_key.assign(np.arange(count, dtype=np.uint32))
         rays.pixel_key.assign(np.arange(count, dtype=np.uint32))
+        rays.sample.zero_()
         return rays
 
     def _record(self, rays: RayData, meshes: MeshHits) -> None:

@@ -70,6 +70,7 @@ class ShadowRig:
         origins, directions = np.atleast_2d(origins), np.atleast_2d(directions)
         rays, skipping = self._rays(origins, directions, t_min, t_max, skips)
         rays.pixel_key.assign(sample_keys(np.arange(len(rays.pixel_key)), 0, config.seed))
+        rays.sample.fill_(sample)
         shadows.begin_sample(sample)
         blocked = wp.full(len(rays.pixel_key), opaque, dtype=wp.bool, device=self._device)
         light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked)

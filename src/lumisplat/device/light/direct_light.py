@@ -65,17 +65,30 @@ def light_center_contribution(number: int, interaction: Interaction, scene: wp.a
 
 @wp.func
 def light_sample_contribution(
-    number: int, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
+    number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """Contribution of light ``number``, not the environment, sampled at a random point of its extent."""
-    u = sobol_2d(light_key(pixel_key, number), scene[0].sample[0].index)
+    """Contribution of light ``number``, not the environment, sampled at a random point of its extent.
+
+    Args:
+        number: Of the light.
+        interaction: What it lights.
+        pixel_key: Of the ray.
+        index: Number of the ray's sample.
+        scene: The scene.
+    """
+    u = sobol_2d(light_key(pixel_key, number), index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
     return contribution_of(interaction, sample, 1.0)
 
 
 @wp.func
 def environment_contribution(
-    number: int, samples_bsdf: bool, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
+    number: int,
+    samples_bsdf: bool,
+    interaction: Interaction,
+    pixel_key: wp.uint32,
+    index: int,
+    scene: wp.array[ShadingScene],
 ) -> Contribution:
     """Contribution of the environment, light ``number``, by one sample of its radiance or of the BSDF.
 
@@ -84,7 +97,6 @@ def environment_contribution(
     sample = LightSample()
     environment = scene[0].environment
     key = light_key(pixel_key, number)
-    index = scene[0].sample[0].index
     if samples_bsdf:
         u = sobol_2d(branch_key(key, 0), index)
         choice = sobol_2d(branch_key(key, 1), index)
@@ -104,7 +116,12 @@ def environment_contribution(
 
 @wp.func
 def light_contribution(
-    number: int, samples_bsdf: bool, interaction: Interaction, pixel_key: wp.uint32, scene: wp.array[ShadingScene]
+    number: int,
+    samples_bsdf: bool,
+    interaction: Interaction,
+    pixel_key: wp.uint32,
+    index: int,
+    scene: wp.array[ShadingScene],
 ) -> Contribution:
     """Contribution of light ``number`` for a shadow ray.
 
@@ -113,9 +130,9 @@ def light_contribution(
     """
     contribution = Contribution()
     if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-        contribution = environment_contribution(number, samples_bsdf, interaction, pixel_key, scene)
+        contribution = environment_contribution(number, samples_bsdf, interaction, pixel_key, index, scene)
     elif scene[0].settings[0].soft != 0:
-        contribution = light_sample_contribution(number, interaction, pixel_key, scene)
+        contribution = light_sample_contribution(number, interaction, pixel_key, index, scene)
     else:
         contribution = light_center_contribution(number, interaction, scene)
     return contribution

@@ -67,7 +67,7 @@ def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowD
         absorption.transmittance[lane] = wp.where(is_taken, 1.0, 0.0)
         absorption.floor[lane] = FAR
         if is_taken:
-            absorption.floor[lane] = shadow_floor(config, rays.pixel_key[first + lane])
+            absorption.floor[lane] = shadow_floor(config, rays.pixel_key[first + lane], rays.sample[first + lane])
         for k in range(3):
             absorption.tint[k, lane] = 0.0
 

@@ -19,10 +19,10 @@ def shadow_key(settings: ShadowData) -> wp.uint32:
 
 
 @wp.func
-def shadow_floor(settings: ShadowData, pixel_key: wp.uint32) -> float:
+def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> float:
     """Transmittance down to which a ray is followed: where it counts as black; by a number a ray, that number."""
     if settings.draws == DRAWS_PER_RAY:
-        return sobol_2d(pixel_key, settings.sample)[0]
+        return sobol_2d(pixel_key, sample)[0]
     if settings.draws == DRAWS_SHARED:
         return 0.0
     return wp.max(settings.transmittance_min, settings.threshold)

@@ -124,7 +124,7 @@ class ShadowData:
     """Added to that, scene units."""
     seed: wp.uint32
     sample: int
-    """Its number, which stochastic shadows depend on."""
+    """Its number, which draws that rays share depend on."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)

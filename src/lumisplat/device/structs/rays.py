@@ -38,6 +38,8 @@ class RayData:
     """Key of the ray's random numbers."""
     pixel_key: wp.array[wp.uint32]
     """Key of the low-discrepancy sequences that the samples of a pixel share."""
+    sample: wp.array[int]
+    """Number of the ray's sample in these sequences, from 0."""
 
 
 @struct

@@ -260,7 +260,7 @@ def extend_paths(
         if scene[0].mesh_instances[wave_inout[0].meshes.instance[i]].material.smooth != 0:
             bounce = bounce_of_ray(i, True, scene, wave_inout)
     key = wave_inout[0].rays.pixel_key[i]
-    sample = scene[0].sample[0].index
+    sample = wave_inout[0].rays.sample[i]
     ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
     reflected = transmittance * wp.max(bounce.reflected)
     refracted = transmittance * wp.max(bounce.refracted)
@@ -295,6 +295,7 @@ def extend_paths(
                     ray_key = wave_inout[0].rays.sample_key[i]
                     rays_out.pixel_key[j] = branch_key(key, LIGHT_POINT_BRANCH + slot)
                     rays_out.sample_key[j] = branch_key(ray_key, LIGHT_POINT_BRANCH + slot)
+                    rays_out.sample[j] = sample
 
     if branch.kind == BRANCH_NONE:
         return
@@ -371,6 +372,7 @@ def spawn_paths(
     rays_out.spread[child] = steps.spread[i]
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], 0)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], 0)
+    rays_out.sample[child] = wave[0].rays.sample[i]
     paths_out.root[child] = paths.root[i]
     paths_out.throughput[child] = steps.throughput[i]
     paths_out.density[child] = steps.density[i]

@@ -58,6 +58,7 @@ def spawn_rays(
     rays_out.spread[child] = wave[0].rays.spread[i]
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], refracted)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], refracted)
+    rays_out.sample[child] = wave[0].rays.sample[i]
     weights_out[child] = weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)
 

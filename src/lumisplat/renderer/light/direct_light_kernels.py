@@ -35,13 +35,16 @@ def spawn_shadow_rays(
         contribution = Contribution()
         if wave[0].interactions.exists[j]:
             interaction = load_interaction(j, wave)
-            contribution = light_contribution(number, samples_bsdf, interaction, wave[0].rays.pixel_key[i], scene)
+            contribution = light_contribution(
+                number, samples_bsdf, interaction, wave[0].rays.pixel_key[i], wave[0].rays.sample[i], scene
+            )
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
             start_shadow_ray(j, number, contribution, scene, wave, rays_out)
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
             rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
+            rays_out.sample[j] = wave[0].rays.sample[i]
 
 
 @wp.kernel

@@ -32,17 +32,17 @@ def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[Shadi
 
 @wp.func
 def sampled_light(
-    interaction: Interaction, pixel_key: wp.uint32, no_shadows: bool, scene: wp.array[ShadingScene]
+    interaction: Interaction, pixel_key: wp.uint32, sample: int, no_shadows: bool, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
     """Contribution of the unshadowed lights that are sampled: the environment, and soft lights."""
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
         if is_unshadowed(number, no_shadows, scene):
             if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
-                total += environment_contribution(number, False, interaction, pixel_key, scene).color
-                total += environment_contribution(number, True, interaction, pixel_key, scene).color
+                total += environment_contribution(number, False, interaction, pixel_key, sample, scene).color
+                total += environment_contribution(number, True, interaction, pixel_key, sample, scene).color
             elif scene[0].settings[0].soft != 0:
-                total += light_sample_contribution(number, interaction, pixel_key, scene).color
+                total += light_sample_contribution(number, interaction, pixel_key, sample, scene).color
     return total
 
 
@@ -80,5 +80,5 @@ def add_sampled_lights(
         if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
             interaction = load_interaction(j, wave_inout)
             wave_inout[0].radiance.light[i] += sampled_light(
-                interaction, wave_inout[0].rays.pixel_key[i], no_shadows, scene
+                interaction, wave_inout[0].rays.pixel_key[i], wave_inout[0].rays.sample[i], no_shadows, scene
             )

@@ -33,6 +33,7 @@ def start_rays(start: int, cameras: wp.array[CameraData], samples: wp.array[Samp
     rays_out.spread[i] = ray.spread
     rays_out.sample_key[i] = sample_key_of(y * camera.width + x, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(y * camera.width + x, sample.seed)
+    rays_out.sample[i] = sample.index
 
 
 @wp.kernel
@@ -61,3 +62,4 @@ def load_rays(
     rays_out.spread[i] = 0.0
     rays_out.sample_key[i] = sample_key_of(first + i, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(first + i, sample.seed)
+    rays_out.sample[i] = sample.index
