@@ -87,7 +87,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.editing.transform import transform
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
-    from lumisplat.scene.materials import MaterialPbr, MaterialSimple
+    from lumisplat.scene.materials import AlphaMode, MaterialPbr, MaterialSimple, TextureWrap
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
@@ -106,6 +106,7 @@ __version__ = "0.1.0"
 _MODULE_OF = {
     "Absorption": "config",
     "Actor": "scene.animation.actors",
+    "AlphaMode": "scene.materials",
     "Animation": "scene.animation.actors",
     "Antialiasing": "config",
     "AtlasLayout": "config",
@@ -161,6 +162,7 @@ _MODULE_OF = {
     "Shadows": "config",
     "SplatInstance": "scene.scene",
     "SunEstimate": "relighting.sun_estimation",
+    "TextureWrap": "scene.materials",
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",
@@ -221,6 +223,7 @@ _MODULE_OF = {
 __all__ = [
     "Absorption",
     "Actor",
+    "AlphaMode",
     "Animation",
     "Antialiasing",
     "AtlasLayout",
@@ -276,6 +279,7 @@ __all__ = [
     "Shadows",
     "SplatInstance",
     "SunEstimate",
+    "TextureWrap",
     "ToneMap",
     "TraceConfig",
     "TraceStrategy",

@@ -95,6 +95,9 @@ SAMPLES_OF_RANDOM_LIGHT = 16
 """Samples of a pixel where light comes from random directions, unless they are given: what noise is left is fine
 grain."""
 
+SAMPLES_OF_ALPHA = 16
+"""The same where the rasteriser draws surfaces of which a share is there: each sample shows all of one, or none."""
+
 SAMPLES_OF_SKY_ON_SPLATS = 8
 """The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
 many (41 dB on the biker) as 16 of meshes (42 dB on a duck), but cost more, as each ray crosses Gaussians."""

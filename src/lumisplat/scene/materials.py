@@ -10,17 +10,40 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_number
-from lumisplat.errors import SceneError
+from lumisplat.config.checks import is_number, take_enum
+from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import FLOAT32_MAX, read_only_array
 
 Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]
+
+
+class AlphaMode(Enum):
+    """What the alpha of a mesh's material means: ``alpha`` times that of the base colour texture (glTF 3.9.4)."""
+
+    OPAQUE = "opaque"
+    """Nothing."""
+    MASK = "mask"
+    """There is a surface where it is at least ``alpha_cutoff``, and none elsewhere."""
+    BLEND = "blend"
+    """It is the share of the surface that is there; what is behind shows through the rest."""
+
+
+class TextureWrap(Enum):
+    """What a texture shows beyond its edges."""
+
+    REPEAT = "repeat"
+    """The texture again."""
+    MIRROR = "mirror"
+    """The texture again, every second time mirrored."""
+    CLAMP = "clamp"
+    """The texels of its edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -51,7 +74,7 @@ class MaterialPbr:
     emissive: Color = (0.0, 0.0, 0.0)
     """Emitted linear radiance, at least 0; on a splat set, a factor of the captured colour."""
     base_color_texture: Texture | None = None
-    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); alpha is ignored."""
+    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth is alpha."""
     metallic_roughness_texture: Texture | None = None
     """Factors of roughness (green) and metallic (blue), linear."""
     normal_texture: Texture | None = None
@@ -64,6 +87,16 @@ class MaterialPbr:
     """Strength of the occlusion, 0..1."""
     emissive_texture: Texture | None = None
     """sRGB-encoded factor of ``emissive``."""
+    wrap_u: TextureWrap = TextureWrap.REPEAT
+    """What all textures show beyond their left and right edges; also by its value, ``"clamp"``."""
+    wrap_v: TextureWrap = TextureWrap.REPEAT
+    """The same beyond their upper and lower edges."""
+    alpha_mode: AlphaMode = AlphaMode.OPAQUE
+    """What alpha means, on meshes; also by its value, ``"mask"``."""
+    alpha: float = 1.0
+    """Factor of the base colour texture's alpha, 0..1."""
+    alpha_cutoff: float = 0.5
+    """With ``AlphaMode.MASK``, the alpha from which on there is a surface, at least 0; above 1 there is none."""
     name: str = ""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
@@ -85,6 +118,11 @@ class MaterialPbr:
             occlusion_texture: Texture | None = None,
             occlusion_strength: float = 1.0,
             emissive_texture: Texture | None = None,
+            wrap_u: TextureWrap = TextureWrap.REPEAT,
+            wrap_v: TextureWrap = TextureWrap.REPEAT,
+            alpha_mode: AlphaMode = AlphaMode.OPAQUE,
+            alpha: float = 1.0,
+            alpha_cutoff: float = 0.5,
             name: str = "",
         ) -> None: ...
 
@@ -100,6 +138,7 @@ class MaterialPbr:
         for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive"):
             name = f"{kind}_texture"
             object.__setattr__(self, name, _texture(name, getattr(self, name)))
+        _check_alpha_and_wrap(self)
 
     @property
     def is_emissive(self) -> bool:
@@ -110,6 +149,16 @@ class MaterialPbr:
     def is_smooth(self) -> bool:
         """Whether rays are reflected or refracted by it."""
         return self.roughness == 0.0
+
+    @property
+    def blends(self) -> bool:
+        """Whether a share of a mesh of it shows what is behind, by its alpha."""
+        return self.alpha_mode is AlphaMode.BLEND
+
+    @property
+    def sends_rays_on(self) -> bool:
+        """Whether rays go on from a mesh of it: reflected, refracted, or past the share that alpha leaves."""
+        return self.is_smooth or self.blends
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -137,6 +186,12 @@ class MaterialSimple:
     """Linear Rec.709, 0..1."""
     base_color_texture: Texture | None = None
     """sRGB-encoded texels, as in `MaterialPbr`."""
+    wrap_u: TextureWrap = TextureWrap.REPEAT
+    """As in `MaterialPbr`, like what follows."""
+    wrap_v: TextureWrap = TextureWrap.REPEAT
+    alpha_mode: AlphaMode = AlphaMode.OPAQUE
+    alpha: float = 1.0
+    alpha_cutoff: float = 0.5
     name: str = ""
 
     if TYPE_CHECKING:  # what is accepted; the fields above are what it becomes
@@ -151,6 +206,11 @@ class MaterialSimple:
             shininess: float = 32.0,
             base_color: npt.ArrayLike = (1.0, 1.0, 1.0),
             base_color_texture: Texture | None = None,
+            wrap_u: TextureWrap = TextureWrap.REPEAT,
+            wrap_v: TextureWrap = TextureWrap.REPEAT,
+            alpha_mode: AlphaMode = AlphaMode.OPAQUE,
+            alpha: float = 1.0,
+            alpha_cutoff: float = 0.5,
             name: str = "",
         ) -> None: ...
 
@@ -166,6 +226,7 @@ class MaterialSimple:
         if not is_number(self.shininess) or not 0.0 <= self.shininess <= 1e4:
             raise SceneError(f"shininess is {self.shininess}, expected 0 to 10,000")
         object.__setattr__(self, "base_color_texture", _texture("base_color_texture", self.base_color_texture))
+        _check_alpha_and_wrap(self)
 
     @property
     def is_emissive(self) -> bool:
@@ -176,6 +237,16 @@ class MaterialSimple:
     def is_smooth(self) -> bool:
         """Whether rays are reflected or refracted by it: never."""
         return False
+
+    @property
+    def blends(self) -> bool:
+        """Whether a share of a mesh of it shows what is behind, by its alpha."""
+        return self.alpha_mode is AlphaMode.BLEND
+
+    @property
+    def sends_rays_on(self) -> bool:
+        """Whether rays go on from a mesh of it: past the share that alpha leaves."""
+        return self.blends
 
 
 Material = MaterialPbr | MaterialSimple
@@ -203,6 +274,19 @@ def _is_vector(values: object) -> TypeGuard[Sequence[object]]:
 def _check_unit(name: str, value: object) -> None:
     if not is_number(value) or not 0.0 <= value <= 1.0:
         raise SceneError(f"{name} is {value}, expected 0..1")
+
+
+def _check_alpha_and_wrap(material: MaterialPbr | MaterialSimple) -> None:
+    """Takes enums that are given by their values, and checks alpha."""
+    try:
+        take_enum(material, "wrap_u", TextureWrap)
+        take_enum(material, "wrap_v", TextureWrap)
+        take_enum(material, "alpha_mode", AlphaMode)
+    except ConfigError as error:
+        raise SceneError(str(error)) from None
+    _check_unit("alpha", material.alpha)
+    if not is_number(material.alpha_cutoff) or not 0.0 <= material.alpha_cutoff <= FLOAT32_MAX:
+        raise SceneError(f"alpha_cutoff is {material.alpha_cutoff}, expected at least 0")
 
 
 def _texture(name: str, value: npt.ArrayLike | None) -> Texture | None:

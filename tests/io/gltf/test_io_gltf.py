@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import lumisplat as ls
 from lumisplat.io.gltf.scene import read_gltf
 from lumisplat.io.gltf.textures import Placement
 from lumisplat.scene.scene import MeshInstance, Scene
@@ -221,24 +222,58 @@ def test_what_is_lost_of_glass_is_announced(
         assert part in record.message
 
 
-def test_unread_materials_are_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Transparency gives one log line for the whole file; without transparency there is none."""
+def with_alpha(gltf: Gltf, alpha: int = 7) -> Gltf:
+    """The same, its texture with an alpha channel."""
+    rgba = np.dstack([TEXELS, np.full((2, 2), alpha, np.uint8)])
+    gltf.json["images"][0]["bufferView"] = gltf.view(png_bytes(rgba))
+    return gltf
+
+
+def test_alpha_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The mode, the cutoff, the factor, and the texture's fourth channel; of unlit materials as well."""
+    for extensions in ({}, {"KHR_materials_unlit": {}}):
+        gltf = with_alpha(quad_gltf())
+        material = gltf.json["materials"][0]
+        material |= {"alphaMode": "MASK", "alphaCutoff": 0.25, "extensions": extensions}
+        material["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, 0.75]
+        with caplog.at_level(logging.WARNING, "lumisplat"):
+            read_back = one(read(tmp_path, gltf)).mesh.material
+        assert not caplog.records
+        assert (read_back.alpha_mode, read_back.alpha, read_back.alpha_cutoff) == (ls.AlphaMode.MASK, 0.75, 0.25)
+        assert present(read_back.base_color_texture).shape == (2, 2, 4)
+    gltf.json["materials"][0] = {"alphaMode": "BLEND"}
+    assert one(read(tmp_path, gltf)).mesh.material.alpha_mode is ls.AlphaMode.BLEND
+
+
+def test_an_unknown_alpha_mode_is_refused(tmp_path: Path) -> None:
+    """One line, with the modes that there are."""
     gltf = quad_gltf()
+    gltf.json["materials"][0]["alphaMode"] = "HALF"
+    with pytest.raises(ls.FormatError, match=r"alpha_mode is 'half', expected 'opaque', 'mask' or 'blend'"):
+        read(tmp_path, gltf)
+
+
+def test_samplers_say_how_textures_wrap(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Along each axis; those of the first texture hold for all, and another number is an error."""
+    gltf = quad_gltf()
+    assert one(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
+    gltf.add("samplers", wrapS=33071, wrapT=33648)
+    gltf.json["textures"][0]["sampler"] = 0
+    material = one(read(tmp_path, gltf)).mesh.material
+    assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
+    gltf.add("textures", source=0)
+    gltf.json["materials"][0]["emissiveTexture"] = {"index": 1}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         read(tmp_path, gltf)
-        assert not caplog.records
-        gltf.json["materials"][0]["alphaMode"] = "MASK"
-        gltf.add("materials", name="leaf", alphaMode="BLEND")
+    assert "textures of 1 materials wrap in different ways, all as the first of them" in caplog.text
+    gltf.json["samplers"][0]["wrapS"] = 9
+    with pytest.raises(ls.FormatError, match=r"samplers\[0\] wraps by 9, expected one of 10497, 33071, 33648"):
         read(tmp_path, gltf)
-    (transparent,) = (record.message for record in caplog.records)
-    assert "2 transparent materials are drawn opaque (first materials[0] 'painted')" in transparent
 
 
 def test_texture_is_opaque(tmp_path: Path) -> None:
     """An alpha channel that is not used does not reach the scene."""
-    gltf = quad_gltf()
-    rgba = np.dstack([TEXELS, np.full((2, 2), 7, np.uint8)])
-    gltf.json["images"][0]["bufferView"] = gltf.view(png_bytes(rgba))
+    gltf = with_alpha(quad_gltf())
     np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
 
 

@@ -6,6 +6,7 @@ from lumisplat.constants import EMITTER_MARGIN, ENVIRONMENT_SHARE_STEPS, LIGHT_P
 from lumisplat.device.light.environment import first_above, start_of
 from lumisplat.device.light.mesh_interaction import emission_at
 from lumisplat.device.material.specular_bounce import spawn_point
+from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.light import LightSample
 from lumisplat.device.structs.shading import ShadingScene
 
@@ -86,6 +87,7 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
     sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
     sample.density = area_density(emitter_share(k, scene), across, sample.direction, distance2)
     if sample.density > 0.0:
-        radiance = emission_at(number, corners, weights, scene)
+        coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
+        radiance = coverage * emission_at(number, corners, weights, scene)
         sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)
     return sample

@@ -6,11 +6,12 @@ from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.light.shadow_terminator import smooth_height
 from lumisplat.device.material.specular_bounce import spawn_point
-from lumisplat.device.math.color import is_black, sample_texture
-from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.math.color import is_black
+from lumisplat.device.math.texture import sample_texture
+from lumisplat.device.mesh.mesh_surface import face_normal, hit_uv, hit_weights, surface_color, surface_normal
 from lumisplat.device.structs.light import BSDF_PBR
-from lumisplat.device.structs.scene import MeshData
-from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, TextureData, WaveData
+from lumisplat.device.structs.scene import MeshData, TextureData
+from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,15 +21,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 @wp.func
 def texel(meshes: MeshData, values: wp.array[float], texture: TextureData, uv: wp.vec2) -> wp.vec3:
     """A texture's colour at ``uv``; ``values`` maps its bytes to colours."""
-    return sample_texture(meshes.texels, values, texture.first, texture.width, texture.height, uv)
-
-
-@wp.func
-def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
-    """Texture coordinates at barycentric ``weights``."""
-    return (
-        weights[0] * meshes.uvs[corners[0]] + weights[1] * meshes.uvs[corners[1]] + weights[2] * meshes.uvs[corners[2]]
-    )
+    return sample_texture(meshes.texels, values, texture, uv)
 
 
 @wp.func

@@ -11,10 +11,10 @@ import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.material.fresnel import cosine2_beyond, dielectric_share, reflect, refract, schlick
-from lumisplat.device.math.color import encode_srgb_color
-from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_color, surface_normal
+from lumisplat.device.math.color import encode_srgb_color, is_black
+from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.structs.rays import Bounce
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SmoothData
+from lumisplat.device.structs.scene import ALPHA_BLEND, MeshData, MeshInstanceData, SmoothData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
@@ -90,13 +90,37 @@ def bounce_of(
 
 
 @wp.func
+def blended(bounce: Bounce, coverage: float) -> Bounce:
+    """The bounce at a surface of which a share is there: the rest goes on, straight unless the ray is refracted."""
+    if coverage >= 1.0:
+        return bounce
+    if is_black(bounce.refracted):
+        bounce.eta = 1.0
+        bounce.normal = bounce.side
+    bounce.color = coverage * bounce.color
+    bounce.reflected = coverage * bounce.reflected
+    bounce.refracted = coverage * bounce.refracted + wp.vec3(1.0 - coverage)
+    return bounce
+
+
+@wp.func
+def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
+    """Share of ray ``i`` that the mesh which it hits takes; the rest goes on behind. Rays that draw meet all of it."""
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    if wave[0].blends == 0 or instance.alpha.mode != ALPHA_BLEND:
+        return 1.0
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    return surface_alpha(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]))
+
+
+@wp.func
 def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
     """The bounce of ray ``i`` at the mesh that it hits."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
-    return bounce_of(
+    bounce = bounce_of(
         instance.material,
         surface_color(instance, meshes, corners, weights),
         face_normal(instance, meshes, corners),
@@ -104,6 +128,7 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
         wave[0].rays.direction[i],
         lit,
     )
+    return blended(bounce, mesh_coverage(i, scene, wave))
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""Colour on the device: the sRGB transfer function and texture lookup."""
+"""Colour on the device: the sRGB transfer function, and captured colours."""
 
 import warp as wp
 
@@ -67,48 +67,3 @@ def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
     for k in range(3):
         result[k] = float(wp.float64(color[k]) + wp.float64(transmittance) * wp.float64(behind[k]))
     return result
-
-
-@wp.func
-def texel_color(texels: wp.array[wp.uint32], value_of_byte: wp.array[float], index: int) -> wp.vec3:
-    """Colour of one RGBA8 texel, red in the low byte; ``value_of_byte`` decodes its channels."""
-    rgba = texels[index]
-    mask = wp.uint32(255)
-    return wp.vec3(
-        value_of_byte[int(rgba & mask)],
-        value_of_byte[int((rgba >> wp.uint32(8)) & mask)],
-        value_of_byte[int((rgba >> wp.uint32(16)) & mask)],
-    )
-
-
-@wp.func
-def sample_texture(
-    texels: wp.array[wp.uint32],
-    value_of_byte: wp.array[float],
-    first: int,
-    width: int,
-    height: int,
-    uv: wp.vec2,
-) -> wp.vec3:
-    """Bilinear texture lookup with repeat wrap, of decoded texels; (0, 0) is the texture's top left corner."""
-    x = (uv[0] - wp.floor(uv[0])) * float(width) - 0.5
-    y = (uv[1] - wp.floor(uv[1])) * float(height) - 0.5
-    x_floor = wp.floor(x)
-    y_floor = wp.floor(y)
-    x0 = (int(x_floor) + width) % width
-    y0 = (int(y_floor) + height) % height
-    x1 = (x0 + 1) % width
-    y1 = (y0 + 1) % height
-    row0 = first + y0 * width
-    row1 = first + y1 * width
-    top = wp.lerp(
-        texel_color(texels, value_of_byte, row0 + x0),
-        texel_color(texels, value_of_byte, row0 + x1),
-        x - x_floor,
-    )
-    bottom = wp.lerp(
-        texel_color(texels, value_of_byte, row1 + x0),
-        texel_color(texels, value_of_byte, row1 + x1),
-        x - x_floor,
-    )
-    return wp.lerp(top, bottom, y - y_floor)

@@ -1,17 +1,29 @@
-"""Base colour and normals at a point of a triangle."""
+"""Base colour, alpha and normals at a point of a triangle."""
 
 import warp as wp
 
-from lumisplat.device.math.color import sample_texture
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData
+from lumisplat.device.math.random import branch_key, draw
+from lumisplat.device.math.texture import sample_alpha, sample_texture
+from lumisplat.device.structs.scene import ALPHA_MASK, ALPHA_OPAQUE, MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False})
+
+ALPHA_BRANCH = wp.constant(16)
+"""Branch of a ray's key by which it meets surfaces of some alpha, or passes them."""
 
 
 @wp.func
 def hit_weights(weights: wp.vec2) -> wp.vec3:
     """Barycentric weights of all three corners from those of the second and third."""
     return wp.vec3(1.0 - weights[0] - weights[1], weights[0], weights[1])
+
+
+@wp.func
+def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
+    """Texture coordinates at barycentric ``weights``."""
+    return (
+        weights[0] * meshes.uvs[corners[0]] + weights[1] * meshes.uvs[corners[1]] + weights[2] * meshes.uvs[corners[2]]
+    )
 
 
 @wp.func
@@ -23,22 +35,44 @@ def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
         + weights[1] * meshes.colors[corners[1]]
         + weights[2] * meshes.colors[corners[2]],
     )
-    if instance.texture_width > 0:
-        uv = (
-            weights[0] * meshes.uvs[corners[0]]
-            + weights[1] * meshes.uvs[corners[1]]
-            + weights[2] * meshes.uvs[corners[2]]
-        )
-        texel = sample_texture(
-            meshes.texels,
-            meshes.linear_from_byte,
-            instance.texture_first,
-            instance.texture_width,
-            instance.texture_height,
-            uv,
-        )
-        color = wp.cw_mul(color, texel)
+    if instance.texture.width > 0:
+        uv = hit_uv(meshes, corners, weights)
+        color = wp.cw_mul(color, sample_texture(meshes.texels, meshes.linear_from_byte, instance.texture, uv))
     return color
+
+
+@wp.func
+def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> float:
+    """Share of the surface that is there, 0..1; masks leave all or nothing."""
+    if instance.alpha.mode == ALPHA_OPAQUE:
+        return 1.0
+    alpha = instance.alpha.factor
+    if instance.texture.width > 0:
+        alpha *= sample_alpha(meshes.texels, instance.texture, hit_uv(meshes, corners, weights))
+    if instance.alpha.mode == ALPHA_MASK:
+        return wp.where(alpha >= instance.alpha.cutoff, 1.0, 0.0)
+    return alpha
+
+
+@wp.func
+def meets_alpha(
+    instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, draws: bool, sample_key: wp.uint32
+) -> bool:
+    """Whether a ray meets a surface at a point of triangle ``face``.
+
+    Args:
+        instance: Of the mesh.
+        meshes: Where its triangles are.
+        face: The triangle.
+        weights: Barycentric.
+        draws: Alpha is the chance of meeting the surface; else there is one wherever alpha is above 0.
+        sample_key: Of the ray's random numbers.
+    """
+    alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
+    if draws and alpha < 1.0:
+        own = wp.uint32(instance.first + face - instance.face_first)
+        return draw(branch_key(sample_key, ALPHA_BRANCH), own) < alpha
+    return alpha > 0.0
 
 
 @wp.func

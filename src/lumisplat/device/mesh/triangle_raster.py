@@ -51,6 +51,17 @@ def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def depth_at(triangle: Triangle, ray: wp.vec3) -> float:
+    """View depth of the triangle on a ray through a pixel centre; 0 where the ray misses it."""
+    e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
+    e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
+    e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
+    if wp.min(e0, wp.min(e1, e2)) >= 0.0 or wp.max(e0, wp.max(e1, e2)) <= 0.0:
+        return triangle.plane / (triangle.normal[0] * ray[0] + (triangle.normal[1] * ray[1] + triangle.normal[2]))
+    return 0.0
+
+
+@wp.func
 def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
     """Pixel coordinates of a camera-space point in front of the eye."""
     return wp.vec2(

@@ -2,7 +2,9 @@
 
 import warp as wp
 
+from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData
 
 
 @struct
@@ -100,6 +102,19 @@ class BlendState:
     """The first Gaussian that was blended; -1: none."""
     hits: int
     """How many were blended."""
+
+
+@struct
+class RasterMeshes:
+    """The meshes of the triangles that are rasterised, for those of some alpha."""
+
+    instances: wp.array[MeshInstanceData]
+    splat_instance_count: int
+    """``Triangle.instance`` counts from there."""
+    meshes: MeshData
+    sample: wp.array[SampleData]
+    draws_alpha: bool
+    """Alpha is the chance of meeting a surface; else there is one wherever alpha is above 0."""
 
 
 @struct

@@ -4,6 +4,14 @@ import warp as wp
 
 from lumisplat.device.structs.declare import struct
 
+WRAP_REPEAT: int = wp.constant(0)
+WRAP_MIRROR: int = wp.constant(1)
+WRAP_CLAMP: int = wp.constant(2)
+
+ALPHA_OPAQUE: int = wp.constant(0)
+ALPHA_MASK: int = wp.constant(1)
+ALPHA_BLEND: int = wp.constant(2)
+
 
 @struct
 class GaussianData:
@@ -96,6 +104,31 @@ class MeshData:
 
 
 @struct
+class TextureData:
+    """Where a texture lies in the texels of MeshData."""
+
+    first: int
+    width: int
+    """0: there is no texture."""
+    height: int
+    wrap_u: int
+    """WRAP_REPEAT and so on."""
+    wrap_v: int
+
+
+@struct
+class AlphaData:
+    """Alpha of a mesh's material."""
+
+    mode: int
+    """ALPHA_OPAQUE and so on."""
+    factor: float
+    """Of the texture's alpha."""
+    cutoff: float
+    """Least alpha of what there is, by ALPHA_MASK."""
+
+
+@struct
 class SmoothData:
     """Specular reflection and transmission of a material."""
 
@@ -134,8 +167,6 @@ class MeshInstanceData:
     has_normals: int
     base_color: wp.vec3
     """Linear."""
-    texture_first: int
-    texture_width: int
-    """0: no texture."""
-    texture_height: int
+    texture: TextureData
+    alpha: AlphaData
     material: SmoothData

@@ -6,21 +6,11 @@ from lumisplat.device.structs.camera import SampleData
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.light import Bsdf, EmitterData, EnvironmentData, LightData
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData
+from lumisplat.device.structs.scene import MeshData, MeshInstanceData, SplatInstanceData, TextureData
 
 SEES_BACKGROUND: int = wp.constant(0)
 SEES_ENVIRONMENT: int = wp.constant(1)
 SEES_NOTHING: int = wp.constant(2)
-
-
-@struct
-class TextureData:
-    """Where a texture lies in the texels of MeshData."""
-
-    first: int
-    width: int
-    """0: there is no texture."""
-    height: int
 
 
 @struct
@@ -231,6 +221,8 @@ class WaveData:
     """1: paths go on behind it in one direction each, which add what is infinitely far."""
     may_branch: int
     """1: smooth meshes send rays on where these are worth following."""
+    blends: int
+    """1: rays go on behind meshes by the share that alpha leaves; 0: they meet each by chance."""
     rays: RayData
     meshes: MeshHits
     gaussians: GaussianHits

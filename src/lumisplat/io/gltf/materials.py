@@ -26,8 +26,8 @@ _LISTED_MAX = 4
 def warn_unread(file: GltfFile) -> None:
     """Logs the features of the file's materials that are not read, one line per feature.
 
-    These are textures with other coordinates than the base colour, alpha, thin walls, and textures and attenuation of
-    transmission.
+    These are textures with other coordinates than the base colour, or that wrap otherwise, thin walls, and textures and
+    attenuation of transmission.
     """
     materials = file.model.materials or []
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
@@ -40,19 +40,21 @@ def warn_unread(file: GltfFile) -> None:
             "; ".join(named[:_LISTED_MAX]),
             more,
         )
+    labelled = [(_label(index, material), material) for index, material in enumerate(materials)]
     lines = {
-        "%d transparent materials are drawn opaque (first %s)": _is_transparent,
-        "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": _is_thin,
-        "transmissionTexture and attenuation of %d materials are not read (first %s)": _has_varied_transmission,
+        "textures of %d materials wrap in different ways, all as the first of them (first %s)": [
+            label for label, material in labelled if len(set(_textures(material).wraps(file, label))) > 1
+        ],
+        "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": [
+            label for label, material in labelled if _is_thin(material)
+        ],
+        "transmissionTexture and attenuation of %d materials are not read (first %s)": [
+            label for label, material in labelled if _has_varied_transmission(material)
+        ],
     }
-    for line, concerns in lines.items():
-        labels = [_label(index, material) for index, material in enumerate(materials) if concerns(material)]
+    for line, labels in lines.items():
         if labels:
             _log.warning("%s: " + line, file.path, len(labels), labels[0])
-
-
-def _is_transparent(material: pygltflib.Material) -> bool:
-    return material.alphaMode in ("MASK", "BLEND")
 
 
 def _is_thin(material: pygltflib.Material) -> bool:
@@ -111,12 +113,10 @@ class GltfMaterials:
 
     def _decode(self, material: pygltflib.Material, label: str) -> Material:
         pbr = material.pbrMetallicRoughness
-        texels: dict[str, Any] = {
-            name: self._texels.get(index, label) for name, index in _textures(material).indices.items()
-        }
-        color = tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))[:3]
+        factors = tuple(_or(getattr(pbr, "baseColorFactor", None), (1.0, 1.0, 1.0, 1.0)))
+        color, shared = factors[:3], self._textures_and_alpha(material, factors, label)
         if _is_unlit(material):
-            return MaterialSimple(base_color=color, name=material.name or "", **texels)
+            return MaterialSimple(base_color=color, name=material.name or "", **shared)
         strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
         return MaterialPbr(
             base_color=color,
@@ -130,8 +130,24 @@ class GltfMaterials:
             normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",
-            **texels,
+            **shared,
         )
+
+    def _textures_and_alpha(
+        self, material: pygltflib.Material, factors: tuple[float, ...], label: str
+    ) -> dict[str, Any]:
+        """What all kinds of materials have: texels, how they wrap, and alpha."""
+        textures = _textures(material)
+        values: dict[str, Any] = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
+        for name in values:
+            if name != "base_color_texture" or material.alphaMode in (None, "OPAQUE"):
+                values[name] = values[name][:, :, :3]
+        for wrap_u, wrap_v in textures.wraps(self._file, label)[:1]:
+            values |= {"wrap_u": wrap_u, "wrap_v": wrap_v}
+        values["alpha_mode"] = str(_or(material.alphaMode, "OPAQUE")).lower()
+        values["alpha_cutoff"] = _or(material.alphaCutoff, 0.5)
+        values["alpha"] = factors[3] if len(factors) > 3 else 1.0
+        return values
 
 
 def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:

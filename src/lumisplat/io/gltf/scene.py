@@ -26,9 +26,9 @@ _READABLE = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punct
 def read_gltf(path: PathLike) -> Scene:
     """Reads the default scene: all triangle meshes with the transforms of their nodes, and all punctual lights.
 
-    Skinned meshes are in their rest pose, morph targets have their default weights. Animations are left out. Textures
-    with other coordinates than the base colour, and transparency, are left out with log lines. `read_gltf_cameras`
-    reads cameras. Axes are not changed (glTF: y up, +z towards the viewer).
+    Skinned meshes are in their rest pose, morph targets have their default weights. Animations are left out, and, with
+    log lines, textures with other coordinates than the base colour. `read_gltf_cameras` reads cameras. Axes are not
+    changed (glTF: y up, +z towards the viewer).
 
     Raises:
         FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an extension that

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.images.texture import decode_texture
+from lumisplat.scene.materials import TextureWrap
 
 if TYPE_CHECKING:
     import pygltflib
@@ -23,6 +25,10 @@ _NAMES = {
     "emissive_texture": "emissiveTexture",
 }
 """Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
+
+
+_WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
+"""By the numbers of glTF, which are OpenGL's."""
 
 
 class Placement(NamedTuple):
@@ -57,6 +63,14 @@ class Textures(NamedTuple):
     left_out: list[str]
     """glTF's names of the textures with other placements."""
 
+    def wraps(self, file: GltfFile, referrer: str) -> list[tuple[TextureWrap, TextureWrap]]:
+        """How the textures wrap, along u and v; the first one's hold for all.
+
+        Raises:
+            FormatError: An index is invalid, or a sampler names no way to wrap.
+        """
+        return [_wrap(file, index, referrer) for index in self.indices.values()]
+
 
 def material_textures(material: pygltflib.Material, *, only_color: bool = False) -> Textures:
     """Finds the textures of a material.
@@ -87,6 +101,19 @@ def _placement(info: pygltflib.TextureInfo) -> Placement:
     )
 
 
+def _wrap(file: GltfFile, index: int, referrer: str) -> tuple[TextureWrap, TextureWrap]:
+    """How a texture wraps."""
+    number = file.item("textures", index, referrer).sampler
+    if number is None:
+        return TextureWrap.REPEAT, TextureWrap.REPEAT
+    sampler = file.item("samplers", number, f"textures[{index}]")
+    modes = [10497 if mode is None else mode for mode in (sampler.wrapS, sampler.wrapT)]
+    if unknown := [mode for mode in modes if mode not in _WRAPS]:
+        known = ", ".join(map(str, _WRAPS))
+        raise FormatError(file.path, f"samplers[{number}] wraps by {unknown[0]!r}, expected one of {known}")
+    return _WRAPS[modes[0]], _WRAPS[modes[1]]
+
+
 class GltfTexels:
     """The texels of a file's textures; each image is decoded once."""
 
@@ -96,7 +123,7 @@ class GltfTexels:
         self._total = TextureBytes(file.path)
 
     def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8]:
-        """Texels as stored, without alpha, shape (H, W, 3).
+        """Texels as stored, shape (H, W, 3), or (H, W, 4) with alpha.
 
         Raises:
             FormatError: The index is invalid, or an image is missing or corrupt.
@@ -113,5 +140,5 @@ class GltfTexels:
             else:
                 data = file.resource(image.uri, label)
                 label = image.uri if not image.uri.startswith("data:") else label
-            self._images[source] = decode_texture(data, file.path, label, self._total)[:, :, :3]
+            self._images[source] = decode_texture(data, file.path, label, self._total)
         return self._images[source]

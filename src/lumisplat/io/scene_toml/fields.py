@@ -17,6 +17,8 @@ _KINDS = {
     "str": TEXT,
     "npt.ArrayLike": QUATERNION,
     "Texture | None": TEXT,
+    "TextureWrap": TEXT,
+    "AlphaMode": TEXT,
     "FloatArray | None": TEXT,
 }
 """Kinds of values by the annotation of a field; images are given by file names."""

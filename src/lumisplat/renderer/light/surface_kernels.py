@@ -18,7 +18,7 @@ from lumisplat.device.light.splat_surface import (
     splat_surface,
 )
 from lumisplat.device.material.fresnel import reflect, refract
-from lumisplat.device.material.specular_bounce import bounce_of_ray
+from lumisplat.device.material.specular_bounce import bounce_of_ray, mesh_coverage
 from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black, over
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color
 from lumisplat.device.structs.rays import Bounce
@@ -140,8 +140,9 @@ def store_layers(
         corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
         weights = hit_weights(wave[0].meshes.weights[i])
         color = surface_color(scene[0].mesh_instances[number], scene[0].meshes, corners, weights)
-        albedo += surface.transmittance * color
-        emission += surface.transmittance * mesh_emission(i, scene, wave)
+        share = surface.transmittance * mesh_coverage(i, scene, wave)
+        albedo += share * color
+        emission += share * mesh_emission(i, scene, wave)
     wave[0].radiance.albedo[i] = albedo
     wave[0].radiance.emission[i] = emission
 
@@ -156,7 +157,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
     store_interaction(i, splats, wave)
     mesh = Interaction()
     if wave[0].meshes.face[i] >= 0 and surface.transmittance >= LIT_MIN:
-        mesh = mesh_interaction(i, surface.transmittance, scene, wave)
+        mesh = mesh_interaction(i, surface.transmittance * mesh_coverage(i, scene, wave), scene, wave)
     store_interaction(j, mesh, wave)
     if wave[0].interactions.spawn_point:
         if splats.exists:
@@ -183,9 +184,10 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     light = wp.vec3(0.0)
     beyond = wp.vec3(0.0)
     if wave[0].meshes.face[i] >= 0:
-        light = surface.transmittance * mesh_emission(i, scene, wave)
+        coverage = mesh_coverage(i, scene, wave)
+        light = surface.transmittance * coverage * mesh_emission(i, scene, wave)
         smooth = scene[0].mesh_instances[wave[0].meshes.instance[i]].material.smooth
-        if smooth != 0 and wave[0].traces_paths == 0:
+        if (smooth != 0 or coverage < 1.0) and wave[0].traces_paths == 0:
             bounce = bounce_of_ray(i, True, scene, wave)
             branches = followed_branches(i, bounce, surface.transmittance, wave)
             store_branches(i, branches, wave)

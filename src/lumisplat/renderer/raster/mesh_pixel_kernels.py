@@ -4,8 +4,10 @@ import warp as wp
 
 from lumisplat.device.camera.tiles import TILE_PIXELS, tile_pixel
 from lumisplat.device.gaussian.compositing import pixel_ray
+from lumisplat.device.mesh.raster_alpha import has_alpha, pixel_meets
+from lumisplat.device.mesh.triangle_raster import depth_at
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.raster import Triangle
+from lumisplat.device.structs.raster import RasterMeshes, Triangle
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -14,6 +16,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 def raster_pixels(
     start: int,
     camera: wp.array[CameraData],
+    scene: RasterMeshes,
     triangles: wp.array[Triangle],
     tile_starts: wp.array[int],
     tile_triangles: wp.array[int],
@@ -35,12 +38,9 @@ def raster_pixels(
     for j in range(tile_starts[tile], tile_starts[tile + 1]):
         index = tile_triangles[j]
         triangle = triangles[index]
-        e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
-        e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
-        e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
-        if wp.min(e0, wp.min(e1, e2)) >= 0.0 or wp.max(e0, wp.max(e1, e2)) <= 0.0:
-            z = triangle.plane / (triangle.normal[0] * ray[0] + (triangle.normal[1] * ray[1] + triangle.normal[2]))
-            if z > view.near and z < nearest:
+        z = depth_at(triangle, ray)
+        if z > view.near and z < nearest:
+            if not has_alpha(triangle, scene) or pixel_meets(triangle, ray, y * view.width + x, scene):
                 nearest = z
                 winner = index
     depth_out[y * view.width + x] = nearest

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
-from lumisplat.device.structs.raster import MeshPixels, TileRect, Triangle
+from lumisplat.device.structs.raster import MeshPixels, RasterMeshes, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
 from lumisplat.renderer.raster import mesh_pixel_kernels, mesh_tile_kernels
 from lumisplat.renderer.raster import mesh_raster_kernels as kernels
@@ -90,7 +90,7 @@ class MeshRaster:
         everything = self._binning.unsorted(triangles.shape[0])
         lists = self._binning.bin("mesh", everything, rects, tiles_x, tiles_x * tiles_y)
         winners = self._buffers.get("mesh.triangle", wp.int32, pixels)
-        per_tile = (scene.camera, triangles, lists.starts, lists.items, depth, winners)
+        per_tile = (scene.camera, raster_meshes(scene), triangles, lists.starts, lists.items, depth, winners)
         if self._launcher.is_parallel:
             self._launcher.run(mesh_pixel_kernels.raster_pixels, tiles_x * tiles_y * TILE_PX * TILE_PX, 0, *per_tile)
         else:
@@ -108,3 +108,11 @@ class MeshRaster:
             *(scene.splat_instances.shape[0], scene.camera, scene.mesh_instances, scene.mesh_data, triangles, rects),
         )
         return triangles, rects
+
+
+def raster_meshes(scene: DeviceScene) -> RasterMeshes:
+    """What the kernels read where a triangle has alpha."""
+    row = RasterMeshes()
+    row.instances, row.splat_instance_count = scene.mesh_instances, scene.splat_instances.shape[0]
+    row.meshes, row.sample, row.draws_alpha = scene.mesh_data, scene.sample, scene.draws_alpha
+    return row

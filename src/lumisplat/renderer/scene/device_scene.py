@@ -64,6 +64,8 @@ class DeviceScene:
         """Triangles over all instances."""
         self.mixes_sets = False
         """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
+        self.draws_alpha = False
+        """Rays meet surfaces of some alpha by chance: `FramePlan.draws_alpha`."""
         self.version = 0
         """Changes with the arrays of assets."""
         self._plan: FramePlan | None = None
@@ -107,7 +109,7 @@ class DeviceScene:
         """
         self._jitters = plan.jitters
         with self._launcher.stage("sync"):
-            self.mixes_sets = plan.mixes_sets
+            self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)

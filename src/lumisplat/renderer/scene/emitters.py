@@ -12,8 +12,9 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.scene.lights import cumulative_shares
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.materials import MaterialPbr, TextureWrap
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.sampling.surface_color import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
@@ -71,17 +72,18 @@ def powers_of(instance: MeshInstance) -> Doubles:
     brightness = np.full(mesh.face_count, float(emitted @ np.array(LUMINANCE)))
     texture = material.emissive_texture if isinstance(material, MaterialPbr) else None
     if texture is not None and mesh.uvs is not None:
-        brightness *= _texture_means(mesh, texture)
+        brightness *= _texture_means(mesh, texture, (material.wrap_u, material.wrap_v))
     return brightness * _areas(instance)
 
 
-def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8]) -> Doubles:
+def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: tuple[TextureWrap, TextureWrap]) -> Doubles:
     """Luminance of a texture, mean over some points of each triangle, shape (F,)."""
     assert mesh.uvs is not None
     points = np.einsum("pc,fcx->fpx", _INSIDE, mesh.uvs[mesh.indices])
     height, width = texture.shape[:2]
     columns, rows = (
-        np.floor((points[..., k] % 1.0) * size).astype(int) % size for k, size in ((0, width), (1, height))
+        np.minimum(wrapped(points[..., k], wraps[k]) * size, size - 1).astype(int)
+        for k, size in ((0, width), (1, height))
     )
     luminance = decode_srgb(texture[rows, columns, :3].astype(np.float64) / 255.0) @ np.array(LUMINANCE)
     means: Doubles = luminance.mean(axis=1)

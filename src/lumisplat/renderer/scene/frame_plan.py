@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
 from lumisplat.constants import (
     PATH_BOUNCES,
+    SAMPLES_OF_ALPHA,
     SAMPLES_OF_PATHS,
     SAMPLES_OF_RANDOM_LIGHT,
     SAMPLES_OF_SKY_ON_SPLATS,
@@ -79,12 +80,15 @@ class FramePlan:
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
     max_bounces: int
-    """How many times a ray is reflected or refracted by smooth meshes at most, 0 in scenes without any; or a path by
-    any surface."""
+    """How many times a ray is reflected or refracted by meshes, or passes those that blend, at most, 0 in scenes
+    without any; or how many times a path is by any surface."""
     has_headlight: bool
     """A light at the camera replaces those that the scene does not have."""
     has_meshes: bool
     """The scene has mesh instances."""
+    draws_alpha: bool
+    """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
+    behind such surfaces by the share that these leave."""
     has_shadow_only: bool
     """Some splat set is shadow-only."""
     mixes_sets: bool
@@ -107,12 +111,15 @@ class FramePlan:
         has_blockers = splat_shadows.exist or bool(scene.meshes)
         casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
         aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
-        has_mirrors = any(instance.mesh.material.is_smooth for instance in scene.meshes)
+        has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
         grain = random_light(config, scene) if not is_path and (has_unshadowed or casts_shadows) else ()
+        draws_alpha = traces_paths or only_rasterises
+        is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
         samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
-        is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC
+        samples_wanted = max(samples_wanted, SAMPLES_OF_ALPHA if is_dithered else 1)
+        is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
@@ -131,6 +138,7 @@ class FramePlan:
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
+            draws_alpha=draws_alpha,
             mixes_sets=is_lit and not is_path and len({is_relit(instance) for instance in scene.splats}) > 1,
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,

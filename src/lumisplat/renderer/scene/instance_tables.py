@@ -9,15 +9,23 @@ import numpy as np
 from lumisplat.config import Antialiasing, HitDistance, RenderConfig
 from lumisplat.constants import KERNEL_LINEAR_SLOPE
 from lumisplat.device.structs.bvh import HIT_HULL, HIT_MEAN, HIT_PEAK
-from lumisplat.device.structs.scene import KernelData, MeshInstanceData, SplatInstanceData
-from lumisplat.renderer.scene.materials import is_relit, shading_overrides
+from lumisplat.device.structs.scene import (
+    ALPHA_BLEND,
+    ALPHA_MASK,
+    ALPHA_OPAQUE,
+    KernelData,
+    MeshInstanceData,
+    SplatInstanceData,
+)
+from lumisplat.renderer.scene.materials import is_relit, place_texture, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.materials import MaterialPbr
+from lumisplat.scene.materials import AlphaMode, MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
 
+_ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
 _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}
 
 
@@ -109,8 +117,9 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.
         row["base_color"] = material.base_color
         texture = material.base_color_texture
         if texture is not None and mesh.uvs is not None:
-            row["texture_first"] = assets.texture_first(texture)
-            row["texture_height"], row["texture_width"] = texture.shape[:2]
+            place_texture(row["texture"], texture, material, assets.texture_first)
+        row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
+        row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
         row["material"]["smooth"] = material.is_smooth
         if isinstance(material, MaterialPbr):
             for name in ("metallic", "specular", "ior", "transmission"):

@@ -9,15 +9,17 @@ import numpy as np
 
 from lumisplat.constants import SHADOW_ONLY_AMBIENT
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
+from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT
 from lumisplat.device.structs.shading import MaterialData
 from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, TextureWrap
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene, SplatInstance
 
 TextureFirst = Callable[[np.ndarray], int]
 
+_WRAPS = {TextureWrap.REPEAT: WRAP_REPEAT, TextureWrap.MIRROR: WRAP_MIRROR, TextureWrap.CLAMP: WRAP_CLAMP}
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
@@ -103,5 +105,11 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
     for name in _TEXTURES:
         texture = getattr(mesh.material, name)
         if texture is not None:
-            row[name]["first"] = texture_first(texture)
-            row[name]["height"], row[name]["width"] = texture.shape[:2]
+            place_texture(row[name], texture, mesh.material, texture_first)
+
+
+def place_texture(row: Any, texture: np.ndarray, material: Material, texture_first: TextureFirst) -> None:
+    """Fills a row of TextureData."""
+    row["first"] = texture_first(texture)
+    row["height"], row["width"] = texture.shape[:2]
+    row["wrap_u"], row["wrap_v"] = _WRAPS[material.wrap_u], _WRAPS[material.wrap_v]

@@ -4,11 +4,11 @@ import warp as wp
 
 from lumisplat.constants import EDGE_WEIGHT_MAX
 from lumisplat.device.light.shadow import pass_straight
-from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color, surface_normal
+from lumisplat.device.mesh.mesh_surface import hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData
+from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshData, MeshInstanceData
 
 # As for all that intersects triangles: fused products would let rays through shared edges.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -30,7 +30,8 @@ def shadow_by_meshes(
 ):
     """What all triangles between the origin and ``t_max`` let through.
 
-    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none.
+    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none. Surfaces with alpha block that
+    share.
 
     ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
     shadow-only sets if ``meshes_only`` block these.
@@ -61,15 +62,19 @@ def shadow_by_meshes(
                     t = ray.begin + hit.t
                     if t > 0.0 and t < t_max:
                         share = wp.vec3(0.0)
-                        if not is_opaque and instance.material.smooth != 0:
+                        is_glass = not is_opaque and instance.material.smooth != 0
+                        if is_glass or instance.alpha.mode != ALPHA_OPAQUE:
                             weights = hit_weights(hit.weights)
                             if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, v0, v1, v2):
                                 share = wp.vec3(1.0)
                             else:
-                                normal = surface_normal(instance, meshes, corners, weights)
-                                color = surface_color(instance, meshes, corners, weights)
-                                cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
-                                share = pass_straight(instance.material, color, cosine)
+                                if is_glass:
+                                    normal = surface_normal(instance, meshes, corners, weights)
+                                    color = surface_color(instance, meshes, corners, weights)
+                                    cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
+                                    share = pass_straight(instance.material, color, cosine)
+                                alpha = surface_alpha(instance, meshes, corners, weights)
+                                share = alpha * share + wp.vec3(1.0 - alpha)
                         light = wp.cw_mul(light, share)
     light_out[i] = light
     is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])

@@ -34,7 +34,10 @@ class MeshTracer:
         if scene.mesh_instances.shape[0]:
             bands = TILE_BANDS_PER_THREAD * self._launcher.threads
             self._launcher.run_banded(
-                kernels.find_mesh_hits, count, scene.mesh_instances, scene.mesh_data, rays, hits, bands=bands
+                kernels.find_mesh_hits,
+                count,
+                *(scene.draws_alpha, scene.mesh_instances, scene.mesh_data, rays, hits),
+                bands=bands,
             )
         else:
             device_array(hits.face).fill_(-1)

@@ -2,10 +2,11 @@
 
 import warp as wp
 
+from lumisplat.device.mesh.mesh_surface import hit_weights, meets_alpha
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
-from lumisplat.device.structs.scene import MeshData, MeshInstanceData
+from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshData, MeshInstanceData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -13,6 +14,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def find_mesh_hits(
     start: int,
+    draws_alpha: bool,
     instances: wp.array[MeshInstanceData],
     meshes: MeshData,
     rays: RayData,
@@ -20,7 +22,8 @@ def find_mesh_hits(
 ):
     """The nearest triangle between a ray's ``t_min`` and ``t_max``.
 
-    Equally near triangles: the first instance, then the first face.
+    Equally near triangles: the first instance, then the first face. Where ``draws_alpha``, alpha is the chance of
+    meeting a surface.
     """
     i = start + wp.tid()
     t_min = rays.t_min[i]
@@ -56,9 +59,16 @@ def find_mesh_hits(
                 )
                 t = ray.begin + hit.t
                 if t > t_min and t < nearest and (hit.t < limit or (hit.t == limit and item < best)):
-                    limit = hit.t
-                    best = item
-                    weights = hit.weights
+                    is_met = bool(True)
+                    if instance.alpha.mode != ALPHA_OPAQUE:
+                        where = hit_weights(hit.weights)
+                        is_met = meets_alpha(
+                            instance, meshes, instance.face_first + item, where, draws_alpha, rays.sample_key[i]
+                        )
+                    if is_met:
+                        limit = hit.t
+                        best = item
+                        weights = hit.weights
             if best >= 0:
                 nearest = ray.begin + limit
                 face = instance.face_first + best

@@ -6,12 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.math.color import decode_srgb
+from lumisplat.scene.materials import TextureWrap
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.surface_points import interpolate_vertices
 from lumisplat.scene.triangles import area_vectors
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]
+_Wraps = tuple[TextureWrap, TextureWrap]
 
 
 def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
@@ -30,7 +32,8 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
     texture = mesh.material.base_color_texture
     if texture is not None and mesh.uvs is not None:
         level = _texture_levels(mesh, mesh.uvs, texture.shape[0] * texture.shape[1], width)[faces]
-        colors *= _filter_texture(texture, interpolate_vertices(mesh.uvs, corners, weights), level)
+        wraps = mesh.material.wrap_u, mesh.material.wrap_v
+        colors *= _filter_texture(texture, interpolate_vertices(mesh.uvs, corners, weights), level, wraps)
     return np.clip(colors, 0.0, 1.0)
 
 
@@ -43,30 +46,45 @@ def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) ->
     return 0.5 * np.log2(np.maximum(texels2, 1.0))
 
 
-def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats) -> _Floats:
-    """Trilinear lookup of a repeating texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
+def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: _Wraps) -> _Floats:
+    """Trilinear lookup of a texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
     while True:
         last = max(image.shape[:2]) == 1
         share = np.maximum(1.0 - np.abs((np.minimum(level, step) if last else level) - step), 0.0)
         used = np.flatnonzero(share)
-        colors[used] += share[used, None] * _bilinear(image, uvs[used])
+        colors[used] += share[used, None] * _bilinear(image, uvs[used], wraps)
         if last or step >= level.max():
             return colors
         image, step = _halve(_halve(image, 0), 1), step + 1
 
 
-def _bilinear(image: _Floats, uvs: _Floats) -> _Floats:
-    """Bilinear lookup of a repeating image, shape (M, 3)."""
+def _bilinear(image: _Floats, uvs: _Floats, wraps: _Wraps) -> _Floats:
+    """Bilinear lookup of an image, shape (M, 3)."""
     height, width = image.shape[:2]
-    x, y = uvs[:, 0] % 1.0 * width - 0.5, uvs[:, 1] % 1.0 * height - 0.5
+    x = wrapped(uvs[:, 0], wraps[0]) * width - 0.5
+    y = wrapped(uvs[:, 1], wraps[1]) * height - 0.5
     left, top = np.floor(x), np.floor(y)
     right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
-    columns = [(left.astype(np.int64) + k) % width for k in (0, 1)]
-    rows = [(top.astype(np.int64) + k) % height for k in (0, 1)]
+    columns = [_neighbour(left.astype(np.int64) + k, width, wraps[0]) for k in (0, 1)]
+    rows = [_neighbour(top.astype(np.int64) + k, height, wraps[1]) for k in (0, 1)]
     upper, lower = (image[r, columns[0]] * (1.0 - right_share) + image[r, columns[1]] * right_share for r in rows)
     return upper * (1.0 - bottom_share) + lower * bottom_share
+
+
+def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
+    """Texels next to an edge: across it in the same texture, or those at the edge."""
+    return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
+
+
+def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
+    """Texture coordinates within the texture, 0..1."""
+    if wrap is TextureWrap.CLAMP:
+        return np.clip(coordinates, 0.0, 1.0)
+    if wrap is TextureWrap.MIRROR:
+        return 1.0 - np.abs(coordinates % 2.0 - 1.0)
+    return coordinates % 1.0
 
 
 def _halve(image: _Floats, axis: int) -> _Floats:

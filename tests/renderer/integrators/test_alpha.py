@@ -1,0 +1,130 @@
+"""Surfaces of which a share is there, to camera rays, in mirrors, and to the light, in all pipelines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import encode_srgb
+
+PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=32, height=16, fov_y=0.4)
+GREEN, RED = (0.1, 0.8, 0.1), (0.7, 0.1, 0.1)
+HALVES = np.zeros((1, 16, 4), np.uint8)
+HALVES[..., :3], HALVES[:, 8:, 3] = 255, 255
+"""A texture that is there in its right half only."""
+
+
+def board(z: float, material: ls.MaterialSimple | ls.MaterialPbr, size: float = 2.0) -> ls.Mesh:
+    """An upright square about the axis of the view, u to the right."""
+    corners = size * np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]) + [0, 0, z]
+    uvs = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])
+    return ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], uvs=uvs, material=material)
+
+
+def shining(color: tuple[float, float, float], **alpha: Any) -> ls.MaterialSimple:
+    """Shows its colour without any light."""
+    return ls.MaterialSimple(base_color=color, wrap_u=ls.TextureWrap.CLAMP, **alpha)
+
+
+def render(scene: ls.Scene, pipeline: ls.Pipeline, samples: int | None = None, **changes: Any) -> ls.Frame:
+    """A frame on the CPU."""
+    settings = ls.RenderConfig(pipeline=pipeline, samples=samples, **changes)
+    return ls.render(scene, VIEW, settings, device="cpu")
+
+
+@PIPELINES
+@pytest.mark.parametrize("lighting", [True, False])
+def test_a_mask_has_holes(pipeline: ls.Pipeline, lighting: bool) -> None:
+    """Where alpha is below the cutoff, the camera sees what is behind, exactly."""
+    masked = shining(GREEN, base_color_texture=HALVES, alpha_mode="mask")
+    scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, shining(RED), 4.0)])
+    frame = render(scene, pipeline, 1, lighting=lighting, jitter=False)
+    left, right = (RED, GREEN) if lighting else (encode_srgb(np.array(RED)), encode_srgb(np.array(GREEN)))
+    np.testing.assert_allclose(frame.color[:, :15], np.broadcast_to(left, (16, 15, 3)), atol=2e-6)
+    np.testing.assert_allclose(frame.color[:, 17:], np.broadcast_to(right, (16, 15, 3)), atol=2e-6)
+
+
+def test_the_cutoff_is_where_the_surface_begins() -> None:
+    """Alpha of the texture times the factor, compared with the cutoff: equal is there; above 1 nothing is."""
+    for alpha, cutoff, is_there in ((0.6, 0.5, True), (0.5, 0.5, True), (0.4, 0.5, False), (1.0, 1.5, False)):
+        masked = shining(GREEN, alpha_mode="mask", alpha=alpha, alpha_cutoff=cutoff)
+        scene = ls.Scene(meshes=[board(0.0, masked), board(1.0, shining(RED), 4.0)])
+        color = render(scene, ls.Pipeline.TRACE, 1, lighting=True).color
+        np.testing.assert_allclose(color[8, 16], GREEN if is_there else RED, atol=2e-6)
+
+
+@PIPELINES
+def test_half_of_a_surface_shows_what_is_behind(pipeline: ls.Pipeline) -> None:
+    """0.25 of one surface, 0.5 of the next and the rest of the last: exactly by rays that go on, else in the mean."""
+    thin, thick = (shining(c, alpha_mode="blend", alpha=a) for c, a in ((GREEN, 0.25), (RED, 0.5)))
+    last = shining((0.0, 0.0, 1.0))
+    scene = ls.Scene(meshes=[board(0.0, thin), board(0.5, thick, 3.0), board(1.0, last, 4.0)])
+    truth = 0.25 * np.array(GREEN) + 0.375 * np.array(RED) + 0.375 * np.array([0.0, 0.0, 1.0])
+    exact = pipeline in (ls.Pipeline.TRACE, ls.Pipeline.HYBRID)
+    frame = render(scene, pipeline, 1 if exact else 64, lighting=True)
+    if exact:
+        np.testing.assert_allclose(frame.color, np.broadcast_to(truth, frame.color.shape), atol=2e-6)
+    else:
+        assert frame.color.std(axis=(0, 1)).max() > 0.01
+        np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), truth, atol=0.01)
+
+
+def test_unlit_frames_blend_what_is_displayed() -> None:
+    """As captures are blended: encoded colours, in traced frames and, by samples, in rasterised ones."""
+    scene = ls.Scene(meshes=[board(0.0, shining(GREEN, alpha_mode="blend", alpha=0.3)), board(1.0, shining(RED), 4.0)])
+    truth = 0.3 * encode_srgb(np.array(GREEN)) + 0.7 * encode_srgb(np.array(RED))
+    traced = render(scene, ls.Pipeline.TRACE, lighting=False)
+    np.testing.assert_allclose(traced.color, np.broadcast_to(truth, traced.color.shape), atol=2e-6)
+    drawn = render(scene, ls.Pipeline.RASTER, lighting=False)
+    assert drawn.samples == 16
+    np.testing.assert_allclose(drawn.color.mean(axis=(0, 1)), truth, atol=0.01)
+
+
+@PIPELINES
+@pytest.mark.parametrize(("alpha", "mode"), [(0.25, ls.AlphaMode.BLEND), (1.0, ls.AlphaMode.MASK)])
+def test_shadows_are_as_dense_as_alpha(pipeline: ls.Pipeline, alpha: float, mode: ls.AlphaMode) -> None:
+    """Behind the right half of a screen a lamp loses that share; behind its left half nothing."""
+    shade = replace(
+        shining((1.0, 1.0, 1.0), base_color_texture=HALVES, alpha_mode=mode, alpha=alpha), emissive=(0.0,) * 3
+    )
+    wall = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
+    lamp = ls.LightDirectional((0.0, 0.0, 1.0), intensity=2.0)
+    screen = board(-3.0, shade, 4.0)
+    lit, shaded = (
+        render(ls.Scene(meshes=meshes, lights=[lamp]), pipeline, 1, jitter=False, max_bounces=0).color
+        for meshes in ([wall], [wall, screen])
+    )
+    np.testing.assert_allclose(shaded[:, :14], lit[:, :14], rtol=1e-5)
+    np.testing.assert_allclose(shaded[:, 18:], (1.0 - alpha) * lit[:, 18:], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
+def test_mirrors_show_the_same(pipeline: ls.Pipeline) -> None:
+    """A mask and a blend, seen in a mirror behind the camera's back."""
+    mirror = board(0.0, ls.MaterialPbr(base_color=(1,) * 3, metallic=1.0, roughness=0.0), 4.0)
+    masked = board(-3.0, shining(GREEN, base_color_texture=HALVES, alpha_mode="mask"), 4.0)
+    blended = board(-4.0, shining(RED, alpha_mode="blend", alpha=0.5), 9.0)
+    far = board(-5.0, shining((0.0, 0.0, 1.0)), 9.0)
+    frame = render(ls.Scene(meshes=[mirror, masked, blended, far]), pipeline, 32, lighting=True, jitter=False)
+    behind = 0.5 * np.array(RED) + 0.5 * np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(frame.color[:, :15].mean(axis=(0, 1)), behind, atol=0.02)
+    np.testing.assert_allclose(frame.color[:, 17:].mean(axis=(0, 1)), GREEN, atol=1e-5)
+
+
+def test_lamps_with_holes_shine_less() -> None:
+    """A shining square of which a share is there lights as much as one that is whole and as much darker."""
+    floor = board(0.0, ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0))
+    settings: dict[str, Any] = {"max_bounces": 1, "background": None}
+    means = []
+    for shine in (0.6, 2.0):
+        emitter = ls.MaterialPbr(base_color=(0.0,) * 3, specular=0.0, emissive=(shine,) * 3)
+        if shine > 1.0:
+            emitter = replace(emitter, alpha=0.3, alpha_mode=ls.AlphaMode.BLEND)
+        scene = ls.Scene(meshes=[floor, board(-3.0, emitter)])
+        means.append(render(scene, ls.Pipeline.PATH, 64, **settings).color.mean())
+    np.testing.assert_allclose(means[1], means[0], rtol=0.02)
