@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
+from lumisplat.config.paths import PathConfig, PathPrimary
 from lumisplat.config.raster import Antialiasing, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
     HitDistance,
@@ -29,6 +30,8 @@ __all__ = [
     "LightEstimationConfig",
     "NormalEstimate",
     "NormalMethod",
+    "PathConfig",
+    "PathPrimary",
     "Pipeline",
     "RasterConfig",
     "RasterStrategy",

@@ -14,6 +14,7 @@ from lumisplat.config.checks import (
     take_enum,
 )
 from lumisplat.config.colors import display_color
+from lumisplat.config.paths import PathConfig
 from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
 from lumisplat.config.renamed import refuse_renamed
@@ -76,8 +77,8 @@ class RenderConfig:
     ``shadow_rays``  shadow rays            shadow rays                  shadow rays
     ===============  =====================  ===========================  =================
 
-    Paths meet one Gaussian at a time, whatever ``trace.strategy`` says, and lights have the size that they have,
-    whatever ``shadows`` says unless it is off.
+    ``path`` is read by ``PATH`` alone. Its paths meet relit Gaussians one at a time, whatever ``trace.strategy`` says,
+    and lights have the size that they have, whatever ``shadows`` says unless it is off.
 
     A choice may be given by its value, here and in all other settings: ``pipeline="hybrid"`` is
     ``pipeline=Pipeline.HYBRID``.
@@ -95,6 +96,8 @@ class RenderConfig:
     """Settings of the rasteriser."""
     trace: TraceConfig = field(default_factory=TraceConfig)
     """Settings of the ray tracer."""
+    path: PathConfig = field(default_factory=PathConfig)
+    """Settings of paths."""
     response: ResponseConfig = field(default_factory=ResponseConfig)
     """How Gaussians respond to rays of all kinds."""
     lighting: bool | None = None
@@ -129,6 +132,7 @@ class RenderConfig:
         object.__setattr__(self, "background", display_color("background", self.background))
         check_kind("raster", self.raster, RasterConfig)
         check_kind("trace", self.trace, TraceConfig)
+        check_kind("path", self.path, PathConfig)
         check_kind("response", self.response, ResponseConfig)
         if self.lighting is not None:
             check_flag("lighting", self.lighting)

@@ -22,7 +22,7 @@ from lumisplat.renderer.scene import gaussian_bvh_kernels
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
-from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels
+from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels, path_gaussians_kernels
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
@@ -38,7 +38,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += gaussian_shadow_modules(launcher, config) if plan.splat_shadows.exist else []
         modules += [mesh_shadow_kernels] if plan.has_meshes else []
     if plan.traces_paths:
-        modules += [path_kernels]
+        modules += [path_kernels, path_gaussians_kernels]
     elif plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     if plan.follows_rays:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig, TraceStrategy
+from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
@@ -58,11 +58,10 @@ class Renderer:
         self._unlit_raster = UnlitRaster(launcher, buffers, binning=binning, meshes=meshes, splats=splats)
         self._raster = RasterHits(launcher, buffers, config, binning=binning, meshes=meshes, splats=splats)
         self._camera_rays = CameraRays(launcher, buffers)
-        traced = traced_config(config)
-        self._tracer = RayTracer(launcher, buffers, traced)
-        self._integrators = Integrators(launcher, buffers, traced, self._tracer)
+        self._tracer = RayTracer(launcher, buffers, config)
+        self._integrators = Integrators(launcher, buffers, config, self._tracer)
         self._film = Film(launcher, buffers)
-        self._queries = RayQueries(launcher, buffers, traced, self._tracer, self._integrators)
+        self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrators)
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
         self._loaded: set[int] = set()
@@ -221,13 +220,6 @@ class Renderer:
                 memory_bytes=self._scene.bytes + self._buffers.bytes,
             ),
         )
-
-
-def traced_config(config: RenderConfig) -> RenderConfig:
-    """The settings of rays: paths meet one surface at a time, which is drawn by the opacities of all."""
-    if config.pipeline is not Pipeline.PATH or config.lighting is False:
-        return config
-    return replace(config, trace=replace(config.trace, strategy=TraceStrategy.STOCHASTIC_HIT))
 
 
 def create_renderer(

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.scene.lights import Light
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
 from support.scenes.path_scenes import as_splats, ball, cube_without_ceiling, diffuse, paths, quad
-from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians
+from support.scenes.raster_scenes import one_gaussian
 
 LIGHTS: dict[str, Light] = {
     "point": ls.LightPoint((0.4, 0.8, -0.5), intensity=0.6),
@@ -57,19 +57,6 @@ def test_threads_change_nothing(threads: int) -> None:
     shown = scene(*LAMPS, SKY)
     frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (threads, 2)]
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
-
-
-def test_a_capture_that_is_alone_stays_as_captured() -> None:
-    """To the precision of the blend: nothing lights it, and it is no light to itself."""
-    capture = ls.Scene(splats=[random_gaussians(3)])
-    view = front_camera(32, 24)
-    chance = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
-    settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, trace=chance)
-    unlit = ls.render(capture, view, replace(settings, pipeline=ls.Pipeline.TRACE), device="cpu")
-    frame = ls.render(capture, view, settings, device="cpu")
-    assert frame.captured is not None and frame.light is not None
-    np.testing.assert_allclose(frame.captured, unlit.color, atol=1e-6)
-    np.testing.assert_allclose(frame.light, 0.0, atol=1e-7)
 
 
 def test_emitters_light_by_their_area() -> None:

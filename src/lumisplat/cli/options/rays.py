@@ -29,6 +29,9 @@ class RayOptions:
     """Another one gives other noise, the same one the same image."""
     max_bounces: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
     """Reflections and refractions that a ray follows, or bounces of a path: 0 is direct light. auto: 3, of paths 8."""
+    primary: Annotated[Literal["particle", "iso"] | None, setting("{particle,iso}", "particle")] = None
+    """What paths meet first where the camera sees relit Gaussians. particle: one of them, drawn by opacity. iso: their
+    blended surface, as in the other pipelines."""
     kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
     """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
@@ -68,6 +71,7 @@ class RayOptions:
                 "normal_method": self.normals and ls.NormalMethod(self.normals),
                 "acceptance_scale": self.acceptance_scale,
             },
+            "path": {"primary": self.primary and ls.PathPrimary(self.primary)},
             "response": {
                 "kernel_degree": self.kernel_degree,
                 "min_response": self.min_response,

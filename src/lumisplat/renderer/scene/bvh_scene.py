@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -14,12 +15,31 @@ from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
 from lumisplat.renderer.scene.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.scene.instance_tables import footprint_of, hit_distance_of, kernel_data
+from lumisplat.renderer.scene.materials import is_relit
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.scene import Scene
+from lumisplat.scene.scene import Scene, SplatInstance
+
+
+class SplatSets(Enum):
+    """Which splat sets of a scene rays meet."""
+
+    ALL = "all"
+    KEPT = "kept"
+    """Those that keep their captured colours."""
+    RELIT = "relit"
+    """The others."""
+    SHADOW_ONLY = "shadow_only"
+    """A part of the kept ones."""
+
+    def has(self, instance: SplatInstance) -> bool:
+        """Whether an instance is one of them."""
+        if self is SplatSets.SHADOW_ONLY:
+            return instance.shadow_only
+        return self is SplatSets.ALL or is_relit(instance) == (self is SplatSets.RELIT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +66,8 @@ class BvhScene:
         self._held: list[HeldBvh] = []
         self.assets: DeviceArray | None = None
         """What the instances place, as AssetBvh."""
-        self.tlas_nodes: DeviceArray
-        """Top level: the tree of the instances' world boxes; its leaves are ~instance."""
+        self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
+        """Top levels: trees of the instances' world boxes; their leaves are ~instance."""
         self._placed: object = None
         self.footprint = 0.0
         """The widest footprint of the instances, in widths of a pixel."""
@@ -63,14 +83,15 @@ class BvhScene:
         """Memory of the BVHs, bytes."""
         return self._buffers.bytes + sum(held.bvh.bytes for held in self._held)
 
-    def data(self, instances: DeviceArray) -> SceneBvh:
+    def data(self, instances: DeviceArray, sets: SplatSets = SplatSets.ALL) -> SceneBvh:
         """What kernels traverse.
 
         Args:
             instances: The scene's, an array of SplatInstanceData.
+            sets: Those that rays meet; some only of frames of paths.
         """
         row = SceneBvh()
-        row.tlas_nodes, row.instances = self.tlas_nodes, instances
+        row.tlas_nodes, row.instances = self._tlas_nodes[sets], instances
         if self.assets is not None:
             row.assets = self.assets
         row.packet_radius, row.footprint, row.hit_distance = self.packet_radius, self.footprint, self.hit_distance
@@ -82,7 +103,7 @@ class BvhScene:
         if self.assets is None:
             return None
         # `stack` follows from the builds and from the tree over the instances, which may keep its memory.
-        arrays = [(array.ptr, array.shape) for array in (self.assets, self.tlas_nodes)]
+        arrays = [(array.ptr, array.shape) for array in (self.assets, *self._tlas_nodes.values())]
         rays = self.packet_radius, self.footprint, self.hit_distance
         return arrays, [held.bvh.build for held in self._held], self.stack, rays
 
@@ -91,14 +112,17 @@ class BvhScene:
         """The assets' BVHs, in their order."""
         return self._held
 
-    def sync(self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool) -> None:
-        """Builds or refits what changed, and the top level if an instance has moved.
+    def sync(
+        self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, tells_apart: bool
+    ) -> None:
+        """Builds or refits what changed, and the top levels if an instance has moved.
 
         Args:
             scene: What places the assets.
             assets: Its Gaussians on the device.
             config: Its kernel settings are those that the bounds follow.
             is_lit: Whether the frame is lit.
+            tells_apart: Whether rays may meet some of `SplatSets` alone.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -116,7 +140,9 @@ class BvhScene:
                 raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
         place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
         places = [place_of[id(instance.gaussians)] for instance in scene.splats]
-        placed = places, [instance.transform.tobytes() for instance in scene.splats]
+        kinds = tuple(SplatSets) if tells_apart else (SplatSets.ALL,)
+        members = {kind: [kind.has(instance) for instance in scene.splats] for kind in kinds}
+        placed = places, [instance.transform.tobytes() for instance in scene.splats], members
         self.footprint = max((footprint_of(instance.gaussians, config) for instance in scene.splats), default=0.0)
         hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
         self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
@@ -125,11 +151,16 @@ class BvhScene:
         self._placed = None  # until all of it is there
         extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
-        nodes = tree_of_boxes(*self._world_boxes(scene, places))
-        needed = waiting_in_tree(nodes) - 1 + max((held.bvh.waiting for held in self._held), default=1)
+        boxes = self._world_boxes(scene, places)
+        trees = {kind: tree_of_boxes(*boxes_among(boxes, among)) for kind, among in members.items()}
+        waiting = max(waiting_in_tree(nodes) for nodes in trees.values())
+        needed = waiting - 1 + max((held.bvh.waiting for held in self._held), default=1)
         self.stack = TRAVERSE_STACK_SMALL if needed <= TRAVERSE_STACK_SMALL else TRAVERSE_STACK
-        self.tlas_nodes = self._buffers.get("tlas_nodes", Node, len(nodes))
-        assign_table(self.tlas_nodes, nodes)
+        self._tlas_nodes = {
+            kind: self._buffers.get(f"tlas_nodes.{kind.value}", Node, len(nodes)) for kind, nodes in trees.items()
+        }
+        for kind, nodes in trees.items():
+            assign_table(self._tlas_nodes[kind], nodes)
         self._placed = placed
 
     def _bvh_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
@@ -170,6 +201,12 @@ class BvhScene:
                 margin = BOX_MARGIN * np.abs(world).max(axis=0)
                 lows[i], highs[i] = world.min(axis=0) - margin, world.max(axis=0) + margin
         return lows, highs
+
+
+def boxes_among(boxes: tuple[np.ndarray, np.ndarray], among: list[bool]) -> tuple[np.ndarray, np.ndarray]:
+    """The boxes, as ``tree_of_boxes`` takes them, those left out inverted."""
+    chosen = np.array(among, bool)[:, None]
+    return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 
 
 def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:

@@ -66,6 +66,10 @@ class DeviceScene:
         """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
         self.draws_alpha = False
         """Rays meet surfaces of some alpha by chance: `FramePlan.draws_alpha`."""
+        self.keeps_captures = False
+        """Some splat sets keep their captured colours."""
+        self.relights = False
+        """Some do not."""
         self.version = 0
         """Changes with the arrays of assets."""
         self._plan: FramePlan | None = None
@@ -110,6 +114,7 @@ class DeviceScene:
         self._jitters = plan.jitters
         with self._launcher.stage("sync"):
             self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
+            self.keeps_captures, self.relights = plan.keeps_captures, plan.relights
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)
@@ -126,7 +131,7 @@ class DeviceScene:
                 )
         if plan.follows_rays:
             with self._launcher.stage("build"):
-                self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit)
+                self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit, tells_apart=plan.traces_paths)
         self._plan = plan
         if self._synced != self.graph_key:
             self._launcher.drop_graphs()

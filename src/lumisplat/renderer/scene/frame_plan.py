@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.config import PathPrimary, Pipeline, RasterStrategy, RenderConfig, Shadows
 from lumisplat.constants import (
     PATH_BOUNCES,
     SAMPLES_OF_ALPHA,
@@ -91,8 +91,12 @@ class FramePlan:
     behind such surfaces by the share that these leave."""
     has_shadow_only: bool
     """Some splat set is shadow-only."""
+    keeps_captures: bool
+    """Some splat sets keep their captured colours."""
+    relights: bool
+    """Some splat sets are relit."""
     mixes_sets: bool
-    """Some splat sets are relit, and some keep their captured colours: what they show is added up apart."""
+    """Both are there, and what they show is added up apart."""
     aovs: frozenset[str]
     """Further images of the frame."""
     for_camera: bool
@@ -107,6 +111,7 @@ class FramePlan:
         rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
         only_rasterises = config.pipeline is Pipeline.RASTER
         casts = any(light.enabled and light.casts_shadow for light in scene.lights) or (is_path and shines(scene))
+        keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         has_blockers = splat_shadows.exist or bool(scene.meshes)
         casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
@@ -132,14 +137,16 @@ class FramePlan:
             spawns_shadow_rays=casts_shadows or traces_paths or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             samples=config.samples or samples_wanted,
-            jitters=config.jitter and not (config.samples is None and keeps_captures(scene)),
+            jitters=config.jitter and not (config.samples is None and keeps),
             samples_wanted=samples_wanted,
             grain=grain,
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             draws_alpha=draws_alpha,
-            mixes_sets=is_lit and not is_path and len({is_relit(instance) for instance in scene.splats}) > 1,
+            keeps_captures=keeps,
+            relights=relights,
+            mixes_sets=is_lit and keeps and relights and not (is_path and config.path.primary is PathPrimary.PARTICLE),
             has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
             aovs=aovs,
             for_camera=True,

@@ -11,6 +11,7 @@ from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrat
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
+from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
 from lumisplat.runtime.buffers import Buffers, assign_table
@@ -31,23 +32,31 @@ class GaussianTracer:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
         config: Settings; they do not change.
+        name: Of the buffers of these settings.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "trace") -> None:
         self._launcher, self._buffers = launcher, buffers
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
         self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
-        self._settings = buffers.get("trace.settings", TraceData, 1)
+        self._settings = buffers.get(f"{name}.settings", TraceData, 1)
         table = trace_table(launcher, config.trace)
         assign_table(self._settings, table)
-        self._settings_bounced = buffers.get("trace.settings_bounced", TraceData, 1)
+        self._settings_bounced = buffers.get(f"{name}.settings_bounced", TraceData, 1)
         table["offset"] = config.shadow_rays.offset
         table["offset_absolute"] = config.shadow_rays.offset_absolute
         assign_table(self._settings_bounced, table)
 
     def find(
-        self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
+        self,
+        scene: DeviceScene,
+        rays: RayData,
+        limits: wp.array[float],
+        name: str,
+        *,
+        bounced: bool,
+        sets: SplatSets = SplatSets.ALL,
     ) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
 
@@ -57,14 +66,16 @@ class GaussianTracer:
             limits: Distances as float, such as those of the nearest meshes.
             name: Of the buffers that hold the result.
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
+            sets: Those that the rays meet.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
-        hits = self._buffers.struct(name, GaussianHits, count, () if scene.mixes_sets else RELIT_FIELDS)
+        tells_relit = scene.mixes_sets and sets is SplatSets.ALL
+        hits = self._buffers.struct(name, GaussianHits, count, () if tells_relit else RELIT_FIELDS)
         self._launcher.run_banded(
             self._kernels[scene.bvh.stack],
             count // self._lanes,
-            *(settings, scene.bvh.data(scene.splat_instances), rays, limits, hits),
+            *(settings, scene.bvh.data(scene.splat_instances, sets), rays, limits, hits),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return hits

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.path_gaussians import PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
@@ -24,7 +25,8 @@ class RayTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher = launcher
         self._meshes = MeshTracer(launcher, buffers)
-        self._gaussians = GaussianTracer(launcher, buffers, config)
+        traces_paths = config.pipeline is Pipeline.PATH and config.lighting is not False
+        self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
         """The nearest mesh on each ray, and what the Gaussians before it give the ray.

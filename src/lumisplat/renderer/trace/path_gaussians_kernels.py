@@ -1,0 +1,41 @@
+"""Joins what kept and relit splat sets give a ray of a path: it meets one of them. One item is one ray."""
+
+import warp as wp
+
+from lumisplat.device.math.random import draw
+from lumisplat.device.structs.rays import GaussianHits, RayData
+
+wp.set_module_options({"enable_backward": False})
+
+WHICH = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Dimension of the draw between the two: other ones are the numbers of Gaussians."""
+
+
+@wp.kernel
+def end_at_surfaces(start: int, limits: wp.array[float], surfaces: GaussianHits, ends_out: wp.array[float]):
+    """Where rays end: at the Gaussian that they meet, or at their limit."""
+    i = start + wp.tid()
+    ends_out[i] = wp.min(limits[i], surfaces.depth[i])
+
+
+@wp.kernel
+def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, kept_inout: GaussianHits):
+    """Where a ray meets a relit Gaussian, it shows that one with the probability that what is before lets through.
+
+    Else it shows what is before, alone. The mean is that of the one over the other.
+    """
+    i = start + wp.tid()
+    if not (rays.is_active[i] and surfaces.depth[i] < wp.inf):
+        return
+    hidden = 1.0 - kept_inout.transmittance[i]
+    kept_inout.hits[i] = kept_inout.hits[i] + surfaces.hits[i]
+    if draw(rays.sample_key[i], WHICH) < hidden:
+        kept_inout.color[i] = kept_inout.color[i] / hidden
+        kept_inout.normal[i] = kept_inout.normal[i] / hidden
+        kept_inout.transmittance[i] = 0.0
+    else:
+        kept_inout.color[i] = surfaces.color[i]
+        kept_inout.normal[i] = surfaces.normal[i]
+        kept_inout.transmittance[i] = surfaces.transmittance[i]
+        kept_inout.depth[i] = surfaces.depth[i]
+        kept_inout.gaussian[i] = surfaces.gaussian[i]
