@@ -69,7 +69,8 @@ if TYPE_CHECKING:
     from lumisplat.relighting.probe import EnvironmentProbe
     from lumisplat.relighting.probe_transfer import relight
     from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
-    from lumisplat.renderer.one_shot import render, trace_rays, transmittance
+    from lumisplat.renderer.one_shot import focused, render, trace_rays, transmittance
+    from lumisplat.renderer.ray_profiles import RayProfile
     from lumisplat.renderer.ray_queries import RayHits
     from lumisplat.renderer.renderer import Renderer, create_renderer
     from lumisplat.scene.animation.actors import Actor, Animation
@@ -152,6 +153,7 @@ _MODULE_OF = {
     "RasterConfig": "config",
     "RasterStrategy": "config",
     "RayHits": "renderer.ray_queries",
+    "RayProfile": "renderer.ray_profiles",
     "ReceiverSampling": "config",
     "RelightConfig": "config",
     "RenderConfig": "config",
@@ -184,6 +186,7 @@ _MODULE_OF = {
     "estimate_sun": "relighting.sun_estimation",
     "estimate_normals": "scene.ops.estimate_normals",
     "flip": "metrics.images",
+    "focused": "renderer.one_shot",
     "frame_camera": "scene.ops.framing",
     "gaussians_from_mesh": "scene.sampling.mesh_sampling",
     "limit_sh_degree": "scene.editing.sh_degree",
@@ -271,6 +274,7 @@ __all__ = [
     "RasterConfig",
     "RasterStrategy",
     "RayHits",
+    "RayProfile",
     "ReceiverSampling",
     "RelightConfig",
     "RenderConfig",
@@ -303,6 +307,7 @@ __all__ = [
     "estimate_normals",
     "estimate_sun",
     "flip",
+    "focused",
     "frame_camera",
     "gaussians_from_mesh",
     "limit_sh_degree",

@@ -216,6 +216,10 @@ AGX_SLOPE, AGX_TOE, AGX_SHOULDER = 2.0, 3.0, 3.25
 """Slope at the pivot, and the powers that bend the curve below and above it."""
 AGX_GAMMA = 2.2
 
+DENOISE_TOUCH_REACH = 2
+"""A captured pixel counts as untouched by light if so are the captured ones up to so many pixels away: where every
+second sample finds a light, one of 25 pixels does but for once in 30 million."""
+
 # --- Paths of light that bounces (docs/method/paths.md) ---
 
 EMITTER_MARGIN = 1e-5
@@ -666,6 +670,9 @@ SHADE_BANDS_PER_THREAD = 4
 
 COUNT_SUM_THREADS = 4096
 """Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
+
+PROFILE_ROWS = 2**22
+"""Hits of rays that are on the device at once where they are asked for one by one: 64 MiB, unless one ray has more."""
 
 # --- Editing captures ---
 

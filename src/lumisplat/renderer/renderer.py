@@ -16,6 +16,7 @@ from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
 from lumisplat.renderer.film.film import Film
+from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
@@ -25,7 +26,8 @@ from lumisplat.renderer.raster.raster_hits import RasterHits
 from lumisplat.renderer.raster.raster_limits import RasterWarnings
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
-from lumisplat.renderer.ray_queries import RayHits, RayQueries, checked_distances, checked_rays
+from lumisplat.renderer.ray_profiles import RayProfiles
+from lumisplat.renderer.ray_queries import RayHits, RayQueries
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -35,6 +37,8 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher, Progress
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.ops.focus import focused_camera
+from lumisplat.scene.ops.pixel_rays import pixel_ray
 from lumisplat.scene.scene import Scene
 
 
@@ -62,6 +66,7 @@ class Renderer:
         self._integrators = Integrators(launcher, buffers, config, self._tracer)
         self._film = Film(launcher, buffers)
         self._queries = RayQueries(launcher, buffers, config, self._tracer, self._integrators)
+        self._profiles = RayProfiles(launcher, buffers, config)
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
         self._loaded: set[int] = set()
@@ -138,12 +143,25 @@ class Renderer:
             counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count)
             return images, counts, end
 
-    def trace_rays(self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike) -> RayHits:
+    def trace_rays(
+        self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, *, profile: bool = False
+    ) -> RayHits:
         """As the function ``trace_rays``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
         self._load(frame_modules(plan, self._launcher, self.config))
-        return self._queries.query(self._scene, plan, start, along)
+        hits = self._queries.query(self._scene, plan, start, along)
+        if not profile:
+            return hits
+        return replace(hits, profile=self._profiles.query(self._scene, scene, start, along))
+
+    def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
+        """As the function ``focused``, if the renderer has ``Pipeline.TRACE`` or ``PATH``; it keeps the hierarchies."""
+        start, along = checked_rays(*pixel_ray(camera, x, y))
+        plan = self._sync_rays(scene)
+        self._load(frame_modules(plan, self._launcher, self.config))
+        (distance,) = self._profiles.surface_distances(self._scene, start, along)
+        return focused_camera(camera, x, y, float(distance))
 
     def transmittance(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
@@ -158,7 +176,7 @@ class Renderer:
     def _sync_rays(self, scene: Scene) -> FramePlan:
         """Syncs the scene for rays that a caller gives."""
         if self.config.pipeline not in (Pipeline.TRACE, Pipeline.PATH):
-            raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or PATH: this one rasterises")
+            raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}

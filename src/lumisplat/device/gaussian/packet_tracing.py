@@ -16,7 +16,14 @@ from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.bvh.ray_packet import packet_of
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.gaussian.packet_hits import packet_hits_of
-from lumisplat.device.gaussian.ray_compositing import add_relit, blend_hit, close_pass, load_pixel, store_pixel
+from lumisplat.device.gaussian.ray_compositing import (
+    add_relit,
+    blend_hit,
+    close_pass,
+    load_pixel,
+    record_hit,
+    store_pixel,
+)
 from lumisplat.device.gaussian.surface_depth import surface_peak
 from lumisplat.device.math.random import draw_mixed, mix
 from lumisplat.device.structs.bvh import (
@@ -32,7 +39,7 @@ from lumisplat.device.structs.bvh import (
 )
 from lumisplat.device.structs.declare import struct
 from lumisplat.device.structs.packet import Hit, HitList, PacketRays
-from lumisplat.device.structs.rays import GaussianHits, Ray, RayData
+from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray, RayData
 from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -119,6 +126,7 @@ def blend_hits(
     rays: RayData,
     i: int,
     radiance: GaussianHits,
+    profiles: wp.array[HitProfiles],
 ) -> bool:
     """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether it is opaque then."""
     ray = ray_of(rays, i)
@@ -135,6 +143,8 @@ def blend_hits(
         head += 1
         before = pixel
         pixel = blend_hit(pixel, config, scene.instances, scene.assets, ray, index, alpha)
+        if profiles:
+            record_hit(profiles, i, pixel, t, index, alpha)
         if radiance.relit_weight:
             add_relit(radiance, i, scene.instances, before, pixel, index)
         if pixel.surface == index:
@@ -209,13 +219,15 @@ def blend_final_hits(
     rays: RayData,
     first: int,
     radiance: GaussianHits,
+    profiles: wp.array[HitProfiles],
 ) -> float:
     """Blends the hits that are nearer than ``bound``; returns the distance of the nearest of the others."""
     nearest = float(FAR)
     for lane in range(traced.rays.shape[0]):
         if traced.rays[lane].next_t < bound:
             t_max = packet.t_max[lane]
-            if blend_hits(traced.rays[lane], traced.hits, bound, t_max, config, scene, rays, first + lane, radiance):
+            i = first + lane
+            if blend_hits(traced.rays[lane], traced.hits, bound, t_max, config, scene, rays, i, radiance, profiles):
                 packet.limit[lane] = -FAR
                 traced.cut_t[lane] = -FAR
         nearest = lesser(nearest, traced.rays[lane].next_t)

@@ -11,7 +11,7 @@ from lumisplat.device.gaussian.projection import towards
 from lumisplat.device.math.random import draw
 from lumisplat.device.structs.bvh import AssetBvh, TraceData
 from lumisplat.device.structs.raster import BlendState
-from lumisplat.device.structs.rays import GaussianHits, Ray
+from lumisplat.device.structs.rays import GaussianHits, HitProfiles, Ray
 from lumisplat.device.structs.scene import SplatInstanceData
 
 wp.set_module_options({"enable_backward": False})
@@ -75,6 +75,16 @@ def blend_hit(
         normal = gaussian_facing(gaussians, i, eye)
     normal = instance.world_from_object * normal
     return lay_behind(pixel, color, normal, index, alpha, view.depth_iso_transmittance)
+
+
+@wp.func
+def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
+    """Writes the hit of the Gaussian ``index``, which ``pixel`` has blended last, into the profile of its ray."""
+    row = profiles[0].first[ray] + pixel.hits - 1
+    profiles[0].t[row] = t
+    profiles[0].alpha[row] = alpha
+    profiles[0].transmittance[row] = pixel.transmittance
+    profiles[0].gaussian[row] = index
 
 
 @wp.func

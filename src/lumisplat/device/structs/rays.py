@@ -79,6 +79,24 @@ class GaussianHits:
     """The surface's Gaussian if it is one of theirs, else the first of them; undefined if their share is 0."""
 
 
+@struct
+class HitProfiles:
+    """The Gaussians on rays one by one, in the order in which they are blended; in a 1-element array.
+
+    One element a hit, but for the first field.
+    """
+
+    first: wp.array[int]
+    """Element of the first hit of each ray; one element a ray."""
+    t: wp.array[float]
+    """Distance by which hits are ordered."""
+    alpha: wp.array[float]
+    transmittance: wp.array[float]
+    """Behind the Gaussian."""
+    gaussian: wp.array[int]
+    """Among all of the scene's."""
+
+
 RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
 """Fields of `GaussianHits` for scenes with relit sets and others."""
 

@@ -14,7 +14,7 @@ from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
-from lumisplat.runtime.buffers import Buffers, assign_table
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -57,6 +57,7 @@ class GaussianTracer:
         *,
         bounced: bool,
         sets: SplatSets = SplatSets.ALL,
+        profiles: DeviceArray | None = None,
     ) -> GaussianHits:
         """What the Gaussians up to each ray's limit give it, in buffers of that name.
 
@@ -67,6 +68,7 @@ class GaussianTracer:
             name: Of the buffers that hold the result.
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
             sets: Those that the rays meet.
+            profiles: Receives the hits one by one, as HitProfiles; None: they are not kept.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
@@ -75,7 +77,7 @@ class GaussianTracer:
         self._launcher.run_banded(
             self._kernels[scene.bvh.stack],
             count // self._lanes,
-            *(settings, scene.bvh.data(scene.splat_instances, sets), rays, limits, hits),
+            *(settings, scene.bvh.data(scene.splat_instances, sets), rays, limits, hits, profiles),
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return hits

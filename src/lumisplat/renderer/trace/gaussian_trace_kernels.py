@@ -31,7 +31,7 @@ from lumisplat.device.gaussian.packet_tracing import (
 from lumisplat.device.gaussian.ray_compositing import begin_relit, store_pixel
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, WORLD, ChildLinks, Particle, SceneBvh, TraceData
 from lumisplat.device.structs.packet import PacketPlace
-from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 
 wp.set_module_options(PACKET_OPTIONS)
 
@@ -56,8 +56,12 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         rays: RayData,
         limits: wp.array[float],
         radiance_out: GaussianHits,
+        profiles_out: wp.array[HitProfiles],
     ):
-        """Blends the Gaussians up to the end of each ray."""
+        """Blends the Gaussians up to the end of each ray.
+
+        The last array is without an element unless hits are written one by one.
+        """
         first = (start + wp.tid()) * LANES
         config = settings[0]
         for lane in range(LANES):
@@ -111,7 +115,9 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                     if top > 0:
                         bound = wp.where(config.strategy == STRATEGY_HIT, -FAR, stack[top - 1].floor)
                     if nearest < bound:
-                        nearest = blend_final_hits(traced, packet, bound, config, scene, rays, first, radiance_out)
+                        nearest = blend_final_hits(
+                            traced, packet, bound, config, scene, rays, first, radiance_out, profiles_out
+                        )
                         reach = largest(traced.cut_t)
                         end = largest(packet.limit)
                         if reach < 0.0:

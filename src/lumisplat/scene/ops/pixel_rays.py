@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lumisplat.config.checks import is_whole
+from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 
@@ -22,6 +24,26 @@ def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
     turn = time * camera.shutter_turn
     moved = camera.eye + time * camera.shutter_motion
     return moved + _rotate(starts @ rotation.T, turn), _rotate(directions @ rotation.T, turn)
+
+
+def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
+    """Origin and unit direction of the ray through the centre of a pixel, world space, of shape (1, 3) each.
+
+    Args:
+        camera: The camera.
+        x: Column, from 0.
+        y: Row, from 0.
+
+    Raises:
+        SceneError: There is no such pixel, or it has no ray.
+    """
+    for name, value, count in (("x", x, camera.width), ("y", y, camera.height)):
+        if not is_whole(value) or not 0 <= value < count:
+            raise SceneError(f"pixel {name} is {value}, expected a whole number from 0 to {count - 1}")
+    origins, directions = world_rays(camera)
+    if not directions[y, x].any():
+        raise SceneError(f"pixel ({x}, {y}) has no ray: it is outside of what the lens shows")
+    return origins[y, x][None], directions[y, x][None]
 
 
 def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:

@@ -1,0 +1,163 @@
+"""The Gaussians on any rays, one by one, and the first surfaces there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import RenderConfig, TraceStrategy
+from lumisplat.constants import PROFILE_ROWS
+from lumisplat.device.structs.rays import HitProfiles, RayData
+from lumisplat.math.arrays import FloatArray, IntArray, Rows
+from lumisplat.renderer.given_rays import RAY_BATCH, GivenRays, batches
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
+from lumisplat.renderer.trace.mesh_trace import MeshTracer
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayProfile:
+    """The Gaussians on N rays, M in all: ray by ray, each in the order in which a sorted ray blends them.
+
+    A ray ends behind the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or before the
+    first mesh.
+    """
+
+    first: Rows
+    """Row of each ray's first Gaussian, and M at the end, (N + 1,)."""
+    t: FloatArray
+    """Distance at which the ray hits the Gaussian, as ``TraceConfig.hit_distance`` says, scene units, (M,); ascending
+    on each ray."""
+    alpha: FloatArray
+    """Share of the light from behind that the Gaussian blocks, 0..0.99, (M,)."""
+    transmittance: FloatArray
+    """Share of the light from behind that reaches the ray's origin, 0..1, (M,)."""
+    gaussian_index: IntArray
+    """The Gaussian, within its own instance, (M,)."""
+    instance_index: IntArray
+    """Its splat instance, in scene order, (M,)."""
+
+    def __repr__(self) -> str:
+        return f"RayProfile(rays={len(self)}, hits={len(self.t)})"
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def rows(self, ray: int) -> slice:
+        """The rows of a ray, from 0: ``profile.alpha[profile.rows(3)]``."""
+        return slice(int(self.first[ray]), int(self.first[ray + 1]))
+
+
+class RayProfiles:
+    """Follows rays that blend all Gaussians in order, whatever the strategy of the settings.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        exact = replace(config, trace=replace(config.trace, strategy=TraceStrategy.SORTED))
+        self._buffers = buffers
+        self._meshes = MeshTracer(launcher, buffers)
+        self._gaussians = GaussianTracer(launcher, buffers, exact, "profile")
+        self._rays = GivenRays(launcher, buffers)
+
+    def query(self, scene: DeviceScene, asked: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
+        """The profile of rays; ``directions`` are unit vectors.
+
+        Hits are counted first, and then written by so many rays at a time that the device holds a bounded number.
+
+        Args:
+            scene: The scene on the device, synced.
+            asked: The same as the caller has it.
+            origins: World space, (N, 3).
+            directions: Likewise.
+        """
+        found = self._hits(scene, origins, directions)
+        counts = [device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found]
+        first = np.concatenate([[0], np.cumsum(np.concatenate(counts), dtype=np.int64)])
+        parts = [
+            self._rows(scene, origins[begin:end], directions[begin:end], first[begin : end + 1] - first[begin])
+            for begin, end in ray_ranges(first)
+        ]
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        firsts = np.cumsum([0, *(instance.gaussians.count for instance in asked.splats)])
+        instances = np.searchsorted(firsts, joined["gaussian"], side="right") - 1
+        return RayProfile(
+            first=first,
+            t=joined["t"],
+            alpha=joined["alpha"],
+            transmittance=joined["transmittance"],
+            gaussian_index=(joined["gaussian"] - firsts[instances]).astype(np.int32),
+            instance_index=instances.astype(np.int32),
+        )
+
+    def surface_distances(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Distance of the first surface on each ray, as the depth of a frame, (N,); inf: there is none."""
+        parts: list[FloatArray] = []
+        for count, hits in self._hits(scene, origins, directions):
+            found = (hits.gaussians.depth, hits.meshes.t)
+            depth, mesh = (device_array(distances).numpy()[:count] for distances in found)
+            parts.append(np.where(np.isfinite(depth), depth, mesh))
+        return np.concatenate(parts)
+
+    def _hits(
+        self, scene: DeviceScene, origins: FloatArray, directions: FloatArray
+    ) -> Iterator[tuple[int, PrimaryHits]]:
+        """What rays hit, batch by batch, and how many they are; the arrays are those of the last batch."""
+        scene.begin_sample(0, is_last=True)
+        for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32)):
+            rays = self._rays.allocate(len(batch[0]))
+            self._rays.load(scene, first, len(batch[0]), self._rays.upload(batch), rays)
+            yield len(batch[0]), self._find(scene, rays)
+
+    def _find(self, scene: DeviceScene, rays: RayData, profiles: DeviceArray | None = None) -> PrimaryHits:
+        """What rays hit; ``profiles`` receives the hits one by one."""
+        meshes = self._meshes.find(scene, rays, "profile.meshes")
+        gaussians = self._gaussians.find(scene, rays, meshes.t, "profile.gaussians", bounced=False, profiles=profiles)
+        return PrimaryHits(rays, meshes, gaussians)
+
+    def _rows(
+        self, scene: DeviceScene, origins: FloatArray, directions: FloatArray, first: Rows
+    ) -> dict[str, npt.NDArray[Any]]:
+        """The hits of rays whose first rows are known, and how many there are, by the names of `HitProfiles`."""
+        count = int(first[-1])
+        rays = self._rays.allocate(len(origins))
+        inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
+        self._rays.load(scene, 0, len(origins), inputs, rays)
+        held = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
+        begins = self._buffers.get("profile.first", wp.int32, len(rays.t_max))
+        if len(origins):
+            begins[: len(origins)].assign(first[:-1].astype(np.int32))
+        held.first = begins
+        table: DeviceArray = self._buffers.table("profile.table", HitProfiles, [held])
+        self._find(scene, rays, table)
+        names = ("t", "alpha", "transmittance", "gaussian")
+        return {name: device_array(getattr(held, name)).numpy()[:count].copy() for name in names}
+
+
+def ray_ranges(first: Rows) -> Iterator[tuple[int, int]]:
+    """Ranges of consecutive rays that together have no more hits than the device is to hold, or are one ray.
+
+    Args:
+        first: Row of each ray's first hit, and of the end.
+    """
+    begin, count = 0, len(first) - 1
+    while begin < count or count == 0:
+        end = int(np.searchsorted(first, int(first[begin]) + PROFILE_ROWS, side="right")) - 1
+        end = min(max(end, begin + 1), begin + RAY_BATCH, count)
+        yield begin, end
+        if end == count:
+            return
+        begin = end
