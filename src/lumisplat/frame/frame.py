@@ -15,6 +15,7 @@ import numpy.typing as npt
 from lumisplat.config import AOVS, ToneMap
 from lumisplat.errors import FormatError
 from lumisplat.frame.aovs import LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
+from lumisplat.frame.denoise import check_denoiser, denoised_light
 from lumisplat.frame.depth_png import depth_range, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
 from lumisplat.frame.notebook import MimeBundle, encoded, mime_bundle, mime_type
@@ -24,7 +25,7 @@ from lumisplat.io.images.npz import write_npz
 from lumisplat.io.images.png import to_bytes, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.tone_map import lit_picture
+from lumisplat.math.tone_map import captured_radiance, lit_picture
 
 _log = logging.getLogger("lumisplat")
 
@@ -175,6 +176,38 @@ class Frame(FrameData):
             ConfigError: There is no such view.
         """
         return view_limits(self, name)
+
+    def denoised(self) -> Frame:
+        """The frame with its light denoised by Open Image Denoise, of the extra ``denoise``.
+
+        Captured light that is kept stays as it is, and pixels that show nothing else are the same to the bit. Albedo
+        and normals guide the denoiser where they are free of noise themselves: ``RenderConfig.aovs`` must hold
+        ``albedo`` then, that is in all pipelines but ``PATH``, and with strategies that are not stochastic. The other
+        images, alpha among them, are those of this frame.
+
+        Returns:
+            A new frame, to which no samples can be added; this one, if it is denoised already.
+
+        Raises:
+            ConfigError: The frame is unlit, or has no albedo.
+            MissingExtraError: The denoiser is not installed; the message says how to install it.
+        """
+        if self.is_denoised:
+            return self
+        light = denoised_light(self)
+        assert self.captured is not None and self.captured_weight is not None
+        sums = np.maximum(captured_radiance(self.captured, self.captured_weight) + light, 0.0)
+        changed = (light != self.light).any(axis=2, keepdims=True)
+        return replace(self, light=light, color=np.where(changed, sums, self.color), is_denoised=True)
+
+    @staticmethod
+    def check_denoiser() -> None:
+        """Tries whether frames can be denoised, before any is rendered for it.
+
+        Raises:
+            MissingExtraError: The denoiser is not installed.
+        """
+        check_denoiser()
 
     def pixels_srgb(self) -> FloatArray:
         """What a PNG shows: 0..1, (H, W, 3), or (H, W, 4) with straight alpha if there is no background.

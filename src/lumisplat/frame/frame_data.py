@@ -98,6 +98,8 @@ class FrameData:
     """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
     light_names: tuple[str, ...] = ()
     """Names of the L lights."""
+    is_denoised: bool = False
+    """Whether ``light`` was denoised: no samples can be added to it any more."""
 
     def __repr__(self) -> str:
         camera = self.camera

@@ -56,6 +56,8 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         raise ConfigError("an unlit frame of the sorted rasteriser cannot be resumed: it is drawn in one go")
     if frame.samples == 0:
         raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
+    if frame.is_denoised:
+        raise ConfigError("cannot resume a denoised frame: resume the one that it was made of")
     if plan.is_lit != frame.has("light"):
         raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
     if frame.config is not None and frame.config.aovs:

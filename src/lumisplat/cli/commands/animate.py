@@ -92,7 +92,8 @@ class Animate(FrameCommand):
             folder.prepare(self._origin(animation, config, renderer.device), self.overwrite)
             missing = [index for index in wanted if not folder.is_finished(index)]
             remarks = partial(frame_remarks, config, raster=[], rays=self.rays, light=self.light)
-            frames = AnimationFrames(animation, cameras, renderer, folder, stats=self.stats, remarks=remarks)
+            source = self.frame_source(renderer)
+            frames = AnimationFrames(animation, cameras, source, folder, stats=self.stats, remarks=remarks)
             try:
                 frames.render(missing, report)
                 if self.video is not None:
@@ -174,8 +175,10 @@ class Animate(FrameCommand):
             "fps": f"{animation.fps!r}",
             **{name: f"{getattr(self, name)}" for name in chosen},
             "exposure": f"{self.light.exposure}",
+            "denoise": f"{self.light.denoise}",
             "environment_rotation": f"{self.light.environment_rotation}",
             **dict(flat_settings("viewpoint.", self.viewpoint)),
+            **dict(flat_settings("lens.", self.lens)),
             **dict(flat_settings("", config)),
             **dict(flat_settings("actors.", animation.lighting)),
             **file_marks(files, self.output),

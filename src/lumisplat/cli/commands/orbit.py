@@ -20,6 +20,7 @@ from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_progress import FrameProgress
+from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.pictures import check_writable
 from lumisplat.cli.output.standard_output import refuse_standard_output
 from lumisplat.cli.output.stats import print_stats
@@ -76,7 +77,8 @@ class Orbit(FrameCommand):
             for line in frame_remarks(config, scene, [], self.rays, self.light):
                 _log.warning("%s", line)
             try:
-                self._render({folder.path(k): cameras[k] for k in missing}, renderer, scene, report)
+                source = self.frame_source(renderer)
+                self._render({folder.path(k): cameras[k] for k in missing}, source, scene, report)
                 if self.video is not None:
                     write_video(self.video, [folder.path(index) for index in range(count)], self.fps, report)
             except KeyboardInterrupt:
@@ -91,17 +93,15 @@ class Orbit(FrameCommand):
         if self.video is not None:
             print(f"{self.video} ({self.fps:g} frames a second, {count / self.fps:.2f} s)")
 
-    def _render(
-        self, cameras: Mapping[Path, ls.Camera], renderer: ls.Renderer, scene: ls.Scene, report: Report
-    ) -> None:
+    def _render(self, cameras: Mapping[Path, ls.Camera], source: FrameSource, scene: ls.Scene, report: Report) -> None:
         """Renders and writes the frames of cameras by their files."""
         progress = FrameProgress(report, "frames", len(cameras), "--seconds, --fps")
         for done, (path, camera) in enumerate(cameras.items(), start=1):
-            frame = renderer.render(scene, camera, progress=report)
+            frame = source.frame(scene, camera, report)
             frame.save(path)
             progress.add(frame)
             if self.stats and done == len(cameras):
-                print_stats(frame, renderer.config.pipeline)
+                print_stats(frame, source.renderer.config.pipeline)
 
     def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
         """The cameras round the scene."""
@@ -133,8 +133,10 @@ class Orbit(FrameCommand):
             "scene": " ".join(map(str, self.scene)),
             **{name: f"{getattr(self, name)}" for name in chosen},
             "exposure": f"{self.light.exposure}",
+            "denoise": f"{self.light.denoise}",
             "environment_rotation": f"{self.light.environment_rotation}",
             **dict(flat_settings("viewpoint.", self.viewpoint)),
+            **dict(flat_settings("lens.", self.lens)),
             **dict(flat_settings("", config)),
             **file_marks(files, self.output),
         }

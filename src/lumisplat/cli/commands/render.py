@@ -16,6 +16,7 @@ from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
+from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -92,22 +93,22 @@ class Render(FrameCommand):
             for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
             shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-            self._render(shots, renderer, scene, writer, report)
+            self._render(shots, self.frame_source(renderer), scene, writer, report)
         print(_summary(shots))
         if writer.legend:
             print(writer.legend)
 
     def _render(
-        self, shots: list[Shot], renderer: ls.Renderer, scene: ls.Scene, writer: FrameWriter, report: Report
+        self, shots: list[Shot], source: FrameSource, scene: ls.Scene, writer: FrameWriter, report: Report
     ) -> None:
         make_folder(shots[0].path.parent)
         progress = FrameProgress(report, "rendering", len(shots), "--frame" if self.path is None else "--fps")
         for done, shot in enumerate(shots, start=1):
-            frame = renderer.render(scene, shot.camera, progress=report)
+            frame = source.frame(scene, shot.camera, report)
             writer.write(frame, shot.path)
             progress.add(frame)
             if self.stats and done == len(shots):
-                print_stats(frame, renderer.config.pipeline)
+                print_stats(frame, source.renderer.config.pipeline)
 
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""

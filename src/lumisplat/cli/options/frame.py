@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,10 +12,12 @@ from tyro.conf import arg
 
 import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
+from lumisplat.cli.options.lens import LensGroup, LensOptions
 from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
+from lumisplat.cli.output.frame_source import FrameSource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,9 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     """Print times, counts and memory of the last frame."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
     """A camera of your own, in place of those of files: lumisplat render garden.ply --azimuth 30 --elevation 20"""
+    lens: LensGroup = field(default_factory=LensOptions)
+    """Of --pipeline trace and path, with --samples: lumisplat render garden.ply --pipeline trace --samples 32
+    --aperture 0.05 --focus 640,360 -o view.png"""
     rays: RayGroup = field(default_factory=RayOptions)
     """Of --pipeline trace and hybrid; --samples and --seed also of lit frames. With mirrors and glass, smooth edges and
     little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
@@ -69,16 +74,30 @@ class FrameCommand(LoadingCommand, DeviceCommand):
             changes: What a command changes besides.
 
         Raises:
-            ConfigError: A value is out of its range.
+            ConfigError: A value is out of its range, or --focus is no pixel.
+            MissingExtraError: --denoise is given, and its package is not installed.
             SceneError: The size of the image is.
         """
         self._check_size()
+        self.lens.pixel()
         own: Changes = {}
         if self.pipeline is not None:
             own["pipeline"] = ls.Pipeline(self.pipeline)
         if self.background is not None:
             own["background"] = self.background
-        return changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
+        config = changed_config(base, *changes, own, self.rays.changes(), self.light.changes())
+        if not self.light.denoise:
+            return config
+        ls.Frame.check_denoiser()
+        return replace(config, aovs=(*config.aovs, "albedo"))
+
+    def frame_source(self, renderer: ls.Renderer) -> FrameSource:
+        """What renders the frames of the command.
+
+        Raises:
+            ConfigError: --focus is no pixel.
+        """
+        return FrameSource(renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise)
 
     def _check_size(self) -> None:
         """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
+from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.settings import Changes, setting, without_none
 
 _LIGHTING = {"auto": None, "on": True, "off": False}
@@ -47,6 +48,9 @@ class LightOptions:
     true. agx: as film. What only shows a capture stays as captured."""
     exposure: Annotated[float | None, arg(metavar="STOPS", help_behavior_hint="")] = None
     """Of lit pictures: 1 is twice as bright, -1 half. Without: the camera's own, else 0."""
+    denoise: Flag = False
+    """Remove the noise of the light (Open Image Denoise; pip install 'lumisplat[denoise]'): fewer samples do. Captures
+    that keep their look stay as captured."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light from everywhere by a latitude-longitude image, .hdr or .exr, in place of the scene's own. It stands
     upright as --up says."""

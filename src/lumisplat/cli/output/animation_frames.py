@@ -12,6 +12,7 @@ import lumisplat as ls
 from lumisplat.cli.output.console import Report, found_light, print_table
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_progress import FrameProgress
+from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.stats import print_stats
 
 _log = logging.getLogger("lumisplat")
@@ -23,7 +24,7 @@ class AnimationFrames:
     Args:
         animation: The scene, its actors, and how they are lit.
         cameras: One for each frame.
-        renderer: A renderer with the settings of the frames.
+        source: Renders them.
         folder: The folder of the frames.
         stats: Whether to print what the frames took.
         remarks: Gives the lines to log about the settings, from the first scene that is rendered.
@@ -33,13 +34,13 @@ class AnimationFrames:
         self,
         animation: ls.Animation,
         cameras: list[ls.Camera],
-        renderer: ls.Renderer,
+        source: FrameSource,
         folder: FrameFolder,
         *,
         stats: bool,
         remarks: Callable[[ls.Scene], Iterable[str]],
     ) -> None:
-        self._animation, self._cameras, self._renderer = animation, cameras, renderer
+        self._animation, self._cameras, self._source = animation, cameras, source
         self._folder, self._stats, self._remarks = folder, stats, remarks
         self._lighter: ls.AvatarLighter | None = None
         self._seconds = {"lighting": 0.0, "rendering": 0.0, "writing": 0.0}
@@ -62,21 +63,21 @@ class AnimationFrames:
                 for line in (*self._remarks(scene), *self._light_remarks()):
                     _log.warning("%s", line)
             with self._timed("rendering"):
-                frame = self._renderer.render(scene, self._cameras[index], progress=report)
+                frame = self._source.frame(scene, self._cameras[index], report)
             with self._timed("writing"):
                 frame.save(self._folder.path(index))
             progress.add(frame)
             if self._stats and done == len(indices):
                 rows = [(name, f"{1e3 * taken / done:8.1f} ms") for name, taken in self._seconds.items()]
                 print_table(f"mean of {done} frames", rows)
-                print_stats(frame, self._renderer.config.pipeline)
+                print_stats(frame, self._source.renderer.config.pipeline)
 
     def _start_lighter(self, report: Report) -> None:
         self._lighter = ls.AvatarLighter(
             self._animation.scene,
             config=self._animation.lighting,
-            background=self._renderer.config.background or (0.0, 0.0, 0.0),
-            device=self._renderer.device,
+            background=self._source.renderer.config.background or (0.0, 0.0, 0.0),
+            device=self._source.renderer.device,
             progress=report,
         )
 

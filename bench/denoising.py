@@ -1,0 +1,144 @@
+"""What denoising brings: errors of frames against many samples, and the time to the same error without it.
+
+``python -m bench.denoising [--device cuda]`` prints a table of frames with few samples of the demo room and, if the
+data is there, of a capture with a lit mesh in it; ``--pictures FOLDER`` keeps them. Needs the extra ``denoise``.
+
+Errors are PSNR of pictures. The time to equal error is that of as many samples as reach the error of the denoised
+frame, between those that were measured in proportion to the logarithm, over that of the frame and its denoising.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import lumisplat as ls
+from bench.presets import DATA
+from bench.timing import parser, quiet_warp
+
+WIDTH, HEIGHT = 320, 180
+SAMPLES = (1, 4, 16, 64)
+"""Of noisy frames; those of the last one are only there to be compared with."""
+REFERENCE = {ls.Pipeline.HYBRID: 128, ls.Pipeline.PATH: 192}
+"""Samples of the truth."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A view whose frames are denoised."""
+
+    name: str
+    scene: ls.Scene
+    camera: ls.Camera
+    pipeline: ls.Pipeline
+
+    def config(self, samples: int, seed: int = 0) -> ls.RenderConfig:
+        """The settings of a frame."""
+        return ls.RenderConfig(
+            pipeline=self.pipeline,
+            shadows=ls.Shadows.SOFT,
+            samples=samples,
+            seed=seed,
+            aovs=("albedo",),
+            tone_map=ls.ToneMap.NEUTRAL,
+        )
+
+
+@dataclass(frozen=True)
+class Row:
+    """A frame before and after."""
+
+    samples: int
+    seconds: float
+    denoise_seconds: float
+    noisy: float
+    denoised: float
+
+
+def cases() -> list[Case]:
+    """The demo room, and a bunny in a capture that takes its shadow."""
+    room = ls.demo_scene_lit()
+    view = ls.demo_cameras(WIDTH, HEIGHT, count=1)[0]
+    found = [Case("demo room", room, view, pipeline) for pipeline in REFERENCE]
+    capture, bunny = DATA / "splats/playbot/0_0", DATA / "meshes/stanford-bunny.obj"
+    if capture.exists() and bunny.exists():
+        loaded = ls.load(capture), ls.load(bunny)
+        assert isinstance(loaded[0], ls.Gaussians) and isinstance(loaded[1], ls.Mesh)
+        scene = bunny_in(loaded[0], loaded[1])
+        camera = ls.Camera.look_at(
+            (0.5, -1.0, -1.9), (0.25, -0.2, -0.3), (0, -1, 0), width=WIDTH, height=HEIGHT, fov_y=0.75
+        )
+        found.append(Case("bunny in a capture", scene, camera, ls.Pipeline.HYBRID))
+    return found
+
+
+def bunny_in(capture: ls.Gaussians, bunny: ls.Mesh) -> ls.Scene:
+    """A bunny on the capture's ground, lit by a lamp and a sky."""
+    clay = replace(bunny, material=ls.MaterialPbr(base_color=(0.8, 0.5, 0.3), roughness=0.45))
+    size = 0.5 / float(np.ptp(bunny.positions, axis=0).max())
+    position = (0.42, size * float(bunny.positions[:, 1].min()), -0.62)
+    placed = ls.MeshInstance(clay, position=position, rotation_degrees=(180, 0, 0), scale_by=size)
+    kept = ls.SplatInstance(capture, shadow_only=True, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)))
+    lamp = ls.LightPoint((-0.6, -1.6, -1.4), (1.0, 0.85, 0.7), intensity=5.0, radius=0.15)
+    sky = ls.LightEnvironment(color=(0.6, 0.7, 1.0), intensity=0.35, visible=False)
+    return ls.Scene([kept], [placed], [lamp, sky])
+
+
+def measured(case: Case, device: str, pictures: Path | None) -> list[Row]:
+    """Frames of a case, with few samples first."""
+    renderer = ls.create_renderer(case.config(REFERENCE[case.pipeline], seed=1), device)
+    truth = renderer.render(case.scene, case.camera)
+    rows: list[Row] = []
+    for samples in SAMPLES:
+        renderer = ls.create_renderer(case.config(samples), device)
+        renderer.render(case.scene, case.camera.scaled(16))  # uploads, and builds trees
+        begun = time.perf_counter()
+        noisy = renderer.render(case.scene, case.camera)
+        between = time.perf_counter()
+        noisy.denoised()  # the first one of a size makes the filter ready
+        start = time.perf_counter()
+        clean = noisy.denoised()
+        taken = time.perf_counter() - start
+        rows.append(Row(samples, between - begun, taken, ls.psnr(noisy, truth), ls.psnr(clean, truth)))
+        if pictures is not None:
+            stem = f"{case.name.replace(' ', '_')}-{case.pipeline.value}-{samples}"
+            noisy.save(pictures / f"{stem}.png")
+            clean.save(pictures / f"{stem}-denoised.png")
+    return rows
+
+
+def equal_seconds(rows: Sequence[Row], psnr: float) -> float:
+    """Time without the denoiser to that error; inf: more than was measured."""
+    return math.exp(
+        np.interp(psnr, [row.noisy for row in rows], [math.log(row.seconds) for row in rows], right=math.inf)
+    )
+
+
+def main() -> None:
+    """Prints the table."""
+    given = parser("denoising", __doc__)
+    given.add_argument("--pictures", type=Path)
+    options = given.parse_args()
+    quiet_warp()
+    if options.pictures is not None:
+        options.pictures.mkdir(parents=True, exist_ok=True)
+    print("| view | samples | s | PSNR | denoised | denoising, s | times sooner than without |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
+    for case in cases():
+        rows = measured(case, options.device, options.pictures)
+        for row in rows[:-1]:
+            sooner = equal_seconds(rows, row.denoised) / (row.seconds + row.denoise_seconds)
+            print(
+                f"| {case.name}, {case.pipeline.value} | {row.samples} | {row.seconds:.2f} | {row.noisy:.1f} | "
+                f"{row.denoised:.1f} | {row.denoise_seconds:.2f} | {sooner:.1f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

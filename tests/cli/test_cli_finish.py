@@ -1,0 +1,117 @@
+"""``--denoise``, ``--aperture`` and ``--focus`` of the commands that render frames."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+from support.files.image_files import read_image
+
+SKY = '[environment]\nintensity = 0.5\nvisible = false\n[[meshes]]\nshape = "sphere"\nposition = [0, 0, 4]\nsize = 2\n'
+CAMERA = "[[cameras]]\neye = [0, 0, 0]\ntarget = [0, 0, 4]\nwidth = 48\nheight = 32\n"
+RENDER = ("render", "@scene.toml", "--device", "cpu")
+
+
+@pytest.fixture
+def work(tmp_path, capsys, monkeypatch) -> Workplace:
+    """A folder to run commands in, with a ball under a sky; what they do to Warp's log level is undone."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    place = Workplace(tmp_path, capsys)
+    place.path("scene.toml").write_text(SKY + CAMERA)
+    return place
+
+
+def grain(work: Workplace, name: str) -> float:
+    """Mean difference of neighbours in a picture."""
+    picture = read_image(work.path(name))["srgb"].astype(float)
+    return float(np.abs(np.diff(picture, axis=1)).mean())
+
+
+@pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
+def test_denoised_pictures_are_smooth(work: Workplace, pipeline: str) -> None:
+    """Also without the layer that the denoiser needs being asked for, which the EXR does not get."""
+    pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
+    options = (*RENDER, "--pipeline", pipeline, "--samples", "1")
+    assert work.run(*options, "-o", "@noisy.png").status == 0
+    assert work.run(*options, "--denoise", "-o", "@smooth.png").status == 0
+    assert grain(work, "smooth.png") < 0.7 * grain(work, "noisy.png")
+    assert work.run(*options, "--denoise", "--aov", "depth", "-o", "@layers.exr").status == 0
+    assert {"depth.Z"} <= set(read_image(work.path("layers.exr"))) and "albedo.R" not in read_image(
+        work.path("layers.exr")
+    )
+
+
+def test_orbits_are_denoised(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame, and whether it is so belongs to what the frames were made of."""
+    denoised: list[ls.Frame] = []
+    monkeypatch.setattr(ls.Frame, "check_denoiser", lambda: None)
+    monkeypatch.setattr(ls.Frame, "denoised", lambda frame: denoised.append(frame) or frame)
+    options = ("--seconds", "0.08", "--width", "16", "--samples", "1", "--device", "cpu", "-o", "@round")
+    assert work.run("orbit", "@scene.toml", *options, "--denoise").status == 0
+    assert len(denoised) == 2
+    assert "denoise" in work.run("orbit", "@scene.toml", *options).err
+
+
+def test_unlit_frames_are_not_denoised(work: Workplace, caplog: pytest.LogCaptureFixture) -> None:
+    """A line says so."""
+    pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
+    assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0
+    assert "not used in an unlit frame: --denoise (--lighting is off)" in caplog.text
+
+
+def test_without_the_denoiser_nothing_is_rendered(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line says how to install it."""
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    done = work.run(*RENDER, "--denoise", "-o", "@none.png")
+    assert done.status == 2 and "pip install 'lumisplat[denoise]'" in done.err
+    assert not work.path("none.png").exists()
+
+
+def cameras_of(monkeypatch: pytest.MonkeyPatch) -> list[ls.Camera]:
+    """The cameras with which frames are rendered from here on."""
+    cameras: list[ls.Camera] = []
+    render = ls.Renderer.render
+
+    def watched(self: ls.Renderer, scene: ls.Scene, camera: ls.Camera, **options: Any) -> ls.Frame:
+        cameras.append(camera)
+        return render(self, scene, camera, **options)
+
+    monkeypatch.setattr(ls.Renderer, "render", watched)
+    return cameras
+
+
+def test_pixels_are_focused(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ball's near side in the middle, 3 units away; the camera has the aperture."""
+    cameras = cameras_of(monkeypatch)
+    options = ("--pipeline", "trace", "--samples", "1", "--aperture", "0.1", "-o", "@view.png")
+    assert work.run(*RENDER, *options, "--focus", "24,16").status == 0
+    assert work.run(*RENDER, *options).status == 0
+    assert [camera.aperture for camera in cameras] == [0.1, 0.1]
+    assert [camera.focus_distance for camera in cameras] == pytest.approx([3.0, 4.0], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--focus", "24,16"), "--focus needs a lens: --aperture gives its radius"),
+        (("--focus", "1"), "--focus is '1', expected two numbers"),
+        (("--focus", "1.5,2"), "--focus is '1.5,2', expected the column and the row of a pixel"),
+        (("--focus", "48,0", "--aperture", "1"), "pixel x is 48, expected a whole number from 0 to 47"),
+        (("--focus", "0,0", "--aperture", "1"), "pixel (0, 0) shows no surface to focus on"),
+        (("--aperture", "-1"), "--aperture is -1.0, expected the radius of a lens"),
+        (
+            ("--focus", "1,1", "--aperture", "1", "--pipeline", "raster"),
+            "rays are traced by a renderer with --pipeline trace or --pipeline path",
+        ),
+    ],
+)
+def test_what_cannot_be_focused_is_refused(work: Workplace, options: tuple[str, ...], message: str) -> None:
+    """In one line, with status 2."""
+    done = work.run(*RENDER, "--pipeline", "trace", *options, "-o", "@view.png")
+    assert done.status == 2 and message in done.err and len(done.err.strip().splitlines()) == 1

@@ -1,0 +1,156 @@
+"""Denoised frames: less noise in their light, the same captured light, and what is refused."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import lumisplat as ls
+from lumisplat.math.tone_map import captured_radiance
+from support.scenes.lit_frames import ball_frame, unlit
+
+needs_denoiser = pytest.mark.usefixtures("denoiser")
+SIZE = (128, 72)
+
+
+@pytest.fixture(scope="module")
+def denoiser() -> None:
+    """Skips without the extra."""
+    pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
+
+
+def noisy(frame: ls.Frame, seed: int = 0) -> ls.Frame:
+    """The frame with light of which half of the pixels have twice as much, and the others nothing."""
+    assert frame.light is not None
+    seen = np.random.default_rng(seed).integers(0, 2, frame.alpha.shape)[..., None]
+    return with_light(frame, 2.0 * seen * frame.light)
+
+
+def with_light(frame: ls.Frame, light: np.ndarray) -> ls.Frame:
+    """The frame with other light."""
+    light = light.astype(np.float32)
+    assert frame.captured is not None and frame.captured_weight is not None
+    return replace(frame, light=light, color=captured_radiance(frame.captured, frame.captured_weight) + light)
+
+
+def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
+    """The frame with no light but shadows, which leave a share of captured light."""
+    assert frame.captured is not None and frame.captured_weight is not None
+    captured = captured_radiance(frame.captured, frame.captured_weight)
+    return with_light(frame, (share[..., None] - 1.0) * captured)
+
+
+@needs_denoiser
+@pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
+def test_light_has_less_noise_and_as_much_in_all(background: tuple | None) -> None:
+    """The error of noisy light falls to less than a quarter, and the mean stays within 5 %."""
+    truth = ball_frame(*SIZE, background=background)
+    before = noisy(truth)
+    after = before.denoised()
+    assert truth.light is not None and before.light is not None and after.light is not None
+    errors = [np.sqrt(np.mean((light - truth.light) ** 2)) for light in (before.light, after.light)]
+    assert errors[1] < 0.25 * errors[0]
+    assert after.light.mean() == pytest.approx(before.light.mean(), rel=0.05)
+    assert after.is_denoised and not before.is_denoised
+    np.testing.assert_array_equal(after.alpha, before.alpha)
+
+
+@needs_denoiser
+def test_captures_that_no_light_changes_stay_to_the_bit() -> None:
+    """Colour, light and bytes of pixels that show captures or the background alone are those of before."""
+    before = noisy(ball_frame(*SIZE, tone_map=ls.ToneMap.AGX))
+    after = before.denoised()
+    assert before.light is not None and before.captured_weight is not None and after.light is not None
+    captured = before.captured_weight == 1.0
+    touched = np.asarray(ndimage.binary_dilation(captured & before.light.any(axis=2), np.ones((5, 5))), bool)
+    same = captured & ~touched
+    assert 0.3 < same.mean() < 0.9
+    beside_light = ndimage.binary_dilation(before.captured_weight < 1.0, np.ones((3, 3))) & same
+    assert beside_light.sum() > 10  # no light of meshes leaks onto captures
+    np.testing.assert_array_equal(after.light[same], 0.0)
+    np.testing.assert_array_equal(after.color[same], before.color[same])
+    np.testing.assert_array_equal(np.asarray(after, np.uint8)[same], np.asarray(before, np.uint8)[same])
+    assert after.captured is before.captured and after.captured_weight is before.captured_weight
+
+
+@needs_denoiser
+def test_captures_keep_their_detail_in_shadows() -> None:
+    """A noisy shadow becomes an even one, and tiles, twice as sharp as any filter leaves them, stay what they were."""
+    frame = ball_frame(*SIZE, background=None)
+    rng = np.random.default_rng(1)
+    assert frame.captured is not None
+    grain = rng.uniform(0.2, 1.0, frame.alpha.shape)[..., None]  # detail of single pixels
+    frame = replace(frame, captured=(frame.captured * grain).astype(np.float32))
+    share = 0.4 + 0.4 * rng.integers(0, 2, frame.alpha.shape)
+    before, truth = shadowed(frame, share), shadowed(frame, np.full(frame.alpha.shape, 0.6))
+    after = before.denoised()
+    floor = frame.instance_index == 0
+    errors = [np.abs(image.color - truth.color)[floor].mean() for image in (before, after)]
+    assert errors[1] < 0.2 * errors[0]
+
+
+@needs_denoiser
+def test_light_that_is_not_finite_is_none() -> None:
+    """One pixel of NaN, and one that is infinite, do not spread."""
+    before = noisy(ball_frame(*SIZE))
+    assert before.light is not None
+    broken = before.light.copy()
+    row, column = np.argwhere(before.light.any(axis=2))[50]
+    broken[row, column : column + 2] = [[np.nan] * 3, [np.inf] * 3]
+    after = replace(before, light=broken).denoised()
+    assert after.light is not None and np.isfinite(after.light).all() and np.isfinite(after.color).all()
+
+
+@needs_denoiser
+def test_a_frame_is_denoised_once() -> None:
+    """A denoised frame is returned as it is."""
+    frame = noisy(ball_frame(*SIZE)).denoised()
+    assert frame.denoised() is frame
+
+
+@needs_denoiser
+def test_noisy_albedo_is_not_asked_for() -> None:
+    """Where the first surface is drawn at random, colours alone are denoised."""
+    frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
+    for settings in (
+        ls.RenderConfig(pipeline=ls.Pipeline.PATH),
+        ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)),
+        ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
+    ):
+        assert replace(frame, config=settings).denoised().is_denoised
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (unlit(ball_frame()), "an unlit frame cannot be denoised"),
+        (replace(ball_frame(), albedo=None), "the frame has no 'albedo': RenderConfig.aovs asks for it"),
+    ],
+)
+def test_frames_that_lack_something_are_refused(frame: ls.Frame, message: str) -> None:
+    """In one line that says what to do."""
+    with pytest.raises(ls.ConfigError, match=message):
+        frame.denoised()
+
+
+def test_without_the_package_the_command_to_install_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before a frame is rendered, and of a frame that is there."""
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    for ask in (ls.Frame.check_denoiser, ball_frame().denoised):
+        with pytest.raises(ls.MissingExtraError, match=r"denoising needs .* pip install 'lumisplat\[denoise\]'"):
+            ask()
+
+
+@needs_denoiser
+def test_samples_are_not_added_to_denoised_frames() -> None:
+    """The mean that they would be added to is gone."""
+    camera = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
+    scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=1, aovs=("albedo",)), "cpu")
+    frame = renderer.render(scene, camera).denoised()
+    with pytest.raises(ls.ConfigError, match="cannot resume a denoised frame"):
+        renderer.render(scene, camera, resume=frame)
