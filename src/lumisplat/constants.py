@@ -89,7 +89,32 @@ SAH_BINS = 16
 """Bins per axis, at whose edges a build tries to split a node (Wald 2007)."""
 
 SAMPLES_MAX = 16_777_216
-"""Largest number of samples of a pixel: up to here, the running mean still changes in float32."""
+"""Largest number of samples of a pixel: up to here, means of layers still change in float32."""
+
+SAMPLES_OPEN = 1_000_000
+"""Most samples of a frame that ends by its time or its noise: no scene needs as many."""
+
+NOISE_SAMPLES_MIN = 16
+"""Samples of a pixel before its noise is estimated: of fewer, the estimate is itself noise."""
+
+NOISE_CHECKS = 8
+"""How often noise is estimated while samples double: a frame has at most an eighth more of them than it needs."""
+
+NOISE_PIXELS = 0.95
+"""Share of the pixels whose relative error is below the noise of a frame; the others are few."""
+
+NOISE_LUMINANCE_MIN = 0.01
+"""Linear luminance, after exposure, below which errors are no longer relative: 2 % of it are a third of a step of 8
+bits in display space."""
+
+SAMPLE_RATES = 16
+"""Steps in which adaptive sampling chooses how often a pixel takes part."""
+
+SAMPLE_RATE_MIN = 2
+"""Fewest of these: an eighth of all samples reaches pixels that seemed quiet, where light that was missed may be."""
+
+NOISE_RADIUS_PX = 2
+"""Adaptive sampling knows a pixel by those up to so many rows and columns away."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
 """Samples of a pixel where light comes from random directions, unless they are given: what noise is left is fine

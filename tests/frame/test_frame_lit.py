@@ -101,10 +101,10 @@ def test_exr_is_the_light_of_the_scene(tmp_path: Path) -> None:
     color = np.stack([channels[name] for name in "RGB"], axis=2)
     np.testing.assert_allclose(color, ball_frame(background=None).color, atol=2e-6)
     np.testing.assert_array_equal(channels["A"], frame.alpha)
-    expected = {"R", "G", "B", "A", "depth.Z", "hits.Y", "index.gaussian", "index.instance"}
+    expected = {"R", "G", "B", "A", "depth.Z", "hits.Y", "sample_count.Y", "index.gaussian", "index.instance"}
     expected |= {f"{name}.{axis}" for name in ("normal", "position") for axis in "XYZ"}
     per_light = [f"light.{name}.{part}" for name in ("key", "1") for part in ("direct", "shadow")]
-    expected |= {f"{name}.{c}" for name in ("albedo", "emission", "reflection", *per_light) for c in "RGB"}
+    expected |= {f"{name}.{c}" for name in ("albedo", "emission", "reflection", "variance", *per_light) for c in "RGB"}
     assert channels.keys() == expected
     assert frame.light_shadow is not None and frame.light_direct is not None and frame.hits is not None
     np.testing.assert_array_equal(channels["light.key.shadow.G"], frame.light_shadow[0, ..., 1])

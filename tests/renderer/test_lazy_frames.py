@@ -64,6 +64,8 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(getattr(frame, field.name), value, field.name)
             assert getattr(frame, field.name).dtype == value.dtype
+    for name, words in (expected.accumulated or {}).items():
+        np.testing.assert_array_equal(frame.accumulated[name].view(np.uint32), words.view(np.uint32), name)
     assert frame.light_names == expected.light_names
     assert frame.color_space == expected.color_space
 

@@ -46,6 +46,7 @@ OPTION_OF_SETTING: dict[str, str] = {
     "normal_method": "--normals",
     "offset": "--shadow-offset",
     "offset_absolute": "--shadow-offset-absolute",
+    "time_limit": "--time",
     "transmittance_threshold": "--shadow-threshold",
 }
 """Setting of the library -> its option; those whose option has the same name are not listed."""

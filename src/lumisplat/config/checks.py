@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Iterable
 from enum import Enum
@@ -18,6 +19,18 @@ def check_range(name: str, value: object, low: float, high: float) -> None:
     """Raises ConfigError unless ``value`` is a number with ``low <= value <= high`` (NaN never is)."""
     if not is_number(value) or not low <= value <= high:
         raise ConfigError(f"{name} is {quoted(value)}, expected {low} to {high}")
+
+
+def check_between(name: str, value: object, low: float, high: float) -> None:
+    """Raises ConfigError unless ``value`` is a number with ``low < value < high``."""
+    if not is_number(value) or not low < value < high:
+        raise ConfigError(f"{name} is {quoted(value)}, expected more than {low:g} and less than {high:g}")
+
+
+def check_positive(name: str, value: object) -> None:
+    """Raises ConfigError unless ``value`` is a finite number above 0."""
+    if not is_number(value) or not 0.0 < value < math.inf:
+        raise ConfigError(f"{name} is {quoted(value)}, expected a number above 0")
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:

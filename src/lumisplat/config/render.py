@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from lumisplat.config.checks import (
+    check_between,
     check_flag,
     check_kind,
+    check_positive,
     check_whole,
     listed_names,
     quoted,
@@ -57,7 +59,7 @@ class ToneMap(Enum):
     """AgX: filmic, highlights lose their colour."""
 
 
-AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+AOVS = ("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count")
 """Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
 
 
@@ -110,12 +112,23 @@ class RenderConfig:
     tone_map: ToneMap = ToneMap.NONE
     """How lit frames become pictures; pixels that show only a capture stay as captured."""
     aovs: tuple[str, ...] = ()
-    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``. A single
-    name, or several with commas, becomes a tuple."""
+    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
+    ``variance``, ``sample_count``; the last three of an unlit one, too. A single name, or several with commas,
+    becomes a tuple."""
     samples: int | None = None
     """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
     and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted
     raster is exact with one, and takes no more."""
+    time_limit: float | None = None
+    """Seconds that the samples of a frame take, above 0; ``samples`` is then the most of them, and None as many as
+    there is time for, at least one. None: no limit."""
+    noise: float | None = None
+    """Relative error at which a frame has samples enough, 0 to 1, both excluded: 95 % of its pixels are estimated to be
+    below it (docs/method/samples.md). ``samples`` is then the most of them, and None as many as it takes. None: the
+    noise ends no frame."""
+    adaptive: bool | None = None
+    """Whether noisy pixels have more samples than others, ``samples`` being the most: in the trace and path pipelines,
+    from the 17th sample on. None: if ``noise`` is given."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
@@ -143,6 +156,12 @@ class RenderConfig:
         object.__setattr__(self, "aovs", _checked_aovs(self.aovs))
         if self.samples is not None:
             check_whole("samples", self.samples, 1, SAMPLES_MAX)
+        if self.time_limit is not None:
+            check_positive("time_limit", self.time_limit)
+        if self.noise is not None:
+            check_between("noise", self.noise, 0.0, 1.0)
+        if self.adaptive is not None:
+            check_flag("adaptive", self.adaptive)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)
         if self.max_bounces is not None:

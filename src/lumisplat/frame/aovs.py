@@ -21,8 +21,8 @@ Image = npt.NDArray[Any]
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS)
 """Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, the others always."""
 
-RADIANCE = ("albedo", "emission", "reflection", "hits", "light_direct", "light_shadow")
-"""Fields of a frame that hold the layers of `AOVS`."""
+RADIANCE = ("albedo", "emission", "reflection", "hits", "light_direct", "light_shadow", "variance")
+"""Fields of a frame that hold the layers of `AOVS`, as floats."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
@@ -86,6 +86,8 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
             for light in light_layers(frame):
                 channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
                 channels |= _planes(f"light.{light.label}.shadow", _finite(light.shadow), "RGB")
+        elif layer == "sample_count":
+            channels["sample_count.Y"] = getattr(frame, layer)
         elif layer == "hits":
             channels["hits.Y"] = _finite(getattr(frame, layer))
         else:

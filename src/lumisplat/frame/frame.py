@@ -280,7 +280,7 @@ class Frame(FrameData):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Every image by name, and the lights' names if there are any."""
         always = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
-        present = [name for name in (*_LIT_PARTS, *RADIANCE) if self.has(name)]
+        present = [name for name in (*_LIT_PARTS, *RADIANCE, "sample_count") if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*always, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 

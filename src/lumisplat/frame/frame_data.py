@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,14 +26,16 @@ class FrameStats:
     visible_count: int
     """Gaussians that can touch the image; of the rasteriser."""
     nonfinite_count: int
-    """Gaussians that the rasteriser dropped because a projected value was NaN or infinite; samples that the ray tracer
-    shows black because their colour was."""
+    """Gaussians that the rasteriser dropped because a projected value was NaN or infinite, and samples of pixels that
+    are left out of the mean because a value of theirs was."""
     pair_count: int
     """(tile, Gaussian) pairs; of the rasteriser."""
     triangle_count: int
     """Triangles in the scene, over all instances."""
     memory_bytes: int
     """Device memory of assets and frame buffers."""
+    noise: float | None = None
+    """Relative error that 95 % of the pixels are estimated to be below (docs/method/samples.md); None: nobody asked."""
 
 
 class LitParts(NamedTuple):
@@ -68,7 +71,8 @@ class FrameData:
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     """What ``color`` lies over, display-referred sRGB; None: transparent, and black where mirrors and glass show it."""
     samples: int = 0
-    """Rays a pixel that ``color`` and ``alpha`` are the mean of; 0: rasterised."""
+    """Rays a pixel that ``color`` and ``alpha`` are the mean of; with adaptive sampling, the most of them; 0:
+    rasterised."""
     config: RenderConfig | None = None
     """Settings it was rendered with, those of the last call where it was resumed; None: unknown."""
     stats: FrameStats | None = None
@@ -100,6 +104,12 @@ class FrameData:
     """Names of the L lights."""
     is_denoised: bool = False
     """Whether ``light`` was denoised: no samples can be added to it any more."""
+    variance: FloatArray | None = None
+    """Estimated variance of ``color``, that is of the mean over samples: its standard error squared, (H, W, 3)."""
+    sample_count: IntArray | None = None
+    """Samples of each pixel, those left out that were not finite, (H, W)."""
+    accumulated: Mapping[str, FloatArray] | None = None
+    """What samples are added to where the frame is resumed, as 32-bit words by name; None: it is rasterised."""
 
     def __repr__(self) -> str:
         camera = self.camera

@@ -21,9 +21,12 @@ from lumisplat.scene.camera import Camera
 
 _Image = npt.NDArray[Any]
 
-_NEAREST = ("depth", "normal", "gaussian_index", "instance_index")
+_NEAREST = ("depth", "normal", "gaussian_index", "instance_index", "sample_count")
 """Images that cannot be averaged: they belong to one point each."""
-_FILTERED = ("color", "alpha", "captured", "captured_weight", "light", "albedo", "emission", "reflection", "hits")
+_FILTERED = (
+    *("color", "alpha", "captured", "captured_weight", "light"),
+    *("albedo", "emission", "reflection", "hits", "variance"),
+)
 _PER_LIGHT = ("light_direct", "light_shadow")
 """Images with one layer a light."""
 
@@ -79,9 +82,11 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
     ]
     middle = _points(camera, frame.camera, 0.5, 0.5)
     empty = _empty(frame)
-    changes: dict[str, Any] = {"camera": camera}
+    changes: dict[str, Any] = {"camera": camera, "accumulated": None}
     for name in _NEAREST:
-        changes[name] = _nearest(getattr(frame, name), middle, empty[name])
+        image = getattr(frame, name)
+        if image is not None:
+            changes[name] = _nearest(image, middle, empty[name])
     for name in (*_FILTERED, *_PER_LIGHT):
         image = getattr(frame, name)
         if image is not None:
@@ -155,7 +160,7 @@ def _empty(frame: Frame) -> dict[str, Any]:
     """What images show where the lens shows nothing: the background."""
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
-    values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, "normal"), 0.0)
+    values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, "normal", "sample_count"), 0.0)
     values |= {"depth": np.inf, "gaussian_index": -1, "instance_index": -1, "captured": behind}
     values["color"] = decode_srgb(behind.astype(np.float32)) if is_lit else behind
     values["captured_weight"] = 0.0 if frame.background is None else 1.0

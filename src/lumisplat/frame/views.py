@@ -56,8 +56,9 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     """Display-referred colours of one layer, by the names of the pictures, each of shape (H, W, 3), 0..1.
 
     Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, positions from their
-    bounding box, each index has a colour of its own. Radiance is exposed and encoded as sRGB, and clipped to white.
-    Pixels without a surface are black. A layer has one picture of its own name, but ``lights`` has two for each light,
+    bounding box, each index has a colour of its own. Radiance is exposed and encoded as sRGB, and clipped to white; of
+    ``variance`` its root is. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface
+    are black. A layer has one picture of its own name, but ``lights`` has two for each light,
     ``light.NAME.direct`` and ``light.NAME.shadow``.
 
     Args:
@@ -77,6 +78,10 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
         pictures = {layer: view_picture(frame, layer)}
     elif layer == "position":
         pictures = {layer: _position_picture(frame)}
+    elif layer == "variance":
+        pictures = {layer: _radiance_picture(frame, np.sqrt(getattr(frame, layer)))}
+    elif layer == "sample_count":
+        pictures = {layer: _sample_count_picture(frame)}
     elif layer == "albedo":
         pictures = {layer: encode_srgb(getattr(frame, layer))}
     elif layer in ("gaussian_index", "instance_index"):
@@ -160,6 +165,11 @@ def _hits_picture(frame: FrameData, low: float, high: float) -> Image:
     start, end = np.log2(1.0 + low), np.log2(1.0 + high)
     heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + hits) - start) / max(end - start, 1e-9))
     return np.where(hits[..., None] > 0.0, heat, 0.0)
+
+
+def _sample_count_picture(frame: FrameData) -> Image:
+    counts = np.asarray(frame.sample_count, np.float64)
+    return _ramp(_HEAT_RAMP, counts / max(counts.max(initial=0.0), 1.0))
 
 
 def _position_picture(frame: FrameData) -> Image:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import RenderConfig, check_kind
+from lumisplat.config import Pipeline, RenderConfig, check_kind
 from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
-from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.scene.frame_plan import FramePlan, may_adapt
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
@@ -42,6 +42,16 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
     return config
 
 
+def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
+    """Raises ConfigError unless a frame can have the samples that its settings ask for."""
+    if config.adaptive and not may_adapt(config):
+        if config.pipeline in (Pipeline.TRACE, Pipeline.PATH):
+            raise ConfigError("RenderConfig.adaptive=True needs pixels with draws of their own: not shared_draws")
+        raise ConfigError("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH or Pipeline.TRACE")
+    if "variance" in plan.aovs and plan.samples == 1 and resume is None:
+        raise ConfigError("aovs has variance, which takes two samples or more: samples is 1")
+
+
 def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: FramePlan) -> None:
     """Raises ConfigError unless samples of this camera and these settings can be added to a frame.
 
@@ -60,8 +70,6 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         raise ConfigError("cannot resume a denoised frame: resume the one that it was made of")
     if plan.is_lit != frame.has("light"):
         raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
-    if frame.config is not None and frame.config.aovs:
-        raise ConfigError("a frame with aovs cannot be resumed: their images are not kept as means")
     if frame.color.shape[:2] != (camera.height, camera.width) or frame.background != config.background:
         height, width = frame.color.shape[:2]
         raise ConfigError(
@@ -70,15 +78,14 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         )
     other = differing(frame.camera, replace(camera, name=frame.camera.name))
     if frame.config is not None:
-        other += differing(frame.config, replace(config, samples=frame.config.samples))
+        limits = {"samples": frame.config.samples, "time_limit": frame.config.time_limit}
+        other += differing(frame.config, replace(config, **limits))
     if other:
         raise ConfigError(
             f"cannot resume a frame of another camera or other settings: they differ in {', '.join(other)}"
         )
     if frame.samples + plan.samples > SAMPLES_MAX:
         raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
-    if plan.has_shadow_only:
-        raise ConfigError("cannot resume a lit frame with shadow-only sets: how much is left of them is not kept")
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
-from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
+from lumisplat.renderer.film import adaptive_kernels, film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.integrators import path_kernels, specular_wave_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
 from lumisplat.renderer.raster import (
@@ -50,7 +50,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.max_bounces and not plan.traces_paths:
         modules += [specular_wave_kernels]
     if plan.is_sampled:
-        modules += [camera_ray_kernels, film_kernels]
+        modules += [camera_ray_kernels, film_kernels, *[adaptive_kernels] * plan.adapts]
     if plan.traces_rays:
         modules += [mesh_trace_kernels]
     if launcher.is_cuda:

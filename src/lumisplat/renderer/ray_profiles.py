@@ -116,7 +116,7 @@ class RayProfiles:
         self, scene: DeviceScene, origins: FloatArray, directions: FloatArray
     ) -> Iterator[tuple[int, PrimaryHits]]:
         """What rays hit, batch by batch, and how many they are; the arrays are those of the last batch."""
-        scene.begin_sample(0, is_last=True)
+        scene.begin_sample(0)
         for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32)):
             rays = self._rays.allocate(len(batch[0]))
             self._rays.load(scene, first, len(batch[0]), self._rays.upload(batch), rays)

@@ -14,7 +14,7 @@ from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
 from lumisplat.device.structs.film import FilmData
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
-from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
 from lumisplat.renderer.given_rays import GivenRays, batches
 from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.ray_profiles import RayProfile
@@ -111,7 +111,7 @@ class RayQueries:
     ) -> FloatArray:
         """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts."""
         parts: list[FloatArray] = []
-        scene.begin_sample(0, is_last=True)
+        scene.begin_sample(0)
         for first, batch in batches(origins, directions, distances):
             count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
             self._rays.load(scene, first, count, self._rays.upload(batch), rays)
@@ -131,21 +131,26 @@ class RayQueries:
         count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
         inputs = self._rays.upload(batch)
         pixels = PixelBuffers.of(self._buffers, (len(rays.t_max), 1))
-        nonfinite = self._buffers.get("rays.nonfinite", wp.int32, len(rays.t_max))
-        nonfinite.zero_()
+        finite = self._buffers.get("rays.count", wp.int32, len(rays.t_max))
+        finite.zero_()
         row = FilmData()
-        row.pixels, row.nonfinite = pixels.data, nonfinite
+        row.pixels, row.count = pixels.data, finite
+        if samples > 1:
+            row.sums, sums = pixel_sums(self._buffers, len(rays.t_max), is_lit=False)
+            sums.zero_()
         film = self._buffers.upload("rays.film", FilmData, rows_of([row]))
         for sample in range(samples):
-            scene.begin_sample(sample, is_last=sample == samples - 1)
+            scene.begin_sample(sample)
             self._rays.load(scene, first, count, inputs, rays)
             hits = self._tracer.find_hits(scene, rays, "rays")
             wave = self._integrators.of(plan).shade(scene, plan, hits, sample)
             if plan.is_lit:
                 self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, film)
+        if samples > 1:
+            self._launcher.run_banded(film_kernels.average_samples, len(rays.t_max), film)
         images = {name: image[0, :count] for name, image in pixels.download().items()}
-        return images, int(nonfinite.numpy()[:count].sum())
+        return images, samples * count - int(finite.numpy()[:count].sum(dtype=np.int64))
 
 
 def tracing(config: RenderConfig | None) -> RenderConfig:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy.typing as npt
 
 from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.checks import check_resumable, check_scene, checked_config
+from lumisplat.renderer.checks import check_resumable, check_samples, check_scene, checked_config
 from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
@@ -28,6 +30,7 @@ from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
 from lumisplat.renderer.ray_profiles import RayProfiles
 from lumisplat.renderer.ray_queries import RayHits, RayQueries
+from lumisplat.renderer.sample_budget import SampleBudget
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -86,9 +89,10 @@ class Renderer:
             scene: What to draw. Assets of the last frame are not uploaded again. If a capture replaces another one with
                 as many Gaussians, the ray tracer refits the hierarchy instead of building a new one.
             camera: From where.
-            resume: A ray-traced frame of the same scene, view and settings: ``samples`` more are added to its
-                mean, as if all had been rendered at once.
-            progress: Called with a label and the fraction of the samples done, 0..1.
+            resume: A frame of samples of the same scene, view and settings, but for ``samples`` and ``time_limit``:
+                more are added to it, as if all had been rendered at once.
+            progress: Called after each sample with a label and the fraction done, 0..1. The label has the number of
+                samples and, once they are enough to tell, their noise, after commas.
 
         Raises:
             ConfigError: ``resume`` is no frame, has another camera or other settings, is not ray traced, or has too
@@ -115,33 +119,41 @@ class Renderer:
                 images = self._film.unlit_images(pixels, transparent=self.config.background is None)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
-        images, counts, end = self._sampled(plan, camera.exposure, resume, progress)
-        return self._frame(scene, camera, images, counts, samples=end)
+        images, counts, budget = self._sampled(plan, camera.exposure, resume, progress)
+        return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
     def _sampled(
         self, plan: FramePlan, exposure: float, resume: Frame | None, progress: Progress | None
-    ) -> tuple[dict[str, Any], BinningCounts, int]:
-        """The images of the synced scene by samples, what was counted, and the samples of a pixel, resumed ones too."""
+    ) -> tuple[dict[str, Any], BinningCounts, SampleBudget]:
+        """The images of the synced scene by samples, what was counted, and how many samples of what noise there are."""
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
-        end = first + plan.samples
-        self._grain.warn_of(plan, end)
-        integrator = self._integrators.of(plan)
-        for sample in range(first, end):
-            self._scene.begin_sample(sample, is_last=sample == end - 1)
-            hits = self._find_hits(plan)
-            wave = integrator.shade(self._scene, plan, hits, sample)
-            lights = integrator.light_images(self._scene, plan, hits)
-            self._film.add(self._scene, wave, lights)
+        self._grain.warn_of(plan, first + plan.samples)
+        is_estimated = plan.noise is not None or plan.time_limit is not None or progress is not None
+        budget = SampleBudget(plan, first, partial(self._film.noise, exposure) if is_estimated else None)
+        while not budget.is_spent:
+            self._draw_sample(plan, exposure, budget.done)
+            budget.add()
             if progress:
-                progress("tracing", (sample - first + 1) / plan.samples)
+                progress(budget.label, budget.fraction)
+        budget.warn_of_noise()
         with self._launcher.stage("download"):
-            images = self._film.images(len(self._scene.lights.names), exposure, self.config)
+            images = self._film.images(exposure, self.config)
             if "lights" in plan.aovs:
                 images["light_names"] = self._scene.lights.names
             counts = self._binning.counts if plan.rasterises else BinningCounts()
             counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count)
-            return images, counts, end
+            return images, counts, budget
+
+    def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
+        """Adds a sample of each pixel to the film."""
+        self._scene.begin_sample(sample)
+        hits = self._find_hits(plan, self._film.rays_of(sample, exposure))
+        integrator = self._integrators.of(plan)
+        wave = integrator.shade(self._scene, plan, hits, sample)
+        self._film.add(self._scene, wave, integrator.light_images(self._scene, plan, hits))
+        if plan.time_limit is not None:
+            self._launcher.synchronize()
 
     def trace_rays(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, *, profile: bool = False
@@ -185,6 +197,7 @@ class Renderer:
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
         """Refuses what cannot be drawn, and logs what is drawn differently."""
+        check_samples(self.config, plan, resume)
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
         if plan.traces_paths and (missing := {"lights", "reflection"} & plan.aovs):
@@ -198,17 +211,18 @@ class Renderer:
         if plan.is_lit and self.config.pipeline is Pipeline.RASTER:
             self._warnings.warn_of_mirrors(scene)
 
-    def _find_hits(self, plan: FramePlan) -> PrimaryHits:
+    def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """The hits of the camera's rays of the current sample, rasterised or traced; on CUDA by a captured graph."""
+        count = 0 if listed is None else len(listed.place)
 
         def find() -> PrimaryHits:
-            rays = self._camera_rays.start(self._scene)
+            rays = self._camera_rays.start(self._scene, listed)
             if plan.rasterises:
                 return self._raster.find_hits(self._scene, rays)
             return self._tracer.find_hits(self._scene, rays, "camera")
 
         while True:
-            hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth), find)
+            hits = self._launcher.replay("hits", (self._scene.graph_key, self._binning.growth, count), find)
             if not plan.rasterises or self._binning.finish():
                 return hits
 
@@ -219,7 +233,14 @@ class Renderer:
             self._loaded |= {id(module) for module in missing}
 
     def _frame(
-        self, scene: Scene, camera: Camera, images: dict[str, Any], counts: BinningCounts, *, samples: int
+        self,
+        scene: Scene,
+        camera: Camera,
+        images: dict[str, Any],
+        counts: BinningCounts,
+        *,
+        samples: int,
+        noise: float | None = None,
     ) -> Frame:
         return Frame.of(
             images,
@@ -236,6 +257,7 @@ class Renderer:
                 pair_count=counts.pairs,
                 triangle_count=scene.face_count,
                 memory_bytes=self._scene.bytes + self._buffers.bytes,
+                noise=noise,
             ),
         )
 

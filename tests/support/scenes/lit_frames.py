@@ -65,6 +65,7 @@ def ball_frame(
     images |= {"hits": np.where(floor, 4.0 * depth, np.where(veil > 0.0, 3.0, 0.0)), "depth": depth, "normal": normal}
     images |= {"light_direct": np.stack(direct), "light_shadow": np.stack(shadow), "alpha": alpha}
     images["color"] = captured_radiance(captured, weight) + light
+    images["variance"] = 0.01 * images["color"] ** 2
     images = {name: np.asarray(image, np.float32) for name, image in images.items()}
     frame = Frame(
         color=images["color"],
@@ -79,6 +80,7 @@ def ball_frame(
         samples=1,
         config=RenderConfig(background=background, tone_map=tone_map),
         light_names=tuple(LIGHTS),
+        sample_count=np.where(ball, 9, 4).astype(np.int32),
     )
     return replace(frame, **images)
 

@@ -104,7 +104,7 @@ class RayRig:
             self.scene, self._config = DeviceScene(self._launcher, Buffers(self._launcher.device), config), config
         plan = FramePlan.of(config, scene)
         self.scene.sync(scene, front_camera(), plan)
-        self.scene.begin_sample(0, is_last=True)
+        self.scene.begin_sample(0)
         return plan
 
     def _rays(

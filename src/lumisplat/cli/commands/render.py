@@ -14,7 +14,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
-from lumisplat.cli.output.console import Report, progress_bars
+from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
@@ -47,8 +47,8 @@ class Render(FrameCommand):
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Also write some of depth, normal, gaussian_index, instance_index, position and, of lit frames, albedo, emission,
-    reflection, lights, hits (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also as 16-bit
-    NAME.depth16.png, whose range is printed. An NPZ has them all."""
+    reflection, lights, hits, variance, sample_count (with commas): into the EXR, or beside the PNG as NAME.depth.png,
+    depth also as 16-bit NAME.depth16.png, whose range is printed. An NPZ has them all."""
     view: Annotated[
         ViewName | None,
         arg(metavar="{normal,depth,index,shadow,hits,transmittance}", help_behavior_hint=""),
@@ -93,22 +93,26 @@ class Render(FrameCommand):
             for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
             shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-            self._render(shots, self.frame_source(renderer), scene, writer, report)
-        print(_summary(shots))
+            frame = self._render(shots, self.frame_source(renderer), scene, writer, report)
+        print(_summary(shots, frame))
         if writer.legend:
             print(writer.legend)
 
     def _render(
         self, shots: list[Shot], source: FrameSource, scene: ls.Scene, writer: FrameWriter, report: Report
-    ) -> None:
+    ) -> ls.Frame:
+        """Renders and writes the pictures; returns the frame of the last one."""
         make_folder(shots[0].path.parent)
         progress = FrameProgress(report, "rendering", len(shots), "--frame" if self.path is None else "--fps")
-        for done, shot in enumerate(shots, start=1):
+        frame: ls.Frame | None = None
+        for shot in shots:
             frame = source.frame(scene, shot.camera, report)
             writer.write(frame, shot.path)
             progress.add(frame)
-            if self.stats and done == len(shots):
-                print_stats(frame, source.renderer.config.pipeline)
+        assert frame is not None
+        if self.stats:
+            print_stats(frame, source.renderer.config.pipeline)
+        return frame
 
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""
@@ -139,9 +143,17 @@ class Render(FrameCommand):
         return shots
 
 
-def _summary(shots: list[Shot]) -> str:
-    """What was written, in a line."""
+def _summary(shots: list[Shot], frame: ls.Frame) -> str:
+    """What was written, in a line; ``frame`` is that of the last picture."""
     first = shots[0]
     if len(shots) == 1:
-        return f"{first.path} ({first.camera.width} x {first.camera.height})"
+        return f"{first.path} ({first.camera.width} x {first.camera.height}){_samples(frame)}"
     return f"{len(shots)} pictures in {first.path.parent}"
+
+
+def _samples(frame: ls.Frame) -> str:
+    """How many samples a frame has, and their noise, if their number was not given."""
+    config, noise = frame.config, frame.stats.noise if frame.stats else None
+    if config is None or (config.time_limit is None and config.noise is None) or not frame.samples:
+        return ""
+    return f", {counted(frame.samples, 'sample')}" + (f", noise {noise:.3f}" if noise is not None else "")

@@ -12,6 +12,7 @@ from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.settings import Changes, setting, without_none
 
 PipelineName = Literal["raster", "trace", "hybrid", "path"]
+_ADAPTIVE = {"auto": None, "on": True, "off": False}
 StrategyName = Literal["sorted", "stochastic-hit", "stochastic-pass"]
 
 
@@ -25,6 +26,13 @@ class RayOptions:
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
     """Rays a pixel; more of them smooth edges and average noise. auto: 64 paths; else as many as random light needs, 16
     under an environment (8 for captures alone) and for soft shadows of lights that have a size, else 1."""
+    time: Annotated[float | Literal["off"] | None, setting("SECONDS", "off")] = None
+    """Take samples for so long, for each frame; --samples are then the most of them."""
+    noise: Annotated[float | Literal["off"] | None, setting("0..1", "off")] = None
+    """Take samples until 95 % of the pixels have at most this relative error, such as 0.02; --samples are then the most
+    of them. Noisy pixels get more of them than others, see --adaptive."""
+    adaptive: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
+    """Whether noisy pixels have more samples than others, with --pipeline trace and path; auto: with --noise."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Another one gives other noise, the same one the same image."""
     max_bounces: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
@@ -82,6 +90,11 @@ class RayOptions:
         changes = without_none(frame) | {name: without_none(group) for name, group in groups.items()}
         if self.samples == "auto":
             changes["samples"] = None
+        for setting_name, value in (("time_limit", self.time), ("noise", self.noise)):
+            if value is not None:
+                changes[setting_name] = None if value == "off" else value
+        if self.adaptive is not None:
+            changes["adaptive"] = _ADAPTIVE[self.adaptive]
         if self.hit_distance == "auto":
             changes["trace"]["hit_distance"] = None
         return changes

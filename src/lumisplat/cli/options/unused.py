@@ -9,7 +9,7 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.rays import RayOptions
 from lumisplat.cli.options.settings import given_options
 
-_OF_SAMPLES = ("samples", "seed", "no_jitter")
+_OF_SAMPLES = ("samples", "time", "noise", "seed", "no_jitter")
 _OF_SHADOW_RAYS = ("kernel_degree", "min_response", "no_adaptive_clamping")
 _OF_SHADOWS = (
     *("shadow_method", "shadow_hits", "shadow_offset", "shadow_offset_absolute", "shadow_threshold", "shadow_color"),

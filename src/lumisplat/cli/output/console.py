@@ -21,7 +21,8 @@ Report = Callable[[str, float], None]
 def progress_bars() -> Generator[Report]:
     """Shows a bar for each label from its first report until its fraction is 1, and again if it is reported again.
 
-    Only on a terminal, with the time that is left at the pace so far; bars vanish at the end.
+    What stands after a comma in a label may change from report to report: it is shown, and the bar stays. Only on a
+    terminal, with the time that is left at the pace so far; bars vanish at the end.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -33,14 +34,16 @@ def progress_bars() -> Generator[Report]:
         tasks: dict[str, tuple[TaskID, float]] = {}
 
         def report(label: str, fraction: float) -> None:
+            name = label.partition(", ")[0]
             if fraction >= 1.0:
-                if label in tasks:
-                    bars.remove_task(tasks.pop(label)[0])
+                if name in tasks:
+                    bars.remove_task(tasks.pop(name)[0])
                 return
-            if label not in tasks:
-                tasks[label] = bars.add_task(label, total=1.0, left=""), time.monotonic()
-            task, begun = tasks[label]
-            bars.update(task, completed=fraction, left=_time_left(time.monotonic() - begun, fraction))
+            if name not in tasks:
+                tasks[name] = bars.add_task(label, total=1.0, left=""), time.monotonic()
+            task, begun = tasks[name]
+            left = _time_left(time.monotonic() - begun, fraction)
+            bars.update(task, description=label, completed=fraction, left=left)
 
         yield report
 

@@ -31,4 +31,8 @@ def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:
     rows = [("Gaussians", f"{stats.gaussian_count:,}"), ("triangles", f"{stats.triangle_count:,}")]
     if pipeline is not ls.Pipeline.TRACE:
         rows += [("visible", f"{stats.visible_count:,}"), ("tile pairs", f"{stats.pair_count:,}")]
+    if frame.samples:
+        rows += [("samples", f"{frame.samples:,}")]
+    if stats.noise is not None:
+        rows += [("noise", f"{stats.noise:.4f}")]
     return [*rows, ("not finite", f"{stats.nonfinite_count:,}"), ("memory", byte_size(stats.memory_bytes))]

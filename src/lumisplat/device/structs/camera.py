@@ -58,7 +58,17 @@ class SampleData:
     """The current sample of each pixel. Lives in a 1-element array."""
 
     index: int
-    """From 0."""
+    """From 0; where some pixels have fewer samples than others, the number in those that have all."""
     seed: wp.uint32
-    is_last: int
-    """1: the last one that this call adds, after which the linear colour of lit pixels is computed."""
+
+
+@struct
+class ListedRays:
+    """The rays of those pixels that a sample is drawn for, in the order of all; without elements: all pixels' rays."""
+
+    place: wp.array[int]
+    """Of the ray among those of all pixels; -1: there is none."""
+    sample: wp.array[int]
+    """Number of the sample in its pixel."""
+    offset: wp.array[wp.vec2]
+    """Position of the sample in its pixel, 0..1."""

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.declare import struct
 
 TONE_NONE: int = wp.constant(0)
@@ -40,6 +41,34 @@ class LitPixels:
 
 
 @struct
+class PixelSums:
+    """Sums over the samples of each pixel, in double precision: means and variances of 100,000 samples lose nothing."""
+
+    color: wp.array[wp.vec3d]
+    """Of what `PixelData` and `LitPixels` have the means of."""
+    alpha: wp.array[wp.float64]
+    captured_weight: wp.array[wp.float64]
+    """Like ``light`` without elements in an unlit frame."""
+    light: wp.array[wp.vec3d]
+    radiance: wp.array[wp.vec3d]
+    """Of what the variance is of: linear radiance; in an unlit frame its display-referred colour."""
+    squares: wp.array[wp.vec3d]
+    """Of the squared deviations of that from its mean."""
+
+
+@struct
+class PixelSample:
+    """What a sample adds to those sums."""
+
+    color: wp.vec3
+    alpha: float
+    captured_weight: float
+    light: wp.vec3
+    capture_factor: wp.vec3
+    """Share of the captured colour that shadows leave."""
+
+
+@struct
 class FilmData:
     """The film, in a 1-element array: kernels take it by reference, for the reason that `WaveData` gives."""
 
@@ -51,8 +80,11 @@ class FilmData:
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
     """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
-    nonfinite: wp.array[int]
-    """Samples of each pixel that were not finite."""
+    count: wp.array[int]
+    """Samples of each pixel that were finite, which alone count."""
+    sums: PixelSums
+    """Without elements in frames of one sample, whose values ``pixels`` and ``lit`` hold."""
+    listed: ListedRays
 
 
 @struct

@@ -7,27 +7,32 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import RenderConfig
-from lumisplat.constants import COUNT_SUM_THREADS
-from lumisplat.device.structs.film import FilmData, LitPixels, PixelData
+from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
+from lumisplat.device.structs.camera import ListedRays
+from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums
+from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
+from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
-from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_of
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
 
 
 class Film:
-    """Running means of what the rays of pixels see.
+    """Sums over what the rays of pixels see.
 
     Args:
         launcher: Runs the kernels.
@@ -37,56 +42,97 @@ class Film:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._size = (0, 0)
+        self._light_count = 0
+        self._drawn = 0
+        self._adaptive = AdaptiveRays(launcher, buffers)
 
     def begin(self, scene: DeviceScene, plan: FramePlan, resume: Frame | None = None) -> None:
-        """Starts a frame, or resumes one to add more samples to it."""
+        """Starts a frame, or resumes one to add more samples to it.
+
+        Raises:
+            ConfigError: That frame does not hold what samples are added to.
+        """
         self._plan = plan
         self._size = scene.image_size
+        self._light_count = len(scene.lights.names)
+        self._has_sums = plan.samples > 1 or resume is not None or plan.has_shadow_only
         row = FilmData()
         row.width, row.height, row.in_blocks = *self._size, 1
-        row.pixels, row.nonfinite = self._pixels.data, self._nonfinite
+        row.pixels, row.count = self._pixels.data, self._count
         if plan.is_lit:
             row.lit = self._lit.data
         if plan.has_shadow_only:
             row.capture_factor = self._image("capture_factor")
+        if self._has_sums:
+            row.sums = self._sums[0]
+            self._sums[1].zero_()
+        if plan.adapts:
+            self._adaptive.begin(self._size)
+            row.listed = self._adaptive.listed
         self._data = self._buffers.upload("film", FilmData, rows_of([row]))
-        self._nonfinite.zero_()
+        self._count.zero_()
+        self._drawn = 0
         if resume is not None:
             self._restore(resume)
 
+    def rays_of(self, sample: int, exposure: float) -> ListedRays | None:
+        """The rays of the pixels that take part in a sample; None: all do.
+
+        Args:
+            sample: Its number in pixels that take part in all.
+            exposure: Of the camera.
+        """
+        if not self._plan.adapts:
+            self._drawn += self._pixel_count
+            return None
+        if sample == NOISE_SAMPLES_MIN:
+            self._adaptive.decide(self._data, least_luminance(exposure, is_lit=self._plan.is_lit))
+        listed, drawn = self._adaptive.list(sample, jitters=self._plan.jitters)
+        self._drawn += drawn
+        return listed
+
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         """Adds the scene's current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
-        self._launcher.replay("store", scene.graph_key, lambda: self._store(scene, wave, lights))
+        self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
+
+    def noise(self, exposure: float) -> float:
+        """The relative error that `NOISE_PIXELS` of the pixels are estimated to be below.
+
+        Args:
+            exposure: Of the camera: how dark a pixel is seen.
+        """
+        errors = self._buffers.get("film.errors", wp.float32, self._pixel_count)
+        with self._launcher.stage("noise"):
+            least = least_luminance(exposure, is_lit=self._plan.is_lit)
+            self._launcher.run_banded(film_kernels.relative_errors, self._pixel_count, least, self._data, errors)
+            return quantile(errors.numpy(), NOISE_PIXELS)
 
     def _store(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         with self._launcher.stage("store"):
-            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
-            if self._launcher.is_parallel:  # then the frame's count is one number to download
-                self._nonfinite_total.zero_()
-                self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._nonfinite, self._nonfinite_total)
             for name, values in self._sampled_images(wave, lights).items():
-                self._launcher.run_banded(
-                    film_kernels.add_image, wave.count, scene.shading, self._data, values, self._image(name)
-                )
+                inputs = scene.shading, wave.data, self._data, values, self._image(name)
+                self._launcher.run_banded(film_kernels.add_image, wave.count, *inputs)
+            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool) -> dict[str, Any]:
         """As ``images``, of a frame whose ``pixels`` were drawn in one go."""
         encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
         return self._copied(pixels, {}, encode, transparent=transparent)[1]
 
-    def images(self, light_count: int, exposure: float, config: RenderConfig) -> dict[str, Any]:
+    def images(self, exposure: float, config: RenderConfig) -> dict[str, Any]:
         """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them.
 
         Args:
-            light_count: Lights of the frame, for its layers.
             exposure: Of the camera, for the picture that is encoded on CUDA.
             config: Says how that is shown.
         """
+        self._average()
         transparent = config.background is None
-        layers = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
-        if "lights" in self._plan.aovs:
-            layers += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(light_count)]
-        arrays = {name: self._image(name) for name in layers}
+        arrays = self._accumulated()
+        accumulated = [*arrays]
+        if "variance" in self._plan.aovs:
+            arrays["variance"] = self._image("variance")
+            self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, arrays["variance"])
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
             display = picture_data(exposure, config.tone_map, transparent=transparent)
@@ -98,12 +144,19 @@ class Film:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
             images |= {"color": lit["color"], "color_space": "linear"}
-        for name in ("albedo", "emission", "reflection"):
+        return images | self._layer_images(copies) | {"accumulated": copies.give(partial(_words, copies, accumulated))}
+
+    def _layer_images(self, copies: Copies) -> dict[str, Any]:
+        """The layers that the frame asks for."""
+        images: dict[str, Any] = {}
+        size, light_count = self._size, self._light_count
+        for name in ("albedo", "emission", "reflection", "variance"):
             if name in self._plan.aovs:
-                images[name] = copies.give(partial(self._layer, self._size, copies, name))
-        size = self._size
+                images[name] = copies.give(partial(self._layer, size, copies, name))
         if "hits" in self._plan.aovs:
             images["hits"] = copies.give(lambda: self._layer(size, copies, "hits")[..., 0])
+        if "sample_count" in self._plan.aovs:
+            images["sample_count"] = copies.give(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
         if "lights" in self._plan.aovs:
             images["light_direct"] = copies.give(lambda: self._layers(size, copies, "direct", light_count))
             images["light_shadow"] = copies.give(lambda: self._shadow_shares(size, copies, light_count))
@@ -111,11 +164,13 @@ class Film:
 
     @property
     def nonfinite_count(self) -> int:
-        """Samples since ``begin`` whose colour was NaN or infinite."""
-        if self._launcher.is_parallel:
-            return int(self._nonfinite_total.numpy()[0])
-        counts = self._nonfinite.numpy()
-        return int(counts.sum()) if counts.any() else 0
+        """Samples of the frame that were left out as they were NaN or infinite."""
+        if self._launcher.is_parallel:  # one number to download
+            total = self._buffers.get("film.count_total", wp.int64, 1)
+            total.zero_()
+            self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, total)
+            return self._drawn - int(total.numpy()[0])
+        return self._drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
         """The layers of the sample, an array of wp.vec3 each."""
@@ -124,11 +179,28 @@ class Film:
             for name in ("albedo", "emission", "reflection")
             if name in self._plan.aovs
         }
+        if self._plan.has_shadow_only:
+            images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:
             images["hits"] = self._buffers.get("film.hit_counts", wp.vec3, wave.count)
             self._launcher.run_banded(film_kernels.count_hits, wave.count, wave.data, images["hits"])
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
+
+    def _average(self) -> None:
+        """Makes the images of the sums, if there are any."""
+        if self._has_sums:
+            self._launcher.run_banded(film_kernels.average_samples, self._pixel_count, self._data)
+
+    def _accumulated(self) -> dict[str, DeviceArray]:
+        """What samples are added to, by name."""
+        names = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
+        names += ["capture_factor"] * self._plan.has_shadow_only
+        if "lights" in self._plan.aovs:
+            names += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(self._light_count)]
+        arrays: dict[str, DeviceArray] = {"count": self._count} | {name: self._image(name) for name in names}
+        arrays |= {"rates": self._adaptive.rates} if self._plan.adapts else {}
+        return arrays | ({"sums": self._sums[1]} if self._has_sums else {})
 
     def _copied(
         self,
@@ -165,7 +237,25 @@ class Film:
         return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
     def _restore(self, frame: Frame) -> None:
-        """Uploads the images of a frame whose samples are continued."""
+        """Uploads what samples are added to, and the images that they leave as they are."""
+        held = frame.accumulated or {}
+        arrays = self._accumulated()
+        implied = {"sums"} if frame.samples == 1 else set[str]()  # its images are that sample
+        if missing := arrays.keys() - held.keys() - implied:
+            names = ", ".join(sorted(missing))
+            raise ConfigError(f"cannot resume a frame that does not hold what samples are added to: {names}")
+        self._upload_images(frame)
+        for name, array in arrays.items():
+            if name in held:
+                array.assign(_elements(held[name], array))
+        if "sums" not in held:
+            self._launcher.run_banded(film_kernels.restore_sums, self._pixel_count, self._data)
+        self._drawn = frame.samples * self._pixel_count
+        if self._plan.adapts:
+            self._drawn = self._adaptive.drawn_before(frame.samples)
+
+    def _upload_images(self, frame: Frame) -> None:
+        """Uploads the images of a frame."""
         self._pixels.upload(
             {
                 "color": frame.color if frame.captured is None else frame.captured,
@@ -196,12 +286,12 @@ class Film:
         return PixelBuffers.of_light(self._buffers, self._size)
 
     @property
-    def _nonfinite(self) -> DeviceArray:
-        return self._buffers.get("film.nonfinite", wp.int32, self._pixel_count)
+    def _count(self) -> DeviceArray:
+        return self._buffers.get("film.count", wp.int32, self._pixel_count)
 
     @property
-    def _nonfinite_total(self) -> DeviceArray:
-        return self._buffers.get("film.nonfinite_total", wp.int64, 1)
+    def _sums(self) -> tuple[PixelSums, DeviceArray]:
+        return pixel_sums(self._buffers, self._pixel_count, is_lit=self._plan.is_lit)
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
@@ -209,3 +299,15 @@ def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[s
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images
+
+
+def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:
+    """32-bit words as the elements of an array."""
+    if array.dtype is wp.int32:
+        return words.view(np.int32)
+    return words.reshape(-1, 3) if array.dtype is wp.vec3 else words
+
+
+def _words(copies: Copies, names: list[str]) -> dict[str, FloatArray]:
+    """Copies of arrays, as their 32-bit words."""
+    return {name: copies.words(name) for name in names}

@@ -1,13 +1,25 @@
-"""Adds the radiance of rays to the film, as running means over the samples. One item is one ray."""
+"""Adds the samples of rays to the film, and makes its images of them. One item is one ray, or one pixel."""
 
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
 from lumisplat.device.film.first_surface import first_surface
-from lumisplat.device.film.running_mean import add_color, add_light, add_sample, develop, is_finite
+from lumisplat.device.film.running_mean import add_color
+from lumisplat.device.film.sample_sums import (
+    add_to_sums,
+    develop,
+    is_finite_sample,
+    mean_sample,
+    relative_variance,
+    sample_of_pixel,
+    sample_of_ray,
+    sample_variance,
+    store_sample,
+    store_surface,
+)
 from lumisplat.device.math.color import captured_color
-from lumisplat.device.structs.film import FilmData
+from lumisplat.device.structs.film import FilmData, PixelSample
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
@@ -18,13 +30,30 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
-    """The pixel of a ray; -1 beyond the image."""
+    """The pixel of a ray; -1: it has none, beyond the image or the list of rays."""
     if film[0].in_blocks == 0:
         return ray
-    position = pixel_of_ray(film[0].width, ray)
+    place = ray
+    if film[0].listed.place:
+        place = film[0].listed.place[ray]
+        if place < 0:
+            return -1
+    position = pixel_of_ray(film[0].width, place)
     if position[0] >= film[0].width or position[1] >= film[0].height:
         return -1
     return position[1] * film[0].width + position[0]
+
+
+@wp.func
+def surface_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
+    """The first surface on a ray; nothing where there is no ray."""
+    surface = FirstSurface()
+    surface.depth = wp.inf
+    surface.gaussian = -1
+    surface.instance = -1
+    if wave[0].rays.is_active[i]:
+        surface = first_surface(i, scene, wave)
+    return surface
 
 
 @wp.kernel
@@ -34,33 +63,62 @@ def add_samples(
     wave: wp.array[WaveData],
     film_inout: wp.array[FilmData],
 ):
-    """Adds a sample to the means, and stores the surface that the first sample hits.
+    """Adds a sample to the sums of pixels, and stores the surface that the first one hits.
 
-    Light that is not finite becomes 0, and is counted.
+    Samples that are not finite are left out, and not counted. Without sums, the sample makes the images.
     """
     i = start + wp.tid()
     pixel = pixel_index(i, film_inout)
     if pixel < 0:
         return
-    sample = scene[0].sample[0].index
-    surface = FirstSurface()
-    surface.depth = wp.inf
-    surface.gaussian = -1
-    surface.instance = -1
-    if sample == 0 and wave[0].rays.is_active[i]:
-        surface = first_surface(i, scene, wave)
-    captured, alpha = wave[0].radiance.captured[i], wave[0].radiance.alpha[i]
-    add_sample(pixel, sample, captured, alpha, surface, film_inout)
-    if film_inout[0].lit.light:
-        light = wave[0].radiance.light[i]
-        if not is_finite(light):
-            light = wp.vec3(0.0)
-            film_inout[0].nonfinite[pixel] = film_inout[0].nonfinite[pixel] + 1
-        add_light(pixel, sample, wave[0].radiance.captured_weight[i], light, film_inout)
-        if film_inout[0].capture_factor:
-            add_color(pixel, sample, wave[0].radiance.capture_factor[i], film_inout[0].capture_factor)
-        if scene[0].sample[0].is_last != 0:
+    if scene[0].sample[0].index == 0:
+        store_surface(pixel, surface_of_ray(i, scene, wave), film_inout)
+    sample = PixelSample()
+    if is_finite_sample(i, film_inout, wave):
+        film_inout[0].count[pixel] = film_inout[0].count[pixel] + 1
+        sample = sample_of_ray(i, film_inout, wave)
+        if film_inout[0].sums.color:
+            add_to_sums(pixel, sample, film_inout)
+    if not film_inout[0].sums.color:
+        store_sample(pixel, sample, film_inout)
+        if film_inout[0].lit.light:
             develop(pixel, film_inout)
+
+
+@wp.kernel
+def restore_sums(start: int, film_inout: wp.array[FilmData]):
+    """Item = pixel: the sums of a frame of one sample, from its images."""
+    pixel = start + wp.tid()
+    if film_inout[0].count[pixel] == 1:
+        add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
+
+
+@wp.kernel
+def average_samples(start: int, film_inout: wp.array[FilmData]):
+    """Item = pixel: makes the images of the sums."""
+    pixel = start + wp.tid()
+    store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
+    if film_inout[0].lit.light:
+        develop(pixel, film_inout)
+
+
+@wp.kernel
+def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.array[wp.vec3]):
+    """Item = pixel: the variance of the mean; inf where there are fewer than two samples."""
+    pixel = start + wp.tid()
+    count = film[0].count[pixel]
+    variance_out[pixel] = wp.vec3(wp.inf)
+    if count >= 2:
+        variance_out[pixel] = wp.vec3(sample_variance(pixel, film) / wp.float64(count))
+
+
+@wp.kernel
+def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
+    """Item = pixel: the standard error of the mean over its luminance, or over ``least`` where it is darker."""
+    pixel = start + wp.tid()
+    errors_out[pixel] = wp.inf
+    if film[0].count[pixel] >= 2:
+        errors_out[pixel] = wp.sqrt(relative_variance(pixel, least, film) / float(film[0].count[pixel]))
 
 
 @wp.kernel
@@ -78,15 +136,20 @@ def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
 def add_image(
     start: int,
     scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
     film: wp.array[FilmData],
     values: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
 ):
-    """Adds a sample of any colour to the means of an image."""
+    """Adds a sample of any colour to the means of an image, before ``add_samples`` counts the sample."""
     i = start + wp.tid()
     pixel = pixel_index(i, film)
-    if pixel >= 0:
-        add_color(pixel, scene[0].sample[0].index, values[i], image_inout)
+    if pixel < 0:
+        return
+    if is_finite_sample(i, film, wave):
+        add_color(pixel, film[0].count[pixel], values[i], image_inout)
+    elif scene[0].sample[0].index == 0:
+        image_inout[pixel] = wp.vec3(0.0)
 
 
 @wp.kernel

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.structs.film import LitPixels, PixelData
+from lumisplat.device.structs.film import LitPixels, PixelData, PixelSums
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Copies, Downloads
 
@@ -29,6 +29,12 @@ FIELDS = (
 
 LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
 """The same of ``LitPixels``."""
+
+SUM_FIELDS = (("color", wp.vec3d, 6), ("alpha", wp.float64, 2), ("radiance", wp.vec3d, 6), ("squares", wp.vec3d, 6))
+"""The same of ``PixelSums``."""
+
+LIT_SUM_FIELDS = (("captured_weight", wp.float64, 2), ("light", wp.vec3d, 6))
+"""Further arrays of ``PixelSums`` in lit frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,16 @@ class PixelBuffers(Generic[Pixels]):
             reads[field] = partial(_image, copies, (name, first, count), shape, number)
             first += count
         return reads
+
+
+def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums, DeviceArray]:
+    """The sums of ``count`` pixels, and the memory that holds them, as float32."""
+    fields = SUM_FIELDS + (LIT_SUM_FIELDS if is_lit else ())
+    block, arrays = buffers.split("pixel_sums", fields, count)
+    sums = PixelSums()
+    for field, array in arrays.items():
+        setattr(sums, field, array)
+    return sums, block
 
 
 def _image(

@@ -137,9 +137,9 @@ class DeviceScene:
             self._launcher.drop_graphs()
             self._synced = self.graph_key
 
-    def begin_sample(self, index: int, *, is_last: bool) -> None:
+    def begin_sample(self, index: int) -> None:
         """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
-        self._sample["index"], self._sample["is_last"] = index, is_last
+        self._sample["index"] = index
         assign_table(self.sample, self._sample)
         assign_table(self.camera, camera_table(self._camera, subpixel(index if self._jitters else 0)))
 

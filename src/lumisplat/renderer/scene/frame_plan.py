@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lumisplat.config import PathPrimary, Pipeline, RasterStrategy, RenderConfig, Shadows
+from lumisplat.config import PathPrimary, Pipeline, RasterStrategy, RenderConfig, ShadowMethod, Shadows
 from lumisplat.constants import (
     PATH_BOUNCES,
     SAMPLES_OF_ALPHA,
     SAMPLES_OF_PATHS,
     SAMPLES_OF_RANDOM_LIGHT,
     SAMPLES_OF_SKY_ON_SPLATS,
+    SAMPLES_OPEN,
     SPECULAR_BOUNCES,
 )
 from lumisplat.renderer.scene.materials import emits_capture_only, is_relit
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
+
+UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
+"""Further images that unlit frames have, too."""
 
 SKY = "the environment"
 SOFT_LIGHTS = "lights that have a size"
@@ -71,7 +75,13 @@ class FramePlan:
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     samples: int
-    """Samples a pixel; of no meaning unless the frame is sampled."""
+    """Samples a pixel, at most; of no meaning unless the frame is sampled."""
+    time_limit: float | None
+    """Seconds after which no sample begins."""
+    noise: float | None
+    """Relative error of most pixels at which the frame ends."""
+    adapts: bool
+    """Noisy pixels have more samples than others."""
     jitters: bool
     """Samples spread over their pixel. Those that nobody asked for do not where captures are kept: what shows only
     such a capture stays as captured."""
@@ -115,7 +125,7 @@ class FramePlan:
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         has_blockers = splat_shadows.exist or bool(scene.meshes)
         casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
-        aovs = frozenset(config.aovs) if is_lit else frozenset({"hits"} & set(config.aovs))
+        aovs = frozenset(config.aovs) if is_lit else UNLIT_AOVS & frozenset(config.aovs)
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
@@ -125,6 +135,7 @@ class FramePlan:
         samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
         samples_wanted = max(samples_wanted, SAMPLES_OF_ALPHA if is_dithered else 1)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
+        is_open = config.time_limit is not None or config.noise is not None
         return cls(
             is_lit=is_lit,
             rasterises=rasterises,
@@ -136,8 +147,11 @@ class FramePlan:
             splat_shadows=splat_shadows,
             spawns_shadow_rays=casts_shadows or traces_paths or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
-            samples=config.samples or samples_wanted,
-            jitters=config.jitter and not (config.samples is None and keeps),
+            samples=config.samples or (SAMPLES_OPEN if is_open else samples_wanted),
+            time_limit=config.time_limit,
+            noise=config.noise,
+            adapts=may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive),
+            jitters=config.jitter and (is_open or config.samples is not None or not keeps),
             samples_wanted=samples_wanted,
             grain=grain,
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
@@ -160,9 +174,17 @@ class FramePlan:
         lighting = config.lighting
         if lighting is None:
             lighting = bool(scene.lights) or (is_path and shines(scene))
-        plan = cls.of(replace(config, pipeline=pipeline, aovs=(), lighting=lighting), scene)
+        samples_only = replace(config, time_limit=None, noise=None, adaptive=False)
+        plan = cls.of(replace(samples_only, pipeline=pipeline, aovs=(), lighting=lighting), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
         return replace(plan, for_camera=False, has_headlight=has_headlight)
+
+
+def may_adapt(config: RenderConfig) -> bool:
+    """Whether pixels may have different numbers of samples: rays find what they see, and each has its own chance."""
+    rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
+    shadows = config.shadow_rays
+    return not rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
 
 
 def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -> int:

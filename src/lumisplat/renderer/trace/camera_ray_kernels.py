@@ -5,22 +5,38 @@ import warp as wp
 from lumisplat.device.camera.camera import camera_ray
 from lumisplat.device.camera.ray_blocks import pixel_of_ray
 from lumisplat.device.math.random import pixel_key_of, sample_key_of
-from lumisplat.device.structs.camera import CameraData, SampleData
+from lumisplat.device.structs.camera import CameraData, ListedRays, SampleData
 from lumisplat.device.structs.rays import RayData
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def start_rays(start: int, cameras: wp.array[CameraData], samples: wp.array[SampleData], rays_out: RayData):
-    """The rays of a camera's pixels; there are none beyond the image, and where a fisheye sees nothing."""
+def start_rays(
+    start: int,
+    cameras: wp.array[CameraData],
+    samples: wp.array[SampleData],
+    listed: ListedRays,
+    rays_out: RayData,
+):
+    """The rays of a camera's pixels, or of those that are listed.
+
+    There are none beyond the image and the list, and where a fisheye sees nothing.
+    """
     i = start + wp.tid()
     camera = cameras[0]
     sample = samples[0]
-    pixel = pixel_of_ray(camera.width, i)
+    place = i
+    rays_out.is_active[i] = False
+    if listed.place:
+        place = listed.place[i]
+        if place < 0:
+            return
+        sample.index = listed.sample[i]
+        camera.offset = listed.offset[i]
+    pixel = pixel_of_ray(camera.width, place)
     x = pixel[0]
     y = pixel[1]
-    rays_out.is_active[i] = False
     if x >= camera.width or y >= camera.height:
         return
     ray = camera_ray(camera, sample, x, y)

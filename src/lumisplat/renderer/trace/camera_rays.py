@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lumisplat.constants import PACKET_RAYS, RAY_BLOCK_PX
+from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import camera_ray_kernels as kernels
@@ -21,12 +22,18 @@ class CameraRays:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def start(self, scene: DeviceScene) -> RayData:
-        """The rays of the scene's current sample, in square blocks of pixels."""
-        count = ray_count(*scene.image_size)
+    def start(self, scene: DeviceScene, listed: ListedRays | None = None) -> RayData:
+        """The rays of the scene's current sample, in square blocks of pixels.
+
+        Args:
+            scene: With the camera.
+            listed: Those that are started; None: those of all pixels.
+        """
+        count = ray_count(*scene.image_size) if listed is None else len(listed.place)
         rays = self._buffers.struct("camera.rays", RayData, count)
+        inputs = scene.camera, scene.sample, listed or ListedRays()
         with self._launcher.stage("rays"):
-            self._launcher.run_banded(kernels.start_rays, count, scene.camera, scene.sample, rays)
+            self._launcher.run_banded(kernels.start_rays, count, *inputs, rays)
         return rays
 
 

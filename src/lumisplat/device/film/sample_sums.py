@@ -1,0 +1,155 @@
+"""Samples of pixels: their sums, and what follows from them: means, variances, the linear colour of lit pixels.
+
+Captured colours and light are kept apart: docs/method/lighting.md#captured-and-added-light. The equations of variance
+are in docs/method/samples.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import LUMINANCE
+from lumisplat.device.math.color import captured_color
+from lumisplat.device.structs.film import FilmData, PixelSample
+from lumisplat.device.structs.rays import FirstSurface
+from lumisplat.device.structs.shading import WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+LUMINANCE_WEIGHTS = wp.constant(wp.vec3d(*LUMINANCE))
+
+
+@wp.func
+def is_finite(color: wp.vec3) -> bool:
+    """No NaN or infinity in any channel."""
+    return wp.isfinite(color[0] + color[1] + color[2])
+
+
+@wp.func
+def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> bool:
+    """Whether the sample of ray ``i`` counts: none of its values is NaN or infinite."""
+    finite = is_finite(wave[0].radiance.captured[i]) and wp.isfinite(wave[0].radiance.alpha[i])
+    if finite and film[0].lit.light:
+        finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
+    return finite
+
+
+@wp.func
+def sample_of_ray(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
+    """What ray ``i`` sees."""
+    sample = PixelSample()
+    sample.color = wave[0].radiance.captured[i]
+    sample.alpha = wave[0].radiance.alpha[i]
+    sample.capture_factor = wp.vec3(1.0)
+    if film[0].lit.light:
+        sample.captured_weight = wave[0].radiance.captured_weight[i]
+        sample.light = wave[0].radiance.light[i]
+        if film[0].capture_factor:
+            sample.capture_factor = wave[0].radiance.capture_factor[i]
+    return sample
+
+
+@wp.func
+def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
+    """The only sample of a pixel, from its images."""
+    sample = PixelSample()
+    sample.color = film[0].pixels.color[pixel]
+    sample.alpha = film[0].pixels.alpha[pixel]
+    sample.capture_factor = wp.vec3(1.0)
+    if film[0].lit.light:
+        sample.captured_weight = film[0].lit.captured_weight[pixel]
+        sample.light = film[0].lit.light[pixel]
+    return sample
+
+
+@wp.func
+def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
+    """The linear radiance of a sample; of an unlit frame its display-referred colour."""
+    if not film[0].lit.light:
+        return sample.color
+    captured = captured_color(sample.color, sample.captured_weight)
+    return wp.cw_mul(captured, sample.capture_factor) + sample.light
+
+
+@wp.func
+def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
+    """Adds a sample, which is counted already, to the sums of a pixel."""
+    radiance = wp.vec3d(radiance_of(sample, film))
+    before = wp.float64(film[0].count[pixel] - 1)
+    total = film[0].sums.radiance[pixel]
+    if before > wp.float64(0.0):
+        deviation = radiance - total / before
+        square = wp.cw_mul(deviation, deviation) * (before / (before + wp.float64(1.0)))
+        film[0].sums.squares[pixel] = film[0].sums.squares[pixel] + square
+    film[0].sums.color[pixel] = film[0].sums.color[pixel] + wp.vec3d(sample.color)
+    film[0].sums.alpha[pixel] = film[0].sums.alpha[pixel] + wp.float64(sample.alpha)
+    film[0].sums.radiance[pixel] = total + radiance
+    if film[0].lit.light:
+        weight = wp.float64(sample.captured_weight)
+        film[0].sums.captured_weight[pixel] = film[0].sums.captured_weight[pixel] + weight
+        film[0].sums.light[pixel] = film[0].sums.light[pixel] + wp.vec3d(sample.light)
+
+
+@wp.func
+def store_sample(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
+    """Writes a sample to the images of its pixel."""
+    film[0].pixels.color[pixel] = sample.color
+    film[0].pixels.alpha[pixel] = sample.alpha
+    if film[0].lit.light:
+        film[0].lit.captured_weight[pixel] = sample.captured_weight
+        film[0].lit.light[pixel] = sample.light
+
+
+@wp.func
+def store_surface(pixel: int, surface: FirstSurface, film: wp.array[FilmData]):
+    """Writes the surface that the first sample of a pixel sees."""
+    film[0].pixels.depth[pixel] = surface.depth
+    film[0].pixels.normal[pixel] = surface.normal
+    film[0].pixels.gaussian[pixel] = surface.gaussian
+    film[0].pixels.instance[pixel] = surface.instance
+
+
+@wp.func
+def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
+    """The mean of the samples of a pixel; zero if there are none."""
+    mean = PixelSample()
+    if film[0].count[pixel] == 0:
+        return mean
+    count = wp.float64(film[0].count[pixel])
+    mean.color = wp.vec3(film[0].sums.color[pixel] / count)
+    mean.alpha = float(film[0].sums.alpha[pixel] / count)
+    if film[0].lit.light:
+        mean.captured_weight = float(film[0].sums.captured_weight[pixel] / count)
+        mean.light = wp.vec3(film[0].sums.light[pixel] / count)
+    return mean
+
+
+@wp.func
+def develop(pixel: int, film: wp.array[FilmData]):
+    """Makes the linear colour of a lit pixel from what was captured and light.
+
+    What shadows take from the captured goes to the light. It is a share of the mean, with a mean of its own: means of
+    display-referred colours and of linear ones do not subtract.
+    """
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    if film[0].capture_factor:
+        film[0].lit.light[pixel] += wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
+    film[0].lit.color[pixel] = wp.max(captured + film[0].lit.light[pixel], wp.vec3(0.0))
+
+
+@wp.func
+def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
+    """Variance of one sample of a pixel, which has two or more."""
+    return film[0].sums.squares[pixel] / wp.float64(film[0].count[pixel] - 1)
+
+
+@wp.func
+def relative_variance(pixel: int, least: float, film: wp.array[FilmData]) -> float:
+    """Variance of one sample of a pixel over the square of its luminance, or of ``least`` where it is darker.
+
+    inf: the pixel has fewer than two samples.
+    """
+    if film[0].count[pixel] < 2:
+        return wp.inf
+    mean = film[0].sums.radiance[pixel] / wp.float64(film[0].count[pixel])
+    luminance = wp.max(wp.dot(LUMINANCE_WEIGHTS, mean), wp.float64(least))
+    ratio = float(wp.dot(LUMINANCE_WEIGHTS, sample_variance(pixel, film)) / (luminance * luminance))
+    return wp.where(wp.isnan(ratio), wp.inf, ratio)

@@ -1,0 +1,96 @@
+"""Which pixels take part in a sample where their noise decides how often they do. One item is one ray, or one pixel.
+
+The equations are in docs/method/samples.md#adaptive-sampling.
+"""
+
+import warp as wp
+
+from lumisplat.constants import NOISE_RADIUS_PX, NOISE_SAMPLES_MIN, SAMPLE_RATES, SUBPIXEL_STEPS
+from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.film.sample_sums import relative_variance
+from lumisplat.device.structs.camera import ListedRays
+from lumisplat.device.structs.film import FilmData
+
+# Products and sums are rounded one by one, as the host's are: samples lie where they do in frames of equal samples.
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+FIRST = wp.constant(NOISE_SAMPLES_MIN)
+RATES = wp.constant(SAMPLE_RATES)
+RADIUS = wp.constant(NOISE_RADIUS_PX)
+STEP_X = wp.constant(wp.float64(SUBPIXEL_STEPS[0]))
+STEP_Y = wp.constant(wp.float64(SUBPIXEL_STEPS[1]))
+
+
+@wp.func
+def samples_before(sample: int, rate: int) -> int:
+    """Samples that a pixel of a rate has before sample ``sample`` of those that have all."""
+    if sample < FIRST:
+        return sample
+    return FIRST + (sample - FIRST) * rate // RATES
+
+
+@wp.func
+def subpixel(sample: int) -> wp.vec2:
+    """Position of a sample in its pixel, 0..1, as the host's."""
+    n = wp.float64(sample)
+    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    return wp.vec2(float(wp.mod(half + n * STEP_X, one)), float(wp.mod(half + n * STEP_Y, one)))
+
+
+@wp.kernel
+def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
+    """Item = place of a ray among those of all pixels: whether its pixel takes part in a sample, 0 or 1."""
+    place = start + wp.tid()
+    is_drawn_out[place] = 0
+    pixel = pixel_of_ray(width, place)
+    if pixel[0] < width and pixel[1] < height:
+        rate = rates[pixel[1] * width + pixel[0]]
+        is_drawn_out[place] = int(samples_before(sample + 1, rate) > samples_before(sample, rate))
+
+
+@wp.kernel
+def list_rays(
+    start: int,
+    sample: int,
+    jitters: bool,
+    width: int,
+    rates: wp.array[int],
+    is_drawn: wp.array[int],
+    ends: wp.array[int],
+    listed_out: ListedRays,
+):
+    """Item = place of a ray: lists it, if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
+    place = start + wp.tid()
+    if is_drawn[place] == 0:
+        return
+    pixel = pixel_of_ray(width, place)
+    number = samples_before(sample, rates[pixel[1] * width + pixel[0]])
+    i = ends[place] - 1
+    listed_out.place[i] = place
+    listed_out.sample[i] = number
+    listed_out.offset[i] = subpixel(wp.where(jitters, number, 0))
+
+
+@wp.kernel
+def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out: wp.array[float]):
+    """Item = pixel: the relative variance of one sample."""
+    pixel = start + wp.tid()
+    noise_out[pixel] = relative_variance(pixel, least, film)
+
+
+@wp.kernel
+def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
+    """Item = pixel: the mean over its neighbours, without itself; those whose noise is not known are left out."""
+    pixel = start + wp.tid()
+    x = pixel % width
+    y = pixel // width
+    total = float(0.0)
+    count = int(0)
+    for j in range(wp.max(y - RADIUS, 0), wp.min(y + RADIUS + 1, height)):
+        for i in range(wp.max(x - RADIUS, 0), wp.min(x + RADIUS + 1, width)):
+            value = noise[j * width + i]
+            if (i != x or j != y) and wp.isfinite(value):
+                total += value
+                count += 1
+    mean_out[pixel] = total / float(wp.max(count, 1))

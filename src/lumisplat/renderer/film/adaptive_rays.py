@@ -1,0 +1,103 @@
+"""Host pass: draws more samples of noisy pixels than of others (docs/method/samples.md#adaptive-sampling)."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import NOISE_PIXELS, NOISE_SAMPLES_MIN, SAMPLE_RATE_MIN, SAMPLE_RATES
+from lumisplat.device.structs.camera import ListedRays
+from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.renderer.film import adaptive_kernels as kernels
+from lumisplat.renderer.film.noise import quantile
+from lumisplat.renderer.trace.camera_rays import ray_count
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum
+
+
+class AdaptiveRays:
+    """Lists the rays of the pixels that take part in a sample.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self._size = (0, 0)
+
+    def begin(self, size: tuple[int, int]) -> None:
+        """Starts a frame of that width and height: all of its pixels take part in all samples."""
+        self._size = size
+        self.rates.fill_(SAMPLE_RATES)
+
+    @property
+    def rates(self) -> DeviceArray:
+        """How often each pixel takes part, of `SAMPLE_RATES` samples."""
+        return self._buffers.get("film.rates", wp.int32, self._pixel_count)
+
+    @property
+    def listed(self) -> ListedRays:
+        """Room for the rays of all pixels."""
+        return self._listed(grown_capacity(ray_count(*self._size)))
+
+    def list(self, sample: int, *, jitters: bool) -> tuple[ListedRays, int]:
+        """The rays of a sample, as many as a wave holds, and how many of them there are.
+
+        Args:
+            sample: Number of the sample in pixels that take part in all.
+            jitters: Samples spread over their pixels.
+        """
+        count, (width, height) = ray_count(*self._size), self._size
+        is_drawn = self._buffers.get("film.is_drawn", wp.int32, count)
+        ends = self._buffers.get("film.drawn_ends", wp.int32, count)
+        with self._launcher.stage("list"):
+            run = self._launcher.run_banded
+            run(kernels.mark_rays, count, sample, width, height, self.rates, is_drawn)
+            prefix_sum(is_drawn, ends, inclusive=True)
+            drawn = int(ends[-1:].numpy()[0])
+            listed = self._listed(grown_capacity(drawn))
+            device_array(listed.place).fill_(-1)
+            run(kernels.list_rays, count, sample, jitters, width, self.rates, is_drawn, ends, listed)
+        return listed, drawn
+
+    def decide(self, film: DeviceArray, least: float) -> None:
+        """Chooses the rates of pixels, each by the noise of its neighbours.
+
+        Args:
+            film: With the first `NOISE_SAMPLES_MIN` samples of all pixels.
+            least: Luminance that errors of darker pixels are relative to.
+        """
+        count, get = self._pixel_count, self._buffers.get
+        noise, means = get("film.noise", wp.float32, count), get("film.noise_around", wp.float32, count)
+        with self._launcher.stage("noise"):
+            self._launcher.run_banded(kernels.measure_noise, count, least, film, noise)
+            self._launcher.run_banded(kernels.average_neighbors, count, *self._size, noise, means)
+            self.rates.assign(rates_of(means.numpy()))
+
+    def drawn_before(self, sample: int) -> int:
+        """Samples of all pixels before sample ``sample``."""
+        first = min(sample, NOISE_SAMPLES_MIN)
+        rates = self.rates.numpy().astype(np.int64)
+        return first * len(rates) + int(((sample - first) * rates // SAMPLE_RATES).sum())
+
+    def _listed(self, capacity: int) -> ListedRays:
+        return self._buffers.struct("film.listed", ListedRays, capacity)
+
+    @property
+    def _pixel_count(self) -> int:
+        return self._size[0] * self._size[1]
+
+
+def rates_of(noise: FloatArray) -> IntArray:
+    """How often pixels take part: in proportion to the relative variance of one sample, (N,), so that errors are alike.
+
+    The noisiest, beyond `NOISE_PIXELS` of all, always take part.
+    """
+    reference = quantile(noise, NOISE_PIXELS)
+    if not reference > 0.0:
+        return np.full(len(noise), SAMPLE_RATES, np.int32)
+    rates = np.ceil(SAMPLE_RATES * np.minimum(noise / np.float32(reference), 1.0))
+    return np.clip(rates, SAMPLE_RATE_MIN, SAMPLE_RATES).astype(np.int32)

@@ -1,0 +1,219 @@
+"""Frames that end by their noise, and pixels that have more samples than others."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import NOISE_SAMPLES_MIN, SAMPLE_RATE_MIN, SAMPLE_RATES
+from lumisplat.renderer.film.adaptive_rays import rates_of
+from support.compare.ways import WAYS, renderer_of
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.raster_scenes import front_camera, one_gaussian
+
+LAYERS = ("variance", "sample_count", "albedo")
+PATHS = config(ls.Pipeline.PATH, samples=40, max_bounces=4, adaptive=True, aovs=LAYERS)
+IMAGES = ("color", "alpha", "captured", "captured_weight", "light", "depth", *LAYERS)
+
+
+def view() -> ls.Camera:
+    """A small picture."""
+    return camera().scaled(30, 20)
+
+
+def shown() -> ls.Scene:
+    """Meshes, Gaussians, mirrors and glass under lamps and a sky."""
+    return scene(*LAMPS, SKY)
+
+
+@functools.cache
+def adaptive() -> ls.Frame:
+    """A frame of paths."""
+    return ls.render(shown(), view(), PATHS, device="cpu")
+
+
+def image(frame: ls.Frame, name: str) -> np.ndarray:
+    """One that must be there."""
+    assert getattr(frame, name) is not None
+    return getattr(frame, name)
+
+
+def assert_equal(found: ls.Frame, expected: ls.Frame) -> None:
+    """To the bit."""
+    for name in IMAGES:
+        np.testing.assert_array_equal(image(found, name), image(expected, name), name)
+
+
+def test_pixels_are_those_of_frames_with_as_many_samples() -> None:
+    """To the bit: their samples, places in the pixel and low-discrepancy points have no gaps."""
+    found, counts = adaptive(), image(adaptive(), "sample_count")
+    assert counts.min() == 16 + 24 * SAMPLE_RATE_MIN // SAMPLE_RATES and counts.max() == 40
+    assert len(np.unique(counts)) > 8
+    plain = replace(PATHS, adaptive=False)
+    more = ls.create_renderer(replace(plain, samples=1), "cpu")
+    frame = ls.render(shown(), view(), replace(plain, samples=18), device="cpu")
+    for count in range(19, 41):
+        frame = more.render(shown(), view(), resume=frame)
+        chosen = counts == count
+        for name in ("color", "alpha", *LAYERS):
+            np.testing.assert_array_equal(image(found, name)[chosen], image(frame, name)[chosen], name)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_interruptions_and_threads_change_nothing(threads: int) -> None:
+    """Before, at and after the sample that decides, and where pixels pause."""
+    frame = None
+    renderers = {n: ls.create_renderer(replace(PATHS, samples=n), "cpu", threads=threads) for n in (1, 7, 9, 11)}
+    for n in (7, 9, 1, 1, 11, 11):
+        frame = renderers[n].render(shown(), view(), resume=frame)
+    assert frame is not None and frame.samples == 40
+    assert_equal(frame, adaptive())
+
+
+@pytest.mark.parametrize("way", WAYS[1:])
+def test_every_way_counts_alike(way: str) -> None:
+    """The schedule of CUDA, and its graphs."""
+    frame = renderer_of(way, PATHS).render(shown(), view())
+    counts = image(frame, "sample_count"), image(adaptive(), "sample_count")
+    assert np.mean(counts[0] != counts[1]) < 0.02, "rounding may move a rate by a step"
+    assert abs(frame.color.mean() / adaptive().color.mean() - 1.0) < 1e-3
+    assert frame.stats is not None and frame.stats.nonfinite_count == 0
+
+
+def test_a_frame_ends_when_its_noise_is_low_enough() -> None:
+    """At the same sample, however often it was interrupted before; and no sample is added to one that has ended."""
+    settings = replace(PATHS, samples=None, noise=0.15, adaptive=None)
+    whole = ls.render(shown(), view(), settings, device="cpu")
+    assert whole.stats is not None and whole.stats.noise is not None
+    assert 0.1 < whole.stats.noise <= 0.15 and whole.samples > NOISE_SAMPLES_MIN
+    parts = ls.create_renderer(replace(settings, samples=13), "cpu")
+    frame = parts.render(shown(), view())
+    while frame.samples < whole.samples:
+        frame = parts.render(shown(), view(), resume=frame)
+    assert_equal(frame, whole)
+    assert_equal(parts.render(shown(), view(), resume=frame), whole)
+    errors = np.sqrt(image(whole, "variance") @ np.array([0.2126, 0.7152, 0.0722]))
+    luminance = np.maximum(whole.color @ np.array([0.2126, 0.7152, 0.0722]), 0.01)
+    assert np.mean(errors / luminance <= whole.stats.noise) == pytest.approx(0.95, abs=0.01)
+
+
+def veil() -> tuple[ls.Scene, ls.Camera, ls.RenderConfig]:
+    """One white Gaussian: each sample of a pixel is white with the probability of its alpha, else black."""
+    hit = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
+    settings = ls.RenderConfig(
+        pipeline=ls.Pipeline.TRACE, trace=hit, lighting=False, jitter=False, samples=1, aovs=("sample_count",)
+    )
+    return ls.Scene([one_gaussian(scale=0.7, opacity=0.6, color=(1, 1, 1))]), front_camera(80, 60, 60.0), settings
+
+
+def score(means: np.ndarray, counts: np.ndarray, truth: np.ndarray) -> float:
+    """How many standard errors the sum of pixels' means is from the truth."""
+    return float((means - truth).sum() / np.sqrt((truth * (1.0 - truth) / counts).sum()))
+
+
+def test_adaptive_sampling_is_unbiased() -> None:
+    """Where stopping pixels by their own samples makes the picture dark: rare samples are bright."""
+    gaussian, camera, settings = veil()
+    steady = replace(settings, trace=ls.TraceConfig(), aovs=())
+    truth = ls.render(gaussian, camera, steady, device="cpu").alpha.astype(np.float64)
+    frames = [
+        ls.render(gaussian, camera, replace(settings, samples=96, adaptive=True, seed=seed), device="cpu")
+        for seed in range(8)
+    ]
+    scores = [score(frame.alpha.astype(np.float64), image(frame, "sample_count"), truth) for frame in frames]
+    assert np.ptp(image(frames[0], "sample_count")) == 70
+    assert np.abs(scores).max() < 4.0 and abs(np.sum(scores)) < 4.0 * np.sqrt(len(scores))
+
+    draws = np.random.default_rng(8).random((96, *truth.shape)) < truth
+    counts = naive_counts(draws)
+    means = np.take_along_axis(np.cumsum(draws, axis=0), counts[None] - 1, axis=0)[0] / counts
+    assert score(means, counts, truth) < -6.0, "or the test would see no bias either"
+
+
+def naive_counts(draws: np.ndarray) -> np.ndarray:
+    """Samples of pixels that stop once their own relative error is below 20 %, after 16 or more."""
+    numbers = np.arange(1, len(draws) + 1)[:, None, None]
+    means = np.cumsum(draws, axis=0) / numbers
+    errors = np.sqrt(means * (1.0 - means) / (numbers - 1).clip(1)) / np.maximum(means, 0.1)
+    is_done = (errors < 0.2) & (numbers >= NOISE_SAMPLES_MIN)
+    return np.where(is_done.any(axis=0), is_done.argmax(axis=0) + 1, len(draws))
+
+
+def test_rates_follow_the_noise() -> None:
+    """In steps, from an eighth for what is quiet to all for the noisiest; frames without noise stay even."""
+    noise = np.linspace(0.0, 1.0, 1001, dtype=np.float32)
+    rates = rates_of(noise)
+    assert (np.diff(rates) >= 0).all() and set(rates) == set(range(SAMPLE_RATE_MIN, SAMPLE_RATES + 1))
+    assert (rates[950:] == SAMPLE_RATES).all() and rates[474] == SAMPLE_RATES // 2
+    assert (rates_of(np.zeros(9, np.float32)) == SAMPLE_RATES).all()
+
+
+def test_samples_that_are_not_finite_are_left_out() -> None:
+    """Of paths: they are counted, and the mean is that of the others, with an even and with an adaptive number."""
+    _, camera, settings = veil()
+    broken = replace(one_gaussian(scale=0.7, opacity=0.6), sh=np.full((1, 16, 3), 3e38, np.float32))
+    for changes in ({"samples": 40}, {"samples": 40, "adaptive": True}):
+        for base in (settings, replace(settings, pipeline=ls.Pipeline.PATH, lighting=True)):
+            frame = ls.render(ls.Scene([broken]), camera, replace(base, **changes), device="cpu")
+            counts = image(frame, "sample_count")
+            assert frame.stats is not None and frame.stats.nonfinite_count > 1000
+            assert np.isfinite(frame.color).all()
+            assert not frame.alpha.any(), "all that is left saw nothing"
+            if "adaptive" not in changes:
+                assert frame.stats.nonfinite_count == (40 - counts).sum()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"time_limit": 0}, r"^time_limit is 0, expected a number above 0$"),
+        ({"time_limit": -1.5}, r"^time_limit is -1\.5, expected a number above 0$"),
+        ({"time_limit": float("inf")}, r"^time_limit is inf"),
+        ({"time_limit": "1"}, r"^time_limit is '1'"),
+        ({"noise": 0.0}, r"^noise is 0\.0, expected more than 0 and less than 1$"),
+        ({"noise": 1}, r"^noise is 1, expected more than 0"),
+        ({"noise": float("nan")}, r"^noise is nan"),
+        ({"adaptive": "yes"}, r"^adaptive is 'yes', expected True or False$"),
+    ],
+)
+def test_wrong_limits_are_refused(changes: dict[str, Any], message: str) -> None:
+    """By name, with the range."""
+    with pytest.raises(ls.ConfigError, match=message):
+        ls.RenderConfig(**changes)
+
+
+def test_what_cannot_be_adaptive_says_so() -> None:
+    """Rasterised pixels, and those that share their draws; by default they are even instead."""
+    gaussian, camera, settings = veil()
+    shared = ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC, shared_draws=True)
+    for changes, message in (
+        ({"pipeline": ls.Pipeline.HYBRID, "lighting": True}, r"needs rays from the camera: Pipeline\.PATH"),
+        ({"shadow_rays": shared}, "draws of their own"),
+    ):
+        with pytest.raises(ls.ConfigError, match=message):
+            ls.render(gaussian, camera, replace(settings, **changes, adaptive=True), device="cpu")
+        frame = ls.render(gaussian, camera, replace(settings, **changes, noise=0.9, samples=18), device="cpu")
+        assert np.ptp(image(frame, "sample_count")) == 0
+    with pytest.raises(ls.ConfigError, match="aovs has variance, which takes two samples or more"):
+        ls.render(gaussian, camera, replace(settings, aovs="variance"), device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
+)
+def test_frames_are_resumed_with_what_they_began(changes: dict[str, Any], names: str) -> None:
+    """Another target, other layers: one line."""
+    renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
+    with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):
+        renderer.render(shown(), view(), resume=adaptive())
+    with pytest.raises(ls.ConfigError, match=r"does not hold what samples are added to: albedo, count, rates, sums$"):
+        ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=None))
+    with pytest.raises(ls.ConfigError, match=r"does not hold what samples are added to: sums$"):
+        held = {name: words for name, words in (adaptive().accumulated or {}).items() if name != "sums"}
+        ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=held))
