@@ -191,6 +191,7 @@ CHOICES = [
     (ls.TraceConfig, "normal_method", ls.NormalMethod),
     (ls.ShadowConfig, "method", ls.ShadowMethod),
     (ls.ShadowConfig, "hit_distance", ls.HitDistance),
+    (ls.PathConfig, "primary", ls.PathPrimary),
     (ls.RelightConfig, "normals", ls.NormalEstimate),
     (ls.DeepShadowConfig, "layout", ls.AtlasLayout),
     (ls.DeepShadowConfig, "absorption", ls.Absorption),

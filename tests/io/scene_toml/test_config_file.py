@@ -54,6 +54,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "acceptance_scale": between(1e-3, 1.0),
         "color_strength": between(0.0, 5.0),
     },
+    ls.PathConfig: {},
     ls.RenderConfig: {
         "background": st.none() | st.tuples(*[between(0.0, 1.0)] * 3),
         "lighting": st.none() | st.booleans(),
