@@ -33,7 +33,8 @@ def mirrored(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> t
     for name in ("metallic", "specular", "ior", "transmission"):
         setattr(smooth, name, getattr(material, name))
     side = wp.vec3(0.0, 0.0, -1.0 if inside else 1.0)
-    bounce = bounce_of(smooth, wp.vec3(1.0), side, side, wp.vec3(*-direction(cosine)), True)
+    eta = material.ior if inside and material.transmission > 0.0 else 1.0 / material.ior
+    bounce = bounce_of(smooth, wp.vec3(1.0), side, side, wp.vec3(*-direction(cosine)), eta, True)
     return float(np.array(bounce.reflected)[1]), float(np.array(bounce.refracted)[1])
 
 

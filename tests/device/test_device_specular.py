@@ -54,7 +54,9 @@ def bounce(
 ) -> Bounce:
     """How a surface splits light; the shading normal is the triangle's unless given."""
     shading = face if shading is None else shading
-    return bounce_of(material, wp.vec3(*base), wp.vec3(*face), wp.vec3(*shading), wp.vec3(*direction), False)
+    leaves = material.transmission > 0.0 and float(direction @ face) > 0.0
+    eta = material.ior if leaves else 1.0 / material.ior
+    return bounce_of(material, wp.vec3(*base), wp.vec3(*face), wp.vec3(*shading), wp.vec3(*direction), eta, False)
 
 
 @given(vectors, vectors)

@@ -41,7 +41,7 @@ def check_whole(name: str, value: object, low: int, high: int) -> None:
 
 def check_flag(name: str, value: object) -> None:
     """Raises ConfigError unless ``value`` is a bool, Python's or NumPy's."""
-    if not isinstance(value, bool | np.bool_):
+    if not is_flag(value):
         raise ConfigError(f"{name} is {quoted(value)}, expected True or False")
 
 
@@ -98,6 +98,11 @@ def is_number(value: object) -> TypeGuard[float]:
 def is_whole(value: object) -> TypeGuard[int]:
     """Whether ``value`` is an integer, Python's or NumPy's."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def is_flag(value: object) -> TypeGuard[bool]:
+    """Whether ``value`` is a bool, Python's or NumPy's."""
+    return isinstance(value, bool | np.bool_)
 
 
 def quoted(value: object) -> str:

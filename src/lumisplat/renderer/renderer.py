@@ -22,6 +22,7 @@ from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
+from lumisplat.renderer.light.media_warning import MediaWarning
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
@@ -72,6 +73,7 @@ class Renderer:
         self._profiles = RayProfiles(launcher, buffers, config)
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
+        self._media = MediaWarning()
         self._loaded: set[int] = set()
         self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config), progress)
 
@@ -120,6 +122,7 @@ class Renderer:
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
         images, counts, budget = self._sampled(plan, camera.exposure, resume, progress)
+        self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
     def _sampled(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import is_number, take_enum
+from lumisplat.config.checks import is_flag, is_number, is_whole, take_enum
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import FLOAT32_MAX, read_only_array
 
@@ -48,7 +48,7 @@ class TextureWrap(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MaterialPbr:
-    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,emissive_strength}).
+    """Metallic-roughness material (glTF 2.0 section 3.9, KHR_materials_{specular,ior,transmission,volume,...}).
 
     At roughness 0 the surface is smooth, and rays are reflected or refracted: a mirror where it is metallic, glass
     where it transmits. Unlit frames show the base colour of all other surfaces.
@@ -71,6 +71,14 @@ class MaterialPbr:
     """Share of the light not reflected that is refracted through the dielectric, 0..1, tinted by the base colour at
     each crossing. The mesh should be closed and its triangles counter-clockwise from outside, which is how a ray
     decides whether it enters or leaves. Splats and rough surfaces do not transmit: they scatter that share back."""
+    thin_walled: bool = False
+    """Whether the mesh is a wall without an inside: light goes straight through it, and what follows means nothing."""
+    attenuation_color: Color = (1.0, 1.0, 1.0)
+    """What white light becomes inside after ``attenuation_distance``, linear, 0..1."""
+    attenuation_distance: float = math.inf
+    """Scene units, above 0; inf: nothing is absorbed."""
+    priority: int = 0
+    """Where meshes that transmit overlap, the highest one's inside is there; of equal ones, that entered last."""
     emissive: Color = (0.0, 0.0, 0.0)
     """Emitted linear radiance, at least 0; on a splat set, a factor of the captured colour."""
     base_color_texture: Texture | None = None
@@ -110,6 +118,10 @@ class MaterialPbr:
             specular: float = 1.0,
             ior: float = 1.5,
             transmission: float = 0.0,
+            thin_walled: bool = False,
+            attenuation_color: npt.ArrayLike = (1.0, 1.0, 1.0),
+            attenuation_distance: float = math.inf,
+            priority: int = 0,
             emissive: npt.ArrayLike = (0.0, 0.0, 0.0),
             base_color_texture: Texture | None = None,
             metallic_roughness_texture: Texture | None = None,
@@ -131,6 +143,7 @@ class MaterialPbr:
         object.__setattr__(self, "emissive", _color("emissive", self.emissive, math.inf))
         for name in ("metallic", "roughness", "specular", "transmission", "occlusion_strength"):
             _check_unit(name, getattr(self, name))
+        self._check_inside()
         if not is_number(self.ior) or not 1.0 <= self.ior < np.inf:
             raise SceneError(f"ior is {self.ior}, expected at least 1")
         if not is_number(self.normal_scale) or not math.isfinite(self.normal_scale):
@@ -139,6 +152,20 @@ class MaterialPbr:
             name = f"{kind}_texture"
             object.__setattr__(self, name, _texture(name, getattr(self, name)))
         _check_alpha_and_wrap(self)
+
+    def _check_inside(self) -> None:
+        object.__setattr__(self, "attenuation_color", _color("attenuation_color", self.attenuation_color, 1.0))
+        if not is_number(self.attenuation_distance) or not self.attenuation_distance > 0.0:
+            raise SceneError(f"attenuation_distance is {self.attenuation_distance}, expected a length above 0, or inf")
+        if not is_flag(self.thin_walled):
+            raise SceneError(f"thin_walled is {self.thin_walled}, expected True or False")
+        if not is_whole(self.priority) or not -(2**31) <= self.priority < 2**31:
+            raise SceneError(f"priority is {self.priority}, expected a whole number of 32 bits")
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether light enters the inside of a mesh of it."""
+        return self.transmission > 0.0 and not self.thin_walled
 
     @property
     def is_emissive(self) -> bool:

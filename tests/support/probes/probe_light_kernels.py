@@ -86,4 +86,5 @@ def probe_material(
     """The BSDFs of materials at points without textures."""
     i = wp.tid()
     own = materials[i]
-    bsdfs[i] = bsdf_of(materials, i, color, own.roughness, own.metallic, own.transmission, inside)
+    eta = wp.where(inside and own.transmission > 0.0, own.ior, 1.0 / own.ior)
+    bsdfs[i] = bsdf_of(materials, i, color, own.roughness, own.metallic, own.transmission, eta)

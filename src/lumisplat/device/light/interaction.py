@@ -31,7 +31,7 @@ def bsdf_of(
     roughness: float,
     metallic: float,
     transmission: float,
-    inside: bool,
+    eta: float,
 ) -> Bsdf:
     """The BSDF of a material at a point (docs/adr/0009).
 
@@ -42,13 +42,13 @@ def bsdf_of(
         roughness: There.
         metallic: There.
         transmission: There.
-        inside: Seen from inside, if it transmits; what does not has no inside.
+        eta: Index of refraction on the side of the viewer over that behind the surface.
     """
     bsdf = Bsdf()
     bsdf.model = materials[number].model
     if bsdf.model == BSDF_PBR:
         ior = materials[number].ior
-        bsdf.eta = wp.where(inside and transmission > 0.0, ior, 1.0 / ior)
+        bsdf.eta = eta
         bsdf.dielectric = wp.where(ior > 1.0, materials[number].specular_strength, 0.0)
         bsdf.diffuse = (1.0 - metallic) * (1.0 - transmission) * color
         bsdf.specular = (1.0 - metallic) * wp.vec3(head_on_share(bsdf.dielectric, bsdf.eta)) + metallic * color

@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.light.shadow_terminator import smooth_height
+from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.texture import sample_texture
@@ -97,8 +98,11 @@ def mesh_interaction(
     interaction.wo = -wave[0].rays.direction[i]
     interaction.geometric_normal = face_normal(instance, meshes, corners)
     inside = wp.dot(interaction.geometric_normal, interaction.wo) < 0.0
+    boundary = boundary_of_ray(i, scene, wave)
+    if not boundary.exists:
+        return interaction
     interaction.bsdf = bsdf_of(
-        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, inside
+        scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, boundary.eta
     )
     if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction

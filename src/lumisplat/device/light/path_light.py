@@ -13,6 +13,7 @@ from lumisplat.device.light.light import sample_light
 from lumisplat.device.light.light_choice import choice_probability, meets_rays
 from lumisplat.device.light.visible_light import light_crossing
 from lumisplat.device.material.bsdf import bsdf_pdf
+from lumisplat.device.material.media import absorption_on_ray, passed
 from lumisplat.device.math.color import decode_srgb_color
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, LightSample
 from lumisplat.device.structs.path import LightChoice, PathData, PathVertex
@@ -141,5 +142,8 @@ def light_on_way(
                 share = float(1.0)
                 if density > 0.0:
                     share = power_heuristic(density, choice_probability(number, vertex, scene) * crossing.density)
-                total += share * crossing.radiance
+                radiance = crossing.radiance
+                if scene[0].settings[0].absorbs != 0:
+                    radiance = wp.cw_mul(radiance, passed(absorption_on_ray(i, scene, wave), crossing.t))
+                total += share * radiance
     return total

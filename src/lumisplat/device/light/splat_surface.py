@@ -158,9 +158,9 @@ def splat_interaction(
             roughness = scene[0].attributes[asset].roughness[surface.gaussian]
         if scene[0].attributes[asset].metallic.shape[0] > 0:
             metallic = scene[0].attributes[asset].metallic[surface.gaussian]
-    interaction.bsdf = bsdf_of(
-        scene[0].materials, surface.instance, surface.albedo, wp.max(roughness, ROUGHNESS_MIN), metallic, 0.0, False
-    )
+    roughness = wp.max(roughness, ROUGHNESS_MIN)
+    eta = 1.0 / scene[0].materials[surface.instance].ior
+    interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, metallic, 0.0, eta)
     interaction.weight = surface.share
     interaction.occlusion = 1.0
     interaction.shadow_only = scene[0].materials[surface.instance].shadow_only != 0

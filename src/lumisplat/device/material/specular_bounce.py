@@ -11,6 +11,7 @@ import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.material.fresnel import cosine2_beyond, dielectric_share, reflect, refract, schlick
+from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.math.color import encode_srgb_color, is_black
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.structs.rays import Bounce
@@ -41,6 +42,7 @@ def bounce_of(
     face_normal: wp.vec3,
     shading_normal: wp.vec3,
     direction: wp.vec3,
+    eta: float,
     lit: bool,
 ) -> Bounce:
     """Splits the colour of a ray among the surface, the reflected and the refracted ray.
@@ -54,19 +56,21 @@ def bounce_of(
         face_normal: Unit, out of the mesh: a ray along it comes from inside. Opaque materials have no inside.
         shading_normal: Unit; not used if it would reflect through the triangle, or refract back.
         direction: Of the ray, unit.
+        eta: Index of refraction on the side of the ray over that behind the surface.
         lit: Weights are for linear light instead of display-referred colours.
     """
     bounce = Bounce()
     bounce.color = base_color
     if not lit:
         bounce.color = encode_srgb_color(base_color)
-    bounce.eta = 1.0 / material.ior
+    # Behind a thin wall is what is before it: rays are reflected as by a solid, and go straight through.
+    bounce.eta = eta
+    if material.thin_walled != 0:
+        bounce.eta = 1.0
     bounce.side = face_normal
     passes = material.transmission > 0.0
     if wp.dot(direction, face_normal) > 0.0:
         bounce.side = -face_normal
-        if passes:
-            bounce.eta = material.ior
     bounce.normal = shading_normal
     if wp.dot(shading_normal, bounce.side) < 0.0:
         bounce.normal = -shading_normal
@@ -75,7 +79,7 @@ def bounce_of(
     if not stays_outside(direction, bounce.normal, bounce.side, bounce.eta, passes):
         bounce.normal = bounce.side
     cosine = wp.clamp(-wp.dot(direction, bounce.normal), 0.0, 1.0)
-    mirrored = dielectric_share(material.specular, cosine, bounce.eta)
+    mirrored = dielectric_share(material.specular, cosine, eta)
     dielectric = 1.0 - material.metallic
     transmitted = dielectric * (1.0 - mirrored) * bounce.color
     bounce.reflected = wp.vec3(dielectric * mirrored)
@@ -87,6 +91,26 @@ def bounce_of(
     bounce.refracted = material.transmission * transmitted
     bounce.color = (1.0 - material.transmission) * transmitted
     return bounce
+
+
+@wp.func
+def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
+    """The bounce where there is no surface: all of the ray goes on as it was."""
+    bounce = Bounce()
+    bounce.side = face_normal
+    if wp.dot(direction, face_normal) > 0.0:
+        bounce.side = -face_normal
+    bounce.normal = bounce.side
+    bounce.eta = 1.0
+    bounce.refracted = wp.vec3(1.0)
+    return bounce
+
+
+@wp.func
+def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
+    """Whether the mesh that ray ``i`` hits reflects or refracts it, or is not there."""
+    material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
+    return material.smooth != 0 or (material.is_medium != 0 and not boundary_of_ray(i, scene, wave).exists)
 
 
 @wp.func
@@ -120,14 +144,20 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
-    bounce = bounce_of(
-        instance.material,
-        surface_color(instance, meshes, corners, weights),
-        face_normal(instance, meshes, corners),
-        surface_normal(instance, meshes, corners, weights),
-        wave[0].rays.direction[i],
-        lit,
-    )
+    boundary = boundary_of_ray(i, scene, wave)
+    bounce = straight(face_normal(instance, meshes, corners), wave[0].rays.direction[i])
+    if boundary.exists:
+        bounce = bounce_of(
+            instance.material,
+            surface_color(instance, meshes, corners, weights),
+            face_normal(instance, meshes, corners),
+            surface_normal(instance, meshes, corners, weights),
+            wave[0].rays.direction[i],
+            boundary.eta,
+            lit,
+        )
+    bounce.media = boundary.media
+    bounce.media_behind = boundary.media_behind
     return blended(bounce, mesh_coverage(i, scene, wave))
 
 

@@ -21,6 +21,8 @@ class PathData:
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
     """Whether all surfaces before were smooth: the path shows what the camera sees in mirrors."""
+    media: wp.array[wp.vec4i]
+    """The media that the ray has entered, as ``Boundary``; without elements in scenes without media."""
 
 
 @struct
@@ -42,6 +44,7 @@ class PathSteps:
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
+    media: wp.array[wp.vec4i]
 
 
 @struct
@@ -58,6 +61,8 @@ class PathStep:
     """Factor of the throughput, but for the probability of the branch."""
     density: float
     """With which the direction was sampled, per steradian; 0: it is the only one."""
+    media: wp.vec4i
+    """Those that its ray has entered, as ``Boundary``."""
 
 
 @struct

@@ -150,7 +150,25 @@ class Bounce:
     side: wp.vec3
     """Geometric normal; unit, on the side of the ray."""
     eta: float
+    """Index of refraction on the side of the ray over that behind the surface, by which it is refracted."""
+    media: wp.vec4i
+    """On the side of the ray, as ``Boundary``."""
+    media_behind: wp.vec4i
+
+
+@struct
+class Boundary:
+    """What the surface of a mesh is to a ray."""
+
+    exists: bool
+    """False: the same medium is on both sides, and the ray goes on straight."""
+    eta: float
     """Index of refraction on the side of the ray over that behind the surface."""
+    media: wp.vec4i
+    """On the side of the ray: one more than the numbers of mesh instances, in the order in which they were entered."""
+    media_behind: wp.vec4i
+    is_unentered: bool
+    """The ray leaves a medium that it has not entered."""
 
 
 @struct

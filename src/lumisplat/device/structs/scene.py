@@ -138,6 +138,14 @@ class SmoothData:
     specular: float
     ior: float
     transmission: float
+    is_medium: int
+    """1: rays that are refracted enter the inside of the mesh."""
+    thin_walled: int
+    """1: a wall without an inside, through which rays go straight."""
+    priority: int
+    """Of the medium inside, where several overlap."""
+    absorption: wp.vec3
+    """Of the medium inside, linear, per scene unit."""
 
 
 @struct

@@ -67,6 +67,8 @@ class ShadingSettings:
     camera_sees: int
     """What camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
     light_count: int
+    absorbs: int
+    """1: some medium inside a mesh absorbs light."""
     soft: int
     """1: lights are sampled over their extent."""
     shadow_offset: float
@@ -232,6 +234,11 @@ class WaveData:
     """Largest share of a ray's colour in its pixel."""
     weights: wp.array[wp.vec3]
     """Share of a ray's colour in that of the ray it branches off; without elements in the first wave."""
+    media: wp.array[wp.vec4i]
+    """The media that a ray has entered, as ``Boundary``; without elements: none."""
+    unentered: wp.array[int]
+    """1 for mesh instances which a ray from the camera leaves that has not entered them; without elements in other
+    waves, and in scenes without media."""
     branches: wp.array[int]
     """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one."""
     branch_ends: wp.array[int]

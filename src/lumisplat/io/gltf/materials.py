@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,8 +27,7 @@ _LISTED_MAX = 4
 def warn_unread(file: GltfFile) -> None:
     """Logs the features of the file's materials that are not read, one line per feature.
 
-    These are textures with other coordinates than the base colour, or that wrap otherwise, thin walls, and textures and
-    attenuation of transmission.
+    These are textures of transmission, and those with other coordinates than the base colour, or that wrap otherwise.
     """
     materials = file.model.materials or []
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
@@ -45,11 +45,8 @@ def warn_unread(file: GltfFile) -> None:
         "textures of %d materials wrap in different ways, all as the first of them (first %s)": [
             label for label, material in labelled if len(set(_textures(material).wraps(file, label))) > 1
         ],
-        "%d thin-walled materials bend light as solid bodies do, with an ior of 1 they would not (first %s)": [
-            label for label, material in labelled if _is_thin(material)
-        ],
-        "transmissionTexture and attenuation of %d materials are not read (first %s)": [
-            label for label, material in labelled if _has_varied_transmission(material)
+        "transmissionTexture of %d materials is not read (first %s)": [
+            label for label, material in labelled if "transmissionTexture" in _extension(material, "transmission")
         ],
     }
     for line, labels in lines.items():
@@ -57,15 +54,15 @@ def warn_unread(file: GltfFile) -> None:
             _log.warning("%s: " + line, file.path, len(labels), labels[0])
 
 
-def _is_thin(material: pygltflib.Material) -> bool:
-    is_solid = _extension(material, "volume").get("thicknessFactor", 0.0) > 0.0
-    return _extension(material, "transmission").get("transmissionFactor", 0.0) > 0.0 and not is_solid
-
-
-def _has_varied_transmission(material: pygltflib.Material) -> bool:
-    return "transmissionTexture" in _extension(material, "transmission") or (
-        "attenuationDistance" in _extension(material, "volume")
-    )
+def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]:
+    """What lies behind a surface that transmits: nothing, without a thickness; else a medium (KHR_materials_volume)."""
+    volume = _extension(material, "volume")
+    if not volume.get("thicknessFactor", 0.0) > 0.0:
+        return {"thin_walled": transmission > 0.0}
+    return {
+        "attenuation_color": tuple(volume.get("attenuationColor", (1.0, 1.0, 1.0))),
+        "attenuation_distance": volume.get("attenuationDistance", math.inf),
+    }
 
 
 def _is_unlit(material: pygltflib.Material) -> bool:
@@ -117,6 +114,7 @@ class GltfMaterials:
         color, shared = factors[:3], self._textures_and_alpha(material, factors, label)
         if _is_unlit(material):
             return MaterialSimple(base_color=color, name=material.name or "", **shared)
+        transmission = _extension(material, "transmission").get("transmissionFactor", 0.0)
         strength = _extension(material, "emissive_strength").get("emissiveStrength", 1.0)
         return MaterialPbr(
             base_color=color,
@@ -125,7 +123,8 @@ class GltfMaterials:
             specular=_extension(material, "specular").get("specularFactor", 1.0),
             # The extension allows 0 for compatibility with older materials; below 1 it has no physical meaning.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
-            transmission=_extension(material, "transmission").get("transmissionFactor", 0.0),
+            transmission=transmission,
+            **_inside(material, transmission),
             emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),
             normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),

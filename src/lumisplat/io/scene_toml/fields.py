@@ -7,12 +7,24 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields
 from typing import Any
 
-from lumisplat.io.scene_toml.toml_table import COLOR, FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, Values
+from lumisplat.io.scene_toml.toml_table import (
+    COLOR,
+    FLAG,
+    NUMBER,
+    QUATERNION,
+    TEXT,
+    VECTOR,
+    WHOLE,
+    Kind,
+    TomlTable,
+    Values,
+)
 
 _KINDS = {
     "Vector": VECTOR,
     "Color": COLOR,
     "float": NUMBER,
+    "int": WHOLE,
     "bool": FLAG,
     "str": TEXT,
     "npt.ArrayLike": QUATERNION,

@@ -14,7 +14,8 @@ from lumisplat.device.light.path_light import emitted_share, far_light, light_on
 from lumisplat.device.light.shadow_ray import spawn_lift, start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_sample, mean_of
 from lumisplat.device.material.fresnel import reflect, refract
-from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
+from lumisplat.device.material.media import media_of_ray, passed_by_ray
+from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
@@ -61,6 +62,8 @@ def begin_paths(start: int, paths_out: PathData):
     paths_out.normal[i] = wp.vec3(0.0)
     paths_out.importance[i] = 0.0
     paths_out.is_specular[i] = True
+    if paths_out.media:
+        paths_out.media[i] = wp.vec4i(0)
 
 
 @wp.func
@@ -153,6 +156,7 @@ def scattered_step(
         return step
     j = branch.kind * (wave[0].interactions.exists.shape[0] // 2) + i
     step.direction = sampled.direction
+    step.media = media_of_ray(i, wave)
     step.weight = interaction.weight * sampled.weight
     step.density = branch.probability * sampled.density
     step.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
@@ -173,9 +177,11 @@ def specular_step(
     side = bounce.side
     step.direction = reflect(wave[0].rays.direction[i], bounce.normal)
     step.weight = transmittance * bounce.reflected
+    step.media = bounce.media
     if branch.kind == BRANCH_REFRACTED:
         step.direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
         step.weight = transmittance * bounce.refracted
+        step.media = bounce.media_behind
         side = -bounce.side
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
@@ -236,13 +242,16 @@ def extend_paths(
         rays_out.is_active[slot * stride + i] = False
     if not wave_inout[0].rays.is_active[i]:
         return
-    throughput = paths.throughput[i]
-    if number > 0:
+    share = passed_by_ray(i, scene, wave_inout)
+    throughput = wp.cw_mul(paths.throughput[i], share)
+    if number == 0:
+        light_inout[i] = wp.cw_mul(share, light_inout[i])
+    else:
         seen = seen_by(i, no_shadows, paths, scene, wave_inout)
         light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
     end = wp.min(wave_inout[0].meshes.t[i], wave_inout[0].gaussians.depth[i])
     on_way = light_on_way(i, end, no_shadows, paths, scene, wave_inout)
-    light_inout[paths.root[i]] += wp.cw_mul(throughput, on_way)
+    light_inout[paths.root[i]] += wp.cw_mul(paths.throughput[i], on_way)
     if number == 0 and not is_black(on_way):
         wave_inout[0].radiance.alpha[i] = 1.0
     if number > bounces:
@@ -257,7 +266,7 @@ def extend_paths(
     bounce = Bounce()
     transmittance = wave_inout[0].gaussians.transmittance[i]
     if wave_inout[0].meshes.face[i] >= 0 and transmittance > 0.0:
-        if scene[0].mesh_instances[wave_inout[0].meshes.instance[i]].material.smooth != 0:
+        if sends_rays_on(i, scene, wave_inout):
             bounce = bounce_of_ray(i, True, scene, wave_inout)
     key = wave_inout[0].rays.pixel_key[i]
     sample = wave_inout[0].rays.sample[i]
@@ -322,6 +331,8 @@ def extend_paths(
     steps_out.normal[i] = vertex.normal
     steps_out.importance[i] = vertex.importance
     steps_out.is_specular[i] = paths.is_specular[i] and not scatters
+    if steps_out.media:
+        steps_out.media[i] = step.media
 
 
 @wp.kernel
@@ -380,3 +391,5 @@ def spawn_paths(
     paths_out.normal[child] = steps.normal[i]
     paths_out.importance[child] = steps.importance[i]
     paths_out.is_specular[child] = steps.is_specular[i]
+    if paths_out.media:
+        paths_out.media[child] = steps.media[i]

@@ -18,7 +18,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
@@ -41,6 +41,8 @@ class PathIntegrator:
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
         self._has_warned = False
+        self._without: tuple[str, ...] = ()
+        """Fields of paths that the frame does not need."""
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays.
@@ -53,9 +55,10 @@ class PathIntegrator:
         """
         self._warn_of_shadow_only(plan)
         self._shadows.begin_sample(sample)
+        self._without = () if plan.has_media else ("media",)
         with self._launcher.stage("light"):
             paths = self._begin(hits)
-            first = wave = self._wave(scene, plan, hits, 0)
+            first = wave = self._wave(scene, plan, hits, paths, 0)
             light = device_array(first.row.radiance.light)
             steps = self._extend(scene, plan, 0, wave=wave, paths=paths, light=light)
             for number in range(1, plan.max_bounces + 2):
@@ -64,7 +67,7 @@ class PathIntegrator:
                     break
                 rays, paths = self._spawn(wave, paths, steps, number, capacity)
                 hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
-                wave = self._wave(scene, plan, hits, number)
+                wave = self._wave(scene, plan, hits, paths, number)
                 steps = self._extend(scene, plan, number, wave=wave, paths=paths, light=light)
         return first
 
@@ -80,14 +83,15 @@ class PathIntegrator:
 
     def _begin(self, hits: PrimaryHits) -> PathData:
         """One path a ray."""
-        paths = self._buffers.struct("path.paths0", PathData, hits.count)
+        paths = self._buffers.struct("path.paths0", PathData, hits.count, self._without)
         self._launcher.run_banded(kernels.begin_paths, hits.count, paths)
         return paths
 
-    def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int) -> RayWave:
+    def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
         """A wave, with what its rays see but for lights, and its interactions."""
         # Two sets of buffers are enough: the first wave's stay, and a later one is done before the next begins.
-        return self._surfaces.shade(scene, plan, hits, min(number, 1), may_branch=False)
+        carried = Carried(media=device_array(paths.media) if plan.has_media and number > 0 else None)
+        return self._surfaces.shade(scene, plan, hits, min(number, 1), carried=carried, may_branch=False)
 
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, light: DeviceArray
@@ -100,7 +104,7 @@ class PathIntegrator:
         rays = self._buffers.struct("path.shadow_rays", RayData, 2 * count)
         contributions = self._buffers.get("path.contributions", wp.vec3, 2 * count)
         opaque = self._buffers.get("path.opaque", wp.bool, 2 * count)
-        steps = self._buffers.struct("path.steps", PathSteps, count)
+        steps = self._buffers.struct("path.steps", PathSteps, count, self._without)
         with self._launcher.stage("shade"):
             run(
                 kernels.extend_paths,
@@ -125,6 +129,6 @@ class PathIntegrator:
         """The rays of the next wave, and their paths."""
         rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()
-        onwards = self._buffers.struct(f"path.paths{number % 2}", PathData, capacity)
+        onwards = self._buffers.struct(f"path.paths{number % 2}", PathData, capacity, self._without)
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, paths, steps, rays, onwards)
         return rays, onwards

@@ -26,6 +26,7 @@ def spawn_rays(
     rays_out: RayData,
     weights_out: wp.array[wp.vec3],
     path_weights_out: wp.array[float],
+    media_out: wp.array[wp.vec4i],
 ):
     """Item = branch: starts its ray at the surface, on the side to which it leaves."""
     j = start + wp.tid()
@@ -39,10 +40,12 @@ def spawn_rays(
     weight = wave[0].gaussians.transmittance[i] * bounce.reflected
     direction = reflect(wave[0].rays.direction[i], bounce.normal)
     side = bounce.side
+    media = bounce.media
     if refracted == 1:
         weight = wave[0].gaussians.transmittance[i] * bounce.refracted
         direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
         side = -bounce.side
+        media = bounce.media_behind
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
 
@@ -61,6 +64,8 @@ def spawn_rays(
     rays_out.sample[child] = wave[0].rays.sample[i]
     weights_out[child] = weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)
+    if media_out:
+        media_out[child] = media
 
 
 @wp.kernel

@@ -13,8 +13,8 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 
@@ -77,18 +77,18 @@ class WhittedIntegrator:
         number = len(sizes) - 1
 
         def work() -> RayWave:
-            rays, weights = self._specular.spawn(scene, wave, sizes[number])
+            rays, carried = self._specular.spawn(scene, wave, sizes[number], has_media=plan.has_media)
             hits = self._tracer.find_hits(scene, rays, "wave")
-            return self._shade_wave(scene, plan, hits, number, weights)
+            return self._shade_wave(scene, plan, hits, number, carried)
 
         return self._launcher.replay(f"wave {number}", (scene.graph_key, list(sizes)), work)
 
     def _shade_wave(
-        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None = None
+        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried | None = None
     ) -> RayWave:
         """A wave with emission and direct light, and its branches numbered."""
         may_branch = number < plan.max_bounces and hits.count > 0
-        wave = self._surfaces.shade(scene, plan, hits, number, weights=weights, may_branch=may_branch)
+        wave = self._surfaces.shade(scene, plan, hits, number, carried=carried, may_branch=may_branch)
         if plan.is_lit:
             self._direct_light.add(scene, plan, wave)
         if may_branch:

@@ -18,8 +18,9 @@ from lumisplat.device.light.splat_surface import (
     splat_surface,
 )
 from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.material.media import boundary_of_ray, passed_by_ray
 from lumisplat.device.material.specular_bounce import bounce_of_ray, mesh_coverage
-from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black, over
+from lumisplat.device.math.color import captured_color, decode_srgb_color, encode_srgb_color, is_black, over
 from lumisplat.device.mesh.mesh_surface import hit_weights, surface_color
 from lumisplat.device.structs.rays import Bounce
 from lumisplat.device.structs.shading import (
@@ -220,6 +221,22 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     store_interactions(i, surface, scene, wave)
 
 
+@wp.func
+def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
+    """Takes what the medium of a ray absorbs off its weight, and notes a medium that was left without being entered."""
+    if wave[0].weights and scene[0].settings[0].absorbs != 0:
+        share = passed_by_ray(i, scene, wave)
+        wave[0].path_weights[i] = wave[0].path_weights[i] * wp.max(share)
+        if scene[0].settings[0].is_lit == 0:
+            share = encode_srgb_color(share)
+        wave[0].weights[i] = wp.cw_mul(wave[0].weights[i], share)
+    if wave[0].unentered:
+        number = wave[0].meshes.instance[i]
+        if wave[0].meshes.face[i] >= 0 and scene[0].mesh_instances[number].material.is_medium != 0:
+            if boundary_of_ray(i, scene, wave).is_unentered:
+                wave[0].unentered[number] = 1
+
+
 @wp.kernel
 def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Radiance of rays before direct light and branches are added, and, in a lit wave, their interactions."""
@@ -235,7 +252,9 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
         wave[0].interactions.exists[wave[0].interactions.exists.shape[0] // 2 + i] = False
     if not wave[0].rays.is_active[i]:
         store_no_ray(i, scene, wave)
-    elif scene[0].settings[0].is_lit == 0:
+        return
+    store_media(i, scene, wave)
+    if scene[0].settings[0].is_lit == 0:
         shade_unlit(i, scene, wave)
     else:
         shade_lit(i, scene, wave)

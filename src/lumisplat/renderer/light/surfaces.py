@@ -10,7 +10,7 @@ from lumisplat.renderer.light import surface_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 
@@ -28,6 +28,8 @@ class Surfaces:
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
+        self._unentered: DeviceArray
+        """Mesh instances that rays have left without having entered them; written where there are media."""
 
     def shade(
         self,
@@ -36,7 +38,7 @@ class Surfaces:
         hits: PrimaryHits,
         number: int,
         *,
-        weights: DeviceArray | None = None,
+        carried: Carried | None = None,
         may_branch: bool,
     ) -> RayWave:
         """A wave of rays, with its radiance before direct light and branches are added.
@@ -46,11 +48,14 @@ class Surfaces:
             plan: The plan of the frame.
             hits: What the rays hit.
             number: How many specular bounces the rays have behind them.
-            weights: Weights of the rays, as `WaveData` has them; None in the primary wave.
+            carried: What the rays bring along; None in the primary wave.
             may_branch: Whether smooth meshes reflect and refract rays that are worth tracing.
         """
         with self._launcher.stage("shade"):
-            wave = self._wave(plan, hits, number, weights, may_branch)
+            if plan.has_media and number == 0:
+                self._unentered = self._buffers.get("wave.unentered", wp.int32, scene.mesh_instances.shape[0])
+                self._unentered.zero_()
+            wave = self._wave(plan, hits, number, carried or Carried(), may_branch)
             self._launcher.run_banded(
                 kernels.shade_surfaces,
                 wave.count,
@@ -59,9 +64,7 @@ class Surfaces:
             )
         return wave
 
-    def _wave(
-        self, plan: FramePlan, hits: PrimaryHits, number: int, weights: DeviceArray | None, may_branch: bool
-    ) -> RayWave:
+    def _wave(self, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried, may_branch: bool) -> RayWave:
         count, get = hits.count, self._buffers.get
         row = WaveData()
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
@@ -71,10 +74,14 @@ class Surfaces:
         row.interactions = self._interactions(plan, count)
         row.radiance = self._radiance(plan, count, number)
         row.path_weights = path_weights = get(f"wave.path_weights{number % 2}", wp.float32, count)
-        if weights is None:
+        if carried.weights is None:
             path_weights.fill_(1.0)
         else:
-            row.weights = weights
+            row.weights = carried.weights
+        if plan.has_media and number == 0:
+            row.unentered = self._unentered
+        if carried.media is not None:
+            row.media = carried.media
         row.branches = get(f"wave.{number}.branches", wp.int32, 2 * count)
         row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, 2 * count)
         return RayWave(number, hits, row, self._buffers.table(f"wave.{number}", WaveData, [row]))

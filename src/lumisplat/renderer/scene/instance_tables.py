@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import (
     MeshInstanceData,
     SplatInstanceData,
 )
-from lumisplat.renderer.scene.materials import is_relit, place_texture, shading_overrides
+from lumisplat.renderer.scene.materials import is_medium, is_relit, place_texture, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -122,13 +122,21 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.
         row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
         row["material"]["smooth"] = material.is_smooth
         if isinstance(material, MaterialPbr):
-            for name in ("metallic", "specular", "ior", "transmission"):
+            for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
                 row["material"][name] = getattr(material, name)
+            row["material"]["is_medium"] = is_medium(instance)
+            row["material"]["absorption"] = absorption_of(material)
         bvh = assets.bvh(mesh)
         if bvh is not None:
             row["low"], row["high"] = bvh.world_box(instance.transform)
             row["bvh"] = bvh.bvh.id  # pyright: ignore[reportUnknownMemberType]
     return table
+
+
+def absorption_of(material: MaterialPbr) -> np.ndarray:
+    """Of the inside of a mesh, per scene unit, shape (3,)."""
+    left = np.maximum(material.attenuation_color, np.finfo(np.float32).tiny)
+    return -np.log(left) / material.attenuation_distance
 
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:

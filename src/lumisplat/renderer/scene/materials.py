@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,7 @@ from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, TextureWrap
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 TextureFirst = Callable[[np.ndarray], int]
 
@@ -36,6 +37,18 @@ def is_relit(instance: SplatInstance) -> bool:
     material = material_of(instance)
     ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
     return not instance.shadow_only and min(np.add(material.emissive, ambient)) < 1.0
+
+
+def is_medium(instance: MeshInstance) -> bool:
+    """Whether rays are refracted into a mesh."""
+    material = instance.mesh.material
+    return material.is_smooth and isinstance(material, MaterialPbr) and material.is_solid
+
+
+def absorbs(instance: MeshInstance) -> bool:
+    """Whether light grows dimmer on its way through a mesh."""
+    material = instance.mesh.material
+    return is_medium(instance) and isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 
 
 def material_of(instance: SplatInstance) -> Material:

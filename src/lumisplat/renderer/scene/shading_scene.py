@@ -19,7 +19,7 @@ from lumisplat.device.structs.shading import (
 from lumisplat.renderer.scene.emitters import Emitters
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.lights import LightTable
-from lumisplat.renderer.scene.materials import TextureFirst, material_table
+from lumisplat.renderer.scene.materials import TextureFirst, absorbs, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
@@ -92,7 +92,7 @@ class ShadingTables:
         row.attributes = self._attributes
         materials = material_table(scene, texture_first, is_lit=plan.is_lit)
         row.materials = self._buffers.upload("shading.materials", MaterialData, materials)
-        row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(plan))
+        row.settings = self._buffers.upload("shading.settings", ShadingSettings, self._settings(scene, plan))
         row.lights = self._table.lights
         row.environment = self._table.environment
         if plan.traces_paths:
@@ -100,7 +100,7 @@ class ShadingTables:
         row.emitters = self._emitters.data
         self.data = self._buffers.upload("shading", ShadingScene, rows_of([row]))
 
-    def _settings(self, plan: FramePlan) -> np.ndarray:
+    def _settings(self, scene: Scene, plan: FramePlan) -> np.ndarray:
         config = self._config
         row = table = np.zeros(1, dtype=table_dtype(ShadingSettings))
         row["is_lit"] = plan.is_lit
@@ -111,6 +111,7 @@ class ShadingTables:
         elif self._table.environment.exists and self._table.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
         row["light_count"] = self._table.count
+        row["absorbs"] = plan.has_media and any(absorbs(instance) for instance in scene.meshes)
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute

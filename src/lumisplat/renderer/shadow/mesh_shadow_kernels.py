@@ -4,7 +4,8 @@ import warp as wp
 
 from lumisplat.constants import EDGE_WEIGHT_MAX
 from lumisplat.device.light.shadow import pass_straight
-from lumisplat.device.mesh.mesh_surface import hit_weights, surface_alpha, surface_color, surface_normal
+from lumisplat.device.material.media import passed
+from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
 from lumisplat.device.structs.rays import RayData
@@ -50,6 +51,8 @@ def shadow_by_meshes(
             span = box_span(origin, inverse, instances[number].low, instances[number].high)
             if span[0] <= span[1] and span[1] > 0.0 and span[0] < t_max and wp.max(light) > 0.0:
                 instance = instances[number]
+                inside = float(0.0)
+                entries = int(0)
                 ray = ray_in_mesh(instance, origin, direction, span[0], 0.0)
                 query = wp.bvh_query_ray(instance.bvh, ray.origin, ray.direction)
                 item = int(0)
@@ -73,9 +76,16 @@ def shadow_by_meshes(
                                     color = surface_color(instance, meshes, corners, weights)
                                     cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
                                     share = pass_straight(instance.material, color, cosine)
+                                    enters = wp.dot(direction, face_normal(instance, meshes, corners)) < 0.0
+                                    inside += wp.where(enters, -t, t)
+                                    entries += wp.where(enters, 1, -1)
                                 alpha = surface_alpha(instance, meshes, corners, weights)
                                 share = alpha * share + wp.vec3(1.0 - alpha)
                         light = wp.cw_mul(light, share)
+                if instance.material.is_medium != 0:
+                    if entries > 0 and t_max < wp.inf:
+                        inside += float(entries) * t_max
+                    light = wp.cw_mul(light, passed(instance.material.absorption, wp.max(inside, 0.0)))
     light_out[i] = light
     is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])
     limit_out[i] = wp.where(is_done, 0.0, t_max)

@@ -10,6 +10,16 @@ from lumisplat.runtime.buffers import DeviceArray
 
 
 @dataclass(frozen=True, slots=True)
+class Carried:
+    """What the rays of a later wave bring along."""
+
+    weights: DeviceArray | None = None
+    """Share of each in the colour of the ray that it branches off, as `WaveData` has them."""
+    media: DeviceArray | None = None
+    """Media that each has entered; None: none."""
+
+
+@dataclass(frozen=True, slots=True)
 class RayWave:
     """Rays, what they hit, and what they see.
 

@@ -1,0 +1,158 @@
+"""Media that rays travel in: which one, what it absorbs, and what a surface leads from and to.
+
+A ray carries the mesh instances that it is inside of, in the order in which it entered them. Where several overlap, the
+one of the highest priority is the medium, of equal ones the last entered. A surface between one and the same medium is
+not there (after Schmidt and Budge 2002). Thin walls and meshes that let no light in are no media.
+
+The equations are in docs/method/materials.md#media.
+"""
+
+import warp as wp
+
+from lumisplat.device.mesh.mesh_surface import face_normal
+from lumisplat.device.structs.rays import Boundary
+from lumisplat.device.structs.scene import MeshInstanceData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+NESTED = wp.constant(4)
+"""Media that a ray can be in at once; further ones are not noted."""
+AIR = wp.constant(-1)
+
+
+@wp.func
+def is_in(media: wp.vec4i, number: int) -> bool:
+    """Whether mesh instance ``number`` is among the media."""
+    for k in range(NESTED):
+        if media[k] == number + 1:
+            return True
+    return False
+
+
+@wp.func
+def entered(media: wp.vec4i, number: int) -> wp.vec4i:
+    """The media after mesh instance ``number`` is entered."""
+    for k in range(NESTED):
+        if media[k] == 0:
+            media[k] = number + 1
+            return media
+    return media
+
+
+@wp.func
+def exited(media: wp.vec4i, number: int) -> wp.vec4i:
+    """The media after mesh instance ``number`` is left, where it was last entered."""
+    place = int(-1)
+    for k in range(NESTED):
+        if media[k] == number + 1:
+            place = k
+    if place < 0:
+        return media
+    for k in range(NESTED - 1):
+        if k >= place:
+            media[k] = media[k + 1]
+    media[NESTED - 1] = 0
+    return media
+
+
+@wp.func
+def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
+    """The mesh instance that a ray travels in; AIR: in none."""
+    number = AIR
+    highest = int(0)
+    for k in range(NESTED):
+        if media[k] > 0:
+            priority = instances[media[k] - 1].material.priority
+            if number == AIR or priority >= highest:
+                number = media[k] - 1
+                highest = priority
+    return number
+
+
+@wp.func
+def index_of(number: int, instances: wp.array[MeshInstanceData]) -> float:
+    """Index of refraction of a medium."""
+    if number == AIR:
+        return 1.0
+    return instances[number].material.ior
+
+
+@wp.func
+def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
+    """What the surface of a mesh is to a ray: between which media, and whether it is there at all.
+
+    Args:
+        number: The mesh instance.
+        from_inside: The ray comes from inside; what is no medium has no inside.
+        media: Those that the ray has entered.
+        instances: All of them.
+    """
+    boundary = Boundary()
+    boundary.media = media
+    boundary.media_behind = media
+    boundary.exists = True
+    boundary.eta = 1.0 / instances[number].material.ior
+    if instances[number].material.is_medium == 0:
+        return boundary
+    if from_inside:
+        if not is_in(media, number):
+            boundary.is_unentered = True
+            boundary.media = entered(media, number)
+        boundary.media_behind = exited(boundary.media, number)
+    else:
+        boundary.media_behind = entered(media, number)
+    before = current(boundary.media, instances)
+    behind = current(boundary.media_behind, instances)
+    boundary.exists = before != behind
+    boundary.eta = index_of(before, instances) / index_of(behind, instances)
+    return boundary
+
+
+@wp.func
+def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
+    """The media that ray ``i`` has entered; none, where they are not noted."""
+    if wave[0].media:
+        return wave[0].media[i]
+    return wp.vec4i(0)
+
+
+@wp.func
+def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Boundary:
+    """What the mesh that ray ``i`` hits is to it."""
+    number = wave[0].meshes.instance[i]
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    outward = face_normal(scene[0].mesh_instances[number], scene[0].meshes, corners)
+    from_inside = wp.dot(wave[0].rays.direction[i], outward) > 0.0
+    return boundary_of(number, from_inside, media_of_ray(i, wave), scene[0].mesh_instances)
+
+
+@wp.func
+def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
+    """Share of the light that a way through a medium leaves: Beer's law, linear."""
+    return wp.vec3(
+        wp.where(absorption[0] > 0.0, wp.exp(-absorption[0] * distance), 1.0),
+        wp.where(absorption[1] > 0.0, wp.exp(-absorption[1] * distance), 1.0),
+        wp.where(absorption[2] > 0.0, wp.exp(-absorption[2] * distance), 1.0),
+    )
+
+
+@wp.func
+def absorption_on_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Absorption per scene unit of the medium that ray ``i`` travels in."""
+    media = media_of_ray(i, wave)
+    if wave[0].meshes.face[i] >= 0:
+        media = boundary_of_ray(i, scene, wave).media
+    number = current(media, scene[0].mesh_instances)
+    if number == AIR:
+        return wp.vec3(0.0)
+    return scene[0].mesh_instances[number].material.absorption
+
+
+@wp.func
+def passed_by_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Share of the light that arrives along ray ``i``, from its surface, linear."""
+    if scene[0].settings[0].absorbs == 0:
+        return wp.vec3(1.0)
+    way = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    return passed(absorption_on_ray(i, scene, wave), way)

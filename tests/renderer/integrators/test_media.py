@@ -1,0 +1,200 @@
+"""Light inside meshes: absorption, thin walls, and media within media, against closed forms."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.math.color import encode_srgb
+from support.scenes.path_scenes import ball, quad
+
+TRACED = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
+AHEAD = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=8, fov_y=0.002)
+LIT, GREY, BLUE, DARK = (
+    ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=emissive)
+    for emissive in ((1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.25, 1.0), (0.0, 0.0, 0.0))
+)
+SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+CLEAR = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.0)
+
+
+def slab(front: float, back: float, material: ls.MaterialPbr) -> ls.Mesh:
+    """A closed box, wide along x and y, from ``front`` to ``back`` along z."""
+    box = ls.box(np.array([40.0, 40.0, back - front]))
+    lifted = box.positions + np.array([0.0, 0.0, 0.5 * (front + back)], np.float32)
+    return replace(box, positions=lifted, material=material)
+
+
+def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, camera: ls.Camera = AHEAD, **changes: Any) -> Any:
+    """Mean colour of a frame, float64."""
+    settings = ls.RenderConfig(pipeline=pipeline, samples=samples, lighting=True, **changes)
+    return ls.render(scene, camera, settings, device="cpu").color.mean(axis=(0, 1), dtype=np.float64)
+
+
+def reflectance(before: float, behind: float) -> float:
+    """Of a surface between two media, head on."""
+    return ((before - behind) / (before + behind)) ** 2
+
+
+@TRACED
+@pytest.mark.parametrize("behind", ["sky", "mesh"])
+def test_a_slab_absorbs(pipeline: ls.Pipeline, behind: str) -> None:
+    """Without reflection, light is the colour to the power of thickness over distance: of a sky, or a lamp inside."""
+    inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=0.7)
+    if behind == "sky":
+        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside)], lights=[SKY])
+        truth = np.array([0.2, 0.5, 1.0]) ** (1.0 / 0.7)
+    else:
+        lamp = quad((-9, -9, 0.4), (18, 0, 0), (0, 18, 0), GREY)
+        scene = ls.Scene(meshes=[slab(0.0, 1.0, inside), lamp])
+        truth = 0.5 * np.array([0.2, 0.5, 1.0]) ** (0.4 / 0.7)
+    np.testing.assert_allclose(color(scene, pipeline, 4), truth, rtol=2e-5)
+
+
+def test_unlit_frames_absorb_what_is_displayed() -> None:
+    """Like tints, the share that is left is encoded before it multiplies displayed colours."""
+    inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
+    settings = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=(0.5, 0.5, 0.5), lighting=False)
+    frame = ls.render(ls.Scene(meshes=[slab(0.0, 1.0, inside)]), AHEAD, settings, device="cpu")
+    truth = 0.5 * encode_srgb(np.array([0.2, 0.5, 1.0]))
+    np.testing.assert_allclose(frame.color[4, 8], truth, atol=1e-5)
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+@pytest.mark.parametrize("place", ["beyond", "within"])
+def test_shadows_of_absorbing_glass(pipeline: ls.Pipeline, place: str) -> None:
+    """A lamp behind it, or in it, or far away: what the way through leaves."""
+    inside = replace(CLEAR, attenuation_color=(0.2, 0.5, 1.0), attenuation_distance=1.0)
+    floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), ls.MaterialPbr(roughness=1.0, specular=0.0))
+    lamp = ls.LightPoint((0.0, 0.0, -6.0 if place == "beyond" else -4.5), intensity=50.0)
+    glass = slab(-5.0, -4.0, inside)
+    without, within = (
+        color(ls.Scene(meshes=meshes, lights=[lamp]), pipeline, 1, max_bounces=0)
+        for meshes in ([floor], [floor, glass])
+    )
+    way = 1.0 if place == "beyond" else 0.5
+    np.testing.assert_allclose(within / without, np.array([0.2, 0.5, 1.0]) ** way, rtol=1e-3)
+
+
+@TRACED
+def test_thin_walls(pipeline: ls.Pipeline) -> None:
+    """One pane: the share of one surface is mirrored, the tinted rest comes straight through, whatever the index."""
+    pane = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.0, transmission=1.0, ior=1.8, thin_walled=True)
+    meshes = [
+        quad((-9, -9, 0.0), (18, 0, 0), (0, 18, 0), pane),
+        quad((-9, -9, 1.0), (18, 0, 0), (0, 18, 0), GREY),
+        quad((-9, -9, -4.0), (18, 0, 0), (0, 18, 0), BLUE),
+    ]
+    mirrored = reflectance(1.0, 1.8)
+    truth = mirrored * np.array([0.0, 0.25, 1.0]) + (1.0 - mirrored) * 0.5 * np.array([0.9, 0.6, 0.3])
+    found = color(ls.Scene(meshes=meshes), pipeline, 256 if pipeline is ls.Pipeline.PATH else 1)
+    np.testing.assert_allclose(found, truth, rtol=0.01 if pipeline is ls.Pipeline.PATH else 1e-4)
+
+
+@TRACED
+def test_a_thin_wall_bends_nothing(pipeline: ls.Pipeline) -> None:
+    """An edge seen at an angle is where it is without the pane."""
+    halves = [
+        quad((-9, -9, 2.0), (9, 0, 0), (0, 18, 0), LIT),
+        quad((0, -9, 2.0), (9, 0, 0), (0, 18, 0), DARK),
+    ]
+    thin = replace(CLEAR, ior=1.5, specular=0.0, thin_walled=True)
+    view = ls.Camera.look_at((2.0, 0, -2.0), (0.0, 0, 2.0), width=32, height=4, fov_y=0.05)
+    settings = ls.RenderConfig(pipeline=pipeline, samples=1, lighting=True, jitter=False)
+    shown = [
+        ls.render(ls.Scene(meshes=meshes), view, settings, device="cpu").color
+        for meshes in (halves, [*halves, quad((-9, -9, 0.0), (18, 0, 0), (0, 18, 0), thin)])
+    ]
+    assert 0.2 < shown[0].mean() < 0.8
+    assert (shown[1] != shown[0]).any(axis=2).sum() <= 4  # of 128, at the very edge
+
+
+@TRACED
+@pytest.mark.parametrize(("water_priority", "ice_priority", "in_ice"), [(0, 0, 1.0), (0, 1, 2.0), (1, 0, 1.0)])
+def test_ice_in_water(pipeline: ls.Pipeline, water_priority: int, ice_priority: int, in_ice: float) -> None:
+    """Ice whose half is in water: there is one of them, that of higher priority, or that was entered last.
+
+    Which of the two absorbs, and over which way: a specular strength of 0 leaves no reflections.
+    """
+    water = replace(CLEAR, ior=1.33, specular=0.0, attenuation_color=(0.5, 1.0, 1.0), attenuation_distance=1.0)
+    ice = replace(CLEAR, ior=1.31, specular=0.0, attenuation_color=(1.0, 0.25, 1.0), attenuation_distance=1.0)
+    sea = slab(0.0, 2.0, replace(water, priority=water_priority))
+    berg = slab(-1.0, 1.0, replace(ice, priority=ice_priority))
+    found = color(ls.Scene(meshes=[sea, berg], lights=[SKY]), pipeline, 4)
+    rtol = 0.01 if pipeline is ls.Pipeline.PATH else 1e-4  # roulette
+    np.testing.assert_allclose(found, [0.5 ** (3.0 - in_ice), 0.25**in_ice, 1.0], rtol=rtol)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+@pytest.mark.parametrize("priority", [1, -1])
+def test_surfaces_between_media_mirror_by_both(pipeline: ls.Pipeline, priority: int) -> None:
+    """Two bodies that overlap have three surfaces, each with the Fresnel reflectance of the media on its two sides.
+
+    Light to and fro between parallel surfaces: 1 over the transmitted share is 1 + sum R / (1 - R).
+    """
+    indices = (1.0, 1.31, 1.6, 1.0)
+    bodies = [slab(-1.0, 1.0, replace(CLEAR, ior=1.31, priority=priority)), slab(0.0, 2.0, replace(CLEAR, ior=1.6))]
+    lamp = quad((-9, -9, 3.0), (18, 0, 0), (0, 18, 0), LIT)
+    is_path = pipeline is ls.Pipeline.PATH
+    found = color(ls.Scene(meshes=[*bodies, lamp]), pipeline, 1024 if is_path else 1, max_bounces=8)
+    mirrored = [reflectance(before, behind) for before, behind in itertools.pairwise(indices)]
+    truth = 1.0 / (1.0 + sum(r / (1.0 - r) for r in mirrored))
+    np.testing.assert_allclose(found, truth, rtol=3e-3)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_a_bubble_in_glass_of_one_index_cannot_be_seen(pipeline: ls.Pipeline) -> None:
+    """A ball of glass within a ball of the same glass mirrors and bends nothing; one of air does."""
+    glass = replace(CLEAR, ior=1.5)
+    view = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=24, height=24, fov_y=0.5)
+    sky = np.zeros((16, 32, 3), np.float32)
+    sky[:, ::4] = 1.0
+    outer = ball(0.6, glass, rows=24)
+    shown = [
+        ls.render(
+            ls.Scene(meshes=[outer, *inner], lights=[ls.LightEnvironment(sky)]),
+            view,
+            ls.RenderConfig(pipeline=pipeline, samples=1, seed=3, max_bounces=6),
+            device="cpu",
+        ).color
+        for inner in ([], [ball(0.3, glass, rows=24)], [ball(0.3, CLEAR, rows=24)])
+    ]
+    if pipeline is ls.Pipeline.TRACE:
+        np.testing.assert_allclose(shown[1], shown[0], atol=2e-2)
+        assert np.abs(shown[2] - shown[0]).mean() > 0.05
+    else:
+        np.testing.assert_allclose(shown[1].mean(), shown[0].mean(), rtol=0.1)
+
+
+@TRACED
+def test_open_glass_is_told_of(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+    """Once, with the mesh's name: triangles that face inwards; what is closed says nothing."""
+    good = ball(0.5, replace(CLEAR, ior=1.5), rows=12)
+    bad = ball(0.5, replace(CLEAR, ior=1.5), hollow=True, rows=12)
+    settings = ls.RenderConfig(pipeline=pipeline, samples=2)
+    with caplog.at_level("WARNING", logger="lumisplat"):
+        renderer = ls.create_renderer(settings, "cpu")
+        renderer.render(ls.Scene(meshes=[good], lights=[SKY]), AHEAD)
+        assert "without being entered" not in caplog.text
+        for _ in range(2):
+            renderer.render(ls.Scene(meshes=[ls.MeshInstance(bad, name="drop")], lights=[SKY]), AHEAD)
+    assert caplog.text.count("the inside of mesh 'drop' is left without being entered") == 1
+
+
+@pytest.mark.parametrize("distance", [0.0, -1.0, float("nan"), "far"])
+def test_wrong_distances_are_refused(distance: Any) -> None:
+    """In one line, with what was expected."""
+    with pytest.raises(ls.SceneError, match=r"attenuation_distance is .*, expected a length above 0, or inf"):
+        ls.MaterialPbr(attenuation_distance=distance)
+
+
+@pytest.mark.parametrize("value", [(0.5, -0.1, 1.0), (float("nan"), 1.0, 1.0), (2.0, 1.0, 1.0), float("inf")])
+def test_wrong_attenuation_is_refused(value: Any) -> None:
+    """Neither negative nor above 1 nor no number at all."""
+    with pytest.raises(ls.SceneError, match=r"attenuation_color is .*, expected three numbers in 0\.\.1"):
+        ls.MaterialPbr(attenuation_color=value)
