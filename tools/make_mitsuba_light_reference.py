@@ -13,6 +13,7 @@ extra ``bench`` and no LLVM; a quarter of an hour on two cores::
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -56,31 +57,38 @@ def main(names: list[str]) -> None:
 
 
 def describe(mi: Any, one: LightScene) -> dict:
-    """Mitsuba's scene dictionary; its cameras look along +z with x to the left."""
-    camera = one.camera
-    to_world = camera.world_from_camera.copy()
-    to_world[:, :2] *= -1.0
-    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}}
+    """Mitsuba's scene dictionary."""
     parts: dict = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2},
-        "sensor": {
-            "type": "perspective",
-            "fov": float(np.degrees(camera.fov_y)),
-            "fov_axis": "y",
-            "to_world": mi.ScalarTransform4f(to_world),
-            "film": film | {"component_format": "float32"},
-            "sampler": {"type": "multijitter", "sample_count": SAMPLES},
-        },
+        "sensor": sensor_of(mi, one.camera, SAMPLES),
     }
     parts |= {f"mesh{i}": mesh_of(mi, instance.mesh) for i, instance in enumerate(one.scene.meshes)}
     return parts | {f"light{i}": light_of(mi, light) for i, light in enumerate(one.scene.lights)}
 
 
+def sensor_of(mi: Any, camera: ls.Camera, samples: int) -> dict:
+    """A camera; those of Mitsuba look along +z with x to the left."""
+    to_world = camera.world_from_camera.copy()
+    to_world[:, :2] *= -1.0
+    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}}
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(camera.fov_y)),
+        "fov_axis": "y",
+        "to_world": mi.ScalarTransform4f(to_world),
+        "film": film | {"component_format": "float32"},
+        "sampler": {"type": "multijitter", "sample_count": samples},
+    }
+
+
 def mesh_of(mi: Any, mesh: ls.Mesh) -> Any:
-    """A mesh with its material; world space is its own space."""
+    """A mesh with its material, and what it shines; world space is its own space."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(material_of(mesh.material))
+    if any(mesh.material.emissive):
+        radiance = {"type": "rgb", "value": list(mesh.material.emissive)}
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
     smooth = mesh.normals is not None
     made = mi.Mesh(mesh.name, mesh.vertex_count, mesh.face_count, props=properties, has_vertex_normals=smooth)
     values = mi.traverse(made)
@@ -99,14 +107,17 @@ def material_of(material: Any) -> dict:
         if material.roughness > 0.0:
             kind = {"type": "roughconductor", "distribution": "ggx", "alpha": material.roughness**2}
         return kind | {"material": "none"}
-    if material.transmission == 1.0 and material.roughness == 0.0 and material.base_color == (1.0, 1.0, 1.0):
-        return {"type": "dielectric", "int_ior": material.ior, "ext_ior": 1.0}
+    if material.transmission == 1.0 and material.base_color == (1.0, 1.0, 1.0):
+        kind = {"type": "dielectric"}
+        if material.roughness > 0.0:
+            kind = {"type": "roughdielectric", "distribution": "ggx", "alpha": material.roughness**2}
+        return kind | {"int_ior": material.ior, "ext_ior": 1.0}
     assert material.specular == 0.0 == material.metallic, "Mitsuba has no such material"
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(material.base_color)}}
 
 
-def light_of(mi: Any, light: Any) -> dict:
-    """The same light; it shines on the same side, and as far."""
+def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray] = sky) -> dict:
+    """The same light; it shines on the same side, and as far; an image is that of ``radiance_of``."""
     power = {"type": "rgb", "value": [light.intensity * c for c in light.color]}
     if isinstance(light, ls.LightPoint):
         made = {"type": "point", "position": list(light.position), "intensity": power}
@@ -133,7 +144,7 @@ def light_of(mi: Any, light: Any) -> dict:
         height, width = SKY_SIZE
         u = (np.arange(width) + 0.5) / width
         v = np.arange(height)[:, None] / (height - 1)
-        texels = sky(directions_of(u + 0.5, v)) * power["value"]
+        texels = radiance_of(directions_of(u + 0.5, v)) * power["value"]
         matrix = np.eye(4)
         matrix[:3, :3] = world_from_sky(light)
         made = {"type": "envmap", "bitmap": mi.Bitmap(texels.astype(np.float32))}

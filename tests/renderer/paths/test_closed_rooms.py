@@ -1,0 +1,133 @@
+"""Light that goes to and fro between diffuse surfaces, by conservation of energy and by form factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants import SH_C0
+from lumisplat.demo.shapes import transform_mesh
+from lumisplat.math.color import encode_srgb
+from lumisplat.scene.lights import Light
+from support.oracles.form_factors import opposed_squares, perpendicular_squares
+from support.scenes.light_scenes import box
+from support.scenes.path_scenes import (
+    area_of,
+    as_splats,
+    assert_is,
+    ball,
+    diffuse,
+    irradiance,
+    irradiance_over,
+    paths,
+    quad,
+)
+from support.scenes.raster_scenes import similarity
+
+
+def crowded_room(albedo: float) -> list[ls.Mesh]:
+    """The inside of the unit cube with a ball and a box that stands askew, all of one albedo and none touching."""
+    x, y, z = np.eye(3)
+    sides = ((0 * x, z, x), (y, x, z), (0 * x, x, y), (z, y, x), (0 * x, y, z), (x, z, y))
+    globe = transform_mesh(ball(0.17, diffuse(albedo), rows=12), similarity(offset=(0.3, 0.2, 0.7)))
+    crate = transform_mesh(
+        box((0.3, 0.5, 0.2), diffuse(albedo)), similarity((0.0, 1.0, 0.0), 0.5, offset=(0.7, 0.3, 0.3))
+    )
+    return [*(quad(*side, diffuse(albedo)) for side in sides), globe, crate]
+
+
+def board(albedo: float, emitted: float) -> list[ls.Mesh]:
+    """Both sides of a square in the air."""
+    material = diffuse(albedo, emitted)
+    up = quad((0.2, 0.7, 0.2), (0, 0, 0.3), (0.3, 0, 0), material)
+    return [up, quad((0.2, 0.6999, 0.2), (0.3, 0, 0), (0, 0, 0.3), material)]
+
+
+@pytest.mark.parametrize(
+    ("lamp", "albedo"), [("point", 0.5), ("mesh", 0.5), ("rect", 0.5), ("sphere", 0.5), ("sphere", 0.8)]
+)
+def test_a_closed_room_keeps_what_its_lamp_shines(lamp: str, albedo: float) -> None:
+    """Of one albedo, whatever is in it: irradiance is Phi / (A (1 - rho)) on the mean over all surfaces."""
+    place = (0.6, 0.75, 0.7)
+    lights: dict[str, tuple[Light, float]] = {
+        "point": (ls.LightPoint(place, intensity=1.0), 4.0 * np.pi),
+        "rect": (ls.LightRect(place, (0.3, 0, 0), (0, 0, 0.2), intensity=10.0), np.pi * 10.0 * 0.06),
+        "sphere": (ls.LightSphere(place, 0.1, intensity=10.0), np.pi * 10.0 * 4.0 * np.pi * 0.01),
+    }
+    light, power = lights.get(lamp, (None, 2.0 * np.pi * 10.0 * 0.09))
+    meshes = [*crowded_room(albedo), *board(albedo, 10.0 if lamp == "mesh" else 0.0)]
+    scene = ls.Scene(meshes=meshes, lights=[light] if light else [])
+    found = irradiance_over(scene, meshes, samples=1, max_bounces=64, count=24_000)
+    assert_is(found, power / (sum(map(area_of, meshes)) * (1.0 - albedo)))
+
+
+def test_an_integrating_sphere_with_a_port() -> None:
+    """What leaves through a hole in the top is missing at every bounce: rho (1 - f) in place of rho."""
+    albedo, rows = 0.8, 96
+    whole = ball(1.0, diffuse(albedo), hollow=True, rows=rows)
+    open_above = whole.positions[whole.indices].mean(axis=1)[:, 1] < np.cos(0.6)
+    sphere = ls.Mesh(whole.positions, whole.indices[open_above], material=diffuse(albedo))
+    kept = albedo * area_of(sphere) / area_of(whole)
+    scene = ls.Scene(meshes=[sphere], lights=[ls.LightPoint((0.0, 0.0, 0.0), intensity=1.0)])
+    camera = ls.Camera.look_at((0.1, -0.4, 0.2), (0.6, -0.6, 1.0), width=48, height=32, fov_y=1.0)
+    total = irradiance(paths(scene, camera, 16, 64), albedo)
+    assert_is(total, 1.0 + kept / (1.0 - kept), share=0.005)
+
+
+def test_wide_plates() -> None:
+    """Two that face each other: J1 = (M1 + rho1 M2) / (1 - rho1 rho2), each channel by itself."""
+    emitted = np.array([[1.0, 0.2, 0.0], [0.0, 0.5, 2.0]])
+    albedo = np.array([[0.2, 0.5, 0.8], [0.9, 0.6, 0.3]])
+    materials = [
+        ls.MaterialPbr(base_color=rho, specular=0.0, roughness=1.0, emissive=shine)
+        for rho, shine in zip(albedo, emitted, strict=True)
+    ]
+    wide = 2e3
+    corner = -0.5 * wide
+    below = quad((corner, 0, corner), (0, 0, wide), (wide, 0, 0), materials[0])
+    above = quad((corner, 1, corner), (wide, 0, 0), (0, 0, wide), materials[1])
+    camera = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.05)
+    seen = paths(ls.Scene(meshes=[below, above]), camera, 64, 64).color
+    truth = (emitted[0] + albedo[0] * emitted[1]) / (1.0 - albedo[0] * albedo[1])
+    for channel in range(3):
+        assert_is(seen[..., channel].astype(np.float64), truth[channel])
+
+
+@pytest.mark.parametrize("way", ["mesh", "rect"])
+@pytest.mark.parametrize(
+    ("arrangement", "factor"),
+    [("opposed", opposed_squares(1.0)), ("wide", opposed_squares(10.0)), ("perpendicular", perpendicular_squares())],
+)
+def test_form_factors_of_squares(arrangement: str, factor: float, way: str) -> None:
+    """Direct light of one square on the other, on the mean over it."""
+    side = 10.0 if arrangement == "wide" else 1.0
+    u, v = np.array([side, 0, 0]), np.array([0, 0, side])
+    receiver = quad((0, 0, 0), v, u, diffuse(0.5))
+    corner, edges = np.array([0.0, 1.0, 0.0]), (u, v)
+    if arrangement == "perpendicular":
+        corner, edges = np.zeros(3), (u, np.array([0.0, 1.0, 0.0]))
+    lights: Sequence[Light] = []
+    meshes = [receiver]
+    if way == "mesh":
+        meshes.append(quad(corner, *edges, diffuse(0.0, 1.0 / np.pi)))
+    else:
+        lights = [ls.LightRect(corner + 0.5 * (edges[0] + edges[1]), *edges, intensity=1.0 / np.pi)]
+    found = irradiance_over(ls.Scene(meshes=meshes, lights=lights), [receiver], samples=8, max_bounces=0)
+    assert_is(found, factor)
+
+
+@pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
+def test_a_closed_furnace_of_gaussians(albedo: float, bounces: int) -> None:
+    """A hollow ball of them in one that is a mesh, and all of it shines and reflects: whatever shines through."""
+    shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
+    inner = as_splats(ball(1.0, diffuse(albedo), hollow=True, rows=24), 3000).gaussians
+    shown = np.full((inner.count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # which is what shines, and what reflects
+    shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
+    scene = ls.Scene([ls.SplatInstance(replace(inner, sh=shown), material=shining)], [shell])
+    camera = ls.Camera.look_at((0.1, 0.2, 0.3), (0.5, 0.4, 1.0), width=32, height=24, fov_y=1.0)
+    frame = paths(scene, camera, 16, bounces)
+    assert_is(frame.color[..., 1].astype(np.float64), (1.0 - albedo ** (bounces + 2)) / (1.0 - albedo), share=0.005)

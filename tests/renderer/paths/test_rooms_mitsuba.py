@@ -1,0 +1,80 @@
+"""Rooms of meshes against Mitsuba's ``path``: the stored blocks of tools/make_mitsuba_path_reference.py.
+
+The same number of bounces and the same polyhedra: all that differs is chance. A quick frame has fewer pixels, and
+blocks of as many fewer, so that they show the same parts of the room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.compare.blocks import Blocks, blocks_of_two
+from support.scenes.path_rooms import BLOCK, BOUNCES, PathRoom, path_rooms
+from support.scenes.path_scenes import paths
+
+REFERENCE = Path(__file__).resolve().parents[2] / "reference"
+ROOMS = path_rooms()
+NAMES = [name for name in ROOMS if "rough_glass" not in name]
+SAME_PLACES = 0.002
+"""Of a block: pixels are sampled at few places, the same in all of them and for both seeds."""
+
+
+def reference_of(name: str) -> Blocks:
+    """Mitsuba's blocks."""
+    with np.load(REFERENCE / f"mitsuba_path_{name}.npz") as stored:
+        return Blocks(stored["blocks"], stored["errors"])
+
+
+def blocks_of(room: PathRoom, samples: int, shrink: int) -> Blocks:
+    """Ours, of two frames with so many samples each, ``shrink`` times as small as the reference."""
+    view = room.camera.scaled(width=room.camera.width // shrink)
+    first, second = (paths(room.scene, view, samples, BOUNCES, seed=seed).color for seed in (0, 1))
+    return blocks_of_two(first, second, BLOCK // shrink)
+
+
+def errors_of(name: str, ours: Blocks) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors of the blocks, and their standard errors."""
+    theirs = reference_of(name)
+    return ours.means / theirs.means - 1.0, np.hypot(ours.errors, theirs.errors) / theirs.means
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rooms_are_lit_as_in_mitsuba(name: str) -> None:
+    """Every block within four standard errors, and all blocks together within half a per cent."""
+    samples = 32 if name in {"metal_area", "glass_area"} else 16
+    error, chance = errors_of(name, blocks_of(ROOMS[name], samples, 2))
+    assert np.median(chance) < 0.01
+    assert (np.abs(error) < 4.0 * chance + SAME_PLACES).all(), f"{np.abs(error / chance).max():.1f} standard errors"
+    weights = reference_of(name).means
+    assert abs(np.average(error, weights=weights)) < 0.005
+
+
+@pytest.mark.deep
+@pytest.mark.parametrize("name", NAMES)
+def test_blocks_of_rooms_differ_by_less_than_one_per_cent(name: str) -> None:
+    """Blocks of 32 x 32 pixels."""
+    error, chance = errors_of(name, blocks_of(ROOMS[name], 128, 1))
+    assert chance.max() < 0.0025
+    assert np.abs(error).max() < 0.01
+
+
+@pytest.mark.parametrize("change", ["a darker wall", "a brighter lamp"])
+def test_another_room_would_be_noticed(change: str) -> None:
+    """The comparison fails for a wall that reflects 5 % less, and for a lamp 2 % brighter."""
+    room = ROOMS["diffuse_area"]
+    meshes = [instance.mesh for instance in room.scene.meshes]
+    number = 1 if change == "a darker wall" else -3
+    material = meshes[number].material
+    assert isinstance(material, ls.MaterialPbr)
+    factor = 0.95 if change == "a darker wall" else 1.02
+    for name in ("base_color",) if number == 1 else ("emissive",):
+        material = replace(material, **{name: [factor * value for value in getattr(material, name)]})
+    meshes[number] = replace(meshes[number], material=material)
+    error, chance = errors_of("diffuse_area", blocks_of(replace(room, scene=ls.Scene((), meshes)), 16, 2))
+    weights = reference_of("diffuse_area").means
+    assert (np.abs(error) > 4.0 * chance + SAME_PLACES).any() or abs(np.average(error, weights=weights)) > 0.005

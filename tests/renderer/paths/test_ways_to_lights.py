@@ -1,0 +1,174 @@
+"""Direct light in closed form, by each way in which a path comes to a light.
+
+Three ways: by samples of the light alone, which those of lights are that rays do not show; by rays of the BSDF alone,
+through a pane of index 1 that shadow rays towards visible lights end at, and that nothing else is changed by; and by
+both, weighted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.scene.lights import Light
+from support.oracles.bsdf_oracle import pbr_specular
+from support.oracles.form_factors import polygon_irradiance
+from support.scenes.light_scenes import metal, parallelogram
+from support.scenes.path_scenes import assert_is, ball, diffuse, irradiance, paths, quad
+
+ALBEDO = 0.5
+FLOOR = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
+CLEAR = ls.MaterialPbr(base_color=(1.0,) * 3, roughness=0.0, transmission=1.0, ior=1.0)
+PANE = quad((-9, 0.4, -9), (18, 0, 0), (0, 0, 18), CLEAR)
+"""Between the floor and all lights, which are above 0.5."""
+CLOSE = ls.Camera.look_at((0, 0.3, 0.002), (0, 0, 0), (0, 0, -1), width=32, height=24, fov_y=0.002)
+"""Looks at the origin, from below the pane."""
+WAYS = ("sampled", "met", "both")
+
+
+def lit_by(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR) -> ls.Scene:
+    """A surface and a light that paths come to in one way."""
+    meshes = [surface, PANE] if way == "met" else [surface]
+    if isinstance(light, ls.Mesh):
+        return ls.Scene(meshes=[*meshes, light])
+    if isinstance(light, ls.LightEnvironment):
+        unmet = replace(light, shadow_distance=1e6)
+    elif isinstance(light, ls.LightPoint):
+        unmet = light
+    else:
+        unmet = replace(light, visible=False)
+    return ls.Scene(meshes=meshes, lights=[unmet if way == "sampled" else light])
+
+
+def found(light: Light | ls.Mesh, way: str, surface: ls.Mesh = FLOOR, samples: int = 64) -> np.ndarray:
+    """Irradiance at the origin, a value a pixel; no light has bounced, but through the pane."""
+    return irradiance(paths(lit_by(light, way, surface), CLOSE, samples, 1 if way == "met" else 0), ALBEDO)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("place", [(0.0, 1.0, 0.0), (0.9, 1.2, -0.5)])
+def test_a_sphere(place: tuple[float, float, float], way: str) -> None:
+    """Irradiance pi L (r / d)^2 cos."""
+    light = ls.LightSphere(place, 0.45, intensity=2.0)
+    distance = np.linalg.norm(place)
+    truth = np.pi * 2.0 * (0.45 / distance) ** 2 * place[1] / distance
+    assert_is(found(light, way), float(truth))
+
+
+@pytest.mark.parametrize("way", ["met", "both"])
+def test_a_shining_ball(way: str) -> None:
+    """A sphere of triangles that shine: the sum of those that are seen from the front."""
+    lamp = ball(0.45, diffuse(0.0, 2.0), rows=24)
+    lamp = replace(lamp, positions=lamp.positions + np.array([0.9, 1.2, -0.5]))
+    corners = lamp.positions[lamp.indices].astype(np.float64)
+    sums = [polygon_irradiance((0, 0, 0), (0, 1, 0), triangle) for triangle in corners]
+    assert_is(found(lamp, way), 2.0 * -sum(value for value in sums if value < 0.0))
+
+
+@pytest.mark.parametrize("way", ["met", "both"])
+def test_a_disc(way: str) -> None:
+    """Irradiance pi L r^2 / (r^2 + h^2), of as many corners that it is round."""
+    angles = 2.0 * np.pi * np.arange(96) / 96
+    rim = np.stack([0.6 * np.cos(angles), np.full(96, 0.8), 0.6 * np.sin(angles)], axis=1)
+    fan = [[96, k, (k + 1) % 96] for k in range(96)]
+    lamp = ls.Mesh(np.concatenate([rim, [[0.0, 0.8, 0.0]]]), fan, material=diffuse(0.0, 2.0))
+    truth = np.pi * 2.0 * 0.36 / (0.36 + 0.64)
+    np.testing.assert_allclose(2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)), truth, rtol=2e-3)
+    assert_is(found(lamp, way), 2.0 * abs(polygon_irradiance((0, 0, 0), (0, 1, 0), rim)))
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("lamp", ["mesh", "rect"])
+def test_a_polygon(lamp: str, way: str) -> None:
+    """L / 2 times Lambert's sum over its edges: a slanting parallelogram."""
+    corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
+    if lamp == "mesh" and way == "sampled":
+        pytest.skip("rays always show what shines of meshes")
+    light = ls.LightRect(corner + 0.5 * (u + v), u, v, intensity=2.0)
+    seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
+    assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if lamp == "mesh" else light, way), 2.0 * abs(seen))
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
+def test_a_wall_below_the_sky(slope: float, way: str) -> None:
+    """Irradiance pi L (1 + cos) / 2: half of the sky is bright, and it leans instead of the wall."""
+    above = np.repeat((np.arange(256) < 128)[:, None, None], 512, axis=1) * np.full(3, 2.0, np.float32)
+    sky = ls.LightEnvironment(above, rotation_wxyz=(np.cos(0.5 * slope), 0.0, 0.0, np.sin(0.5 * slope)))
+    assert_is(found(sky, way), np.pi * 2.0 * 0.5 * (1.0 + np.cos(slope)))
+
+
+def test_a_point() -> None:
+    """I cos / d^2, without any noise."""
+    place = np.array([0.9, 1.2, -0.5])
+    distance = np.linalg.norm(place)
+    values = found(ls.LightPoint(place, intensity=3.0), "sampled", samples=1)
+    np.testing.assert_allclose(values, 3.0 * place[1] / distance**3, rtol=2e-3)
+
+
+# --- Veach's plates ---
+
+ROUGHNESS = (0.2, 0.35, 0.5, 0.7)
+LAMPS = (ls.LightSphere((-0.35, 1.5, -1.5), 0.25, intensity=7.0), ls.LightSphere((0.8, 1.6, -1.4), 0.7, intensity=1.0))
+SIDE = ls.Camera.look_at((0, 0.35, 0.35), (0, 0, 0), width=32, height=24, fov_y=0.002)
+
+
+class Estimate(NamedTuple):
+    """What a plate shows."""
+
+    values: np.ndarray  # (H, W), independent, with one expectation
+    mean: float
+    error: float  # of the mean
+    samples: int
+
+
+def plate(roughness: float) -> ls.Mesh:
+    """A piece of rough metal."""
+    return parallelogram((-3, 0, 3), (6, 0, 0), (0, 0, -6), metal(roughness))
+
+
+def veach(roughness: float, way: str) -> Estimate:
+    """Radiance of a plate below both lamps; rays that find them by chance need more samples."""
+    lights = [replace(lamp, visible=way != "sampled") for lamp in LAMPS]
+    meshes = [plate(roughness), PANE] if way == "met" else [plate(roughness)]
+    samples, bounces = (256, 1) if way == "met" else (64, 0)
+    values = paths(ls.Scene(meshes=meshes, lights=lights), SIDE, samples, bounces).color[..., 1].astype(np.float64)
+    return Estimate(values, float(values.mean()), float(values.std() / np.sqrt(values.size)), samples)
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_all_ways_to_the_lamps_of_plates_agree(roughness: float) -> None:
+    """The means are within four standard errors; both ways together are about as certain as the better one."""
+    sampled, met, both = (veach(roughness, way) for way in WAYS)
+    assert all(found.error < 0.01 * found.mean for found in (sampled, met, both))
+    for a, b in ((sampled, met), (sampled, both), (met, both)):
+        assert abs(a.mean - b.mean) < 4.0 * np.hypot(a.error, b.error)
+    assert both.error < 1.5 * min(sampled.error, met.error * np.sqrt(met.samples / both.samples))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_plate_by_quadrature(way: str) -> None:
+    """Each way is the integral over the lamps' cones, in float64."""
+    view = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
+    truth = sum(reflected_lamp(lamp, view, 0.35) for lamp in LAMPS)
+    assert_is(veach(0.35, way).values, truth)
+
+
+def reflected_lamp(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> float:
+    """Radiance towards ``view`` of a white metal at the origin below a sphere, by quadrature over its cone."""
+    distance = np.linalg.norm(lamp.position)
+    axis = np.asarray(lamp.position) / distance
+    edge = 1.0 - np.sqrt(1.0 - (lamp.radius / distance) ** 2)
+    lift, turn = np.meshgrid(edge * (np.arange(400) + 0.5) / 400, 2.0 * np.pi * (np.arange(400) + 0.5) / 400)
+    across = np.cross(axis, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    sine = np.sqrt(lift * (2.0 - lift))[..., None]
+    around = np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * np.cross(axis, across)
+    rays = (1.0 - lift)[..., None] * axis + sine * around
+    white = {"alpha": roughness**2, "specular": [1.0], "grazing": 1.0}
+    values = pbr_specular(white, np.array([0.0, 1.0, 0.0]), view, rays)[..., 0] * rays[..., 1]
+    return float(2.0 * np.pi * edge * lamp.intensity * values.mean())

@@ -1,0 +1,34 @@
+"""Means of blocks of pixels, and how certain they are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Doubles = npt.NDArray[np.float64]
+
+
+class Blocks(NamedTuple):
+    """Blocks of an image."""
+
+    means: Doubles
+    """Shape (rows, columns, 3)."""
+    errors: Doubles
+    """Standard errors of the means, the same shape."""
+
+
+def block_means(image: npt.NDArray[np.floating], size: int) -> Doubles:
+    """Means over blocks of ``size`` x ``size`` pixels, shape (rows, columns, 3)."""
+    height, width, channels = image.shape
+    parts = image.astype(np.float64).reshape(height // size, size, width // size, size, channels)
+    means: Doubles = parts.mean(axis=(1, 3))
+    return means
+
+
+def blocks_of_two(first: npt.NDArray[np.floating], second: npt.NDArray[np.floating], size: int) -> Blocks:
+    """Of the mean of two images that are independent: a pixel's variance is seen in how they differ there."""
+    means = block_means(0.5 * (first.astype(np.float64) + second), size)
+    spread = block_means(0.25 * np.square(first.astype(np.float64) - second), size)
+    return Blocks(means, np.sqrt(spread) / size)

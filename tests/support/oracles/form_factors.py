@@ -1,0 +1,38 @@
+"""Light between diffuse surfaces, in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Doubles = npt.NDArray[np.float64]
+
+
+def polygon_irradiance(point: npt.ArrayLike, normal: npt.ArrayLike, corners: npt.ArrayLike) -> float:
+    """Irradiance that a polygon of radiance 1 gives, by Lambert's sum (1760): half of ``sum beta_i cos gamma_i``.
+
+    Args:
+        point: Shape (3,).
+        normal: Of the receiver, unit; all of the polygon is on that side.
+        corners: Shape (N, 3); a polygon that is seen counter-clockwise counts as negative.
+    """
+    ways = np.asarray(corners, np.float64) - np.asarray(point, np.float64)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    after = np.roll(ways, -1, axis=0)
+    angles = np.arccos(np.clip((ways * after).sum(axis=1), -1.0, 1.0))
+    edges = np.cross(ways, after)
+    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+    return float(0.5 * angles @ (edges @ np.asarray(normal, np.float64)))
+
+
+def opposed_squares(side: float) -> float:
+    """Form factor of two squares that face each other at the distance 1 (Hottel 1931)."""
+    x2 = 1.0 + side * side
+    across = side * np.sqrt(x2) * np.arctan(side / np.sqrt(x2))
+    whole = 0.5 * np.log(x2 * x2 / (x2 + side * side)) + 2.0 * across - 2.0 * side * np.arctan(side)
+    return float(2.0 / (np.pi * side * side) * whole)
+
+
+def perpendicular_squares() -> float:
+    """Form factor of two squares with a common edge, at a right angle."""
+    return float((2.0 * np.arctan(1.0) - np.sqrt(2.0) * np.arctan(np.sqrt(0.5)) + 0.25 * np.log(0.75)) / np.pi)

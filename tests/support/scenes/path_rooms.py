@@ -1,0 +1,175 @@
+"""Rooms of meshes in which light bounces; tools/make_mitsuba_path_reference.py makes the references of them.
+
+All colours are linear. What Mitsuba and we mean by a material agrees here: white metals, whose Fresnel term is 1 at all
+angles, what is purely diffuse, and clear glass. Nothing is smoothly shaded, so that both see the same polyhedra.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.demo.shapes import transform_mesh
+from support.scenes.light_scenes import ball_at, box, clear_glass, directions_of, matte, metal, parallelogram
+from support.scenes.path_scenes import as_splats
+from support.scenes.raster_scenes import similarity
+
+WIDTH, HEIGHT = 128, 96
+BLOCK = 32
+"""Pixels along the side of the blocks whose means are compared."""
+BOUNCES = 8
+SIZE = (4.0, 3.0, 5.0)
+"""Of the rooms: x, y up, z; a corner is the origin."""
+LAMP = ((1.2, 1.4), (2.8, 3.0))
+"""Of the ceiling: two corners (x, z)."""
+
+
+@dataclass(frozen=True)
+class PathRoom:
+    """A room, and the side from which it is looked into."""
+
+    scene: ls.Scene
+    camera: ls.Camera
+
+
+def path_rooms() -> dict[str, PathRoom]:
+    """Every room, by the name of its reference: what stands in it, and what lights it."""
+    things = {
+        "diffuse": [faceted_ball(0.0), turned_box(matte(0.2, 0.5, 0.8))],
+        "metal": [faceted_ball(0.0, metal(0.4)), turned_box(metal(0.6))],
+        "glass": [faceted_ball(0.0, clear_glass()), turned_box(matte(0.2, 0.5, 0.8))],
+        "rough_glass": [faceted_ball(0.0, replace(clear_glass(), roughness=0.5)), turned_box(matte(0.2, 0.5, 0.8))],
+    }
+    lit = {"area": (closed_room, ()), "sky": (open_room, (sky_light(),))}
+    rooms = {
+        f"{kind}_{light}": PathRoom(ls.Scene((), [*walls(), *things[kind]], lights), room_camera())
+        for kind in things
+        for light, (walls, lights) in lit.items()
+    }
+    return rooms | {"cornell": cornell_box()}
+
+
+def with_gaussians(room: PathRoom) -> PathRoom:
+    """A closed room whose ball and whose wall at the end are Gaussians."""
+    end, ball = 1, len(room.scene.meshes) - 2
+    splats = [as_splats(room.scene.meshes[number].mesh) for number in (end, ball)]
+    meshes = [instance for number, instance in enumerate(room.scene.meshes) if number not in {end, ball}]
+    return replace(room, scene=ls.Scene(splats, meshes))
+
+
+def room_camera(width: int = WIDTH, height: int = HEIGHT) -> ls.Camera:
+    """From one end of the room to the other; tilted, so that no edge is along a row of pixels, which sample alike."""
+    eye, target = (2.1, 1.5, 4.9), (1.95, 1.15, 0.0)
+    return ls.Camera.look_at(eye, target, (0.1, 1.0, 0.0), width=width, height=height, fov_y=0.8)
+
+
+def cornell_box() -> PathRoom:
+    """That of Mitsuba, ``mitsuba.cornell_box()``; lamps shine to one side there, so that this one has a black lid."""
+    white, red, green = (
+        matte(*color)
+        for color in ((0.885809, 0.698859, 0.666422), (0.570068, 0.0430135, 0.0443706), (0.105421, 0.37798, 0.076425))
+    )
+    shining = replace(white, emissive=(18.387, 13.9873, 6.75357))
+    x, y, z = 2.0 * np.eye(3)
+    left, right = -0.5 * (x + y + z), 0.5 * (x - y - z)
+    across, along = np.array([0.46, 0.0, 0.0]), np.array([0.0, 0.0, 0.38])
+    corner = np.array([-0.23, 0.99, -0.18])
+    meshes = [
+        parallelogram(left, z, x, white),
+        parallelogram(left + y, x, z, white),
+        parallelogram(left, x, y, white),
+        parallelogram(left, y, z, red),
+        parallelogram(right, z, y, green),
+        block((-0.33, -0.4, -0.28), ((0.28491, 0.0, -0.0939491), (0.0, 0.61, 0.0), (0.0939491, 0.0, 0.28491)), white),
+        block((0.335, -0.7, 0.38), ((0.286891, 0.0, 0.0877115), (0.0, 0.3, 0.0), (-0.0877115, 0.0, 0.286891)), white),
+        parallelogram(corner, across, along, shining),
+        parallelogram(np.add(corner, (0.0, 1e-4, 0.0)), across, along, matte(0.0)),
+    ]
+    camera = ls.Camera.look_at((0, 0, 3.9), (0, 0, 0), width=WIDTH, height=WIDTH, fov_y=float(np.radians(39.3077)))
+    return PathRoom(ls.Scene((), meshes), camera)
+
+
+def block(center: tuple[float, ...], axes: tuple[tuple[float, ...], ...], material: ls.MaterialPbr) -> ls.Mesh:
+    """A parallelepiped by half of its edges."""
+    around = box((2.0, 2.0, 2.0), material)
+    return replace(around, positions=around.positions @ np.array(axes) + np.array(center))
+
+
+def closed_room() -> list[ls.Mesh]:
+    """Six sides, with a lamp in the ceiling."""
+    return [*floor_and_walls(), *ceiling(), behind(), lamp()]
+
+
+def open_room() -> list[ls.Mesh]:
+    """Light falls in from above and from behind the camera."""
+    return floor_and_walls()
+
+
+def floor_and_walls() -> list[ls.Mesh]:
+    """The floor, the end of the room, a red side and a green one."""
+    x, y, z = np.diag(SIZE)
+    return [
+        parallelogram(0 * x, z, x, matte(0.7, 0.65, 0.6)),
+        parallelogram(0 * x, x, y, matte(0.75)),
+        parallelogram(z, -z, y, matte(0.7, 0.15, 0.1)),
+        parallelogram(x, z, y, matte(0.15, 0.6, 0.2)),
+    ]
+
+
+def ceiling() -> list[ls.Mesh]:
+    """White, in four pieces around the lamp."""
+    (x0, z0), (x1, z1) = LAMP
+    height = SIZE[1]
+    pieces = (
+        ((0.0, 0.0), (x0, SIZE[2])),
+        ((x1, 0.0), (SIZE[0], SIZE[2])),
+        ((x0, 0.0), (x1, z0)),
+        ((x0, z1), (x1, SIZE[2])),
+    )
+    return [level(start, end, height, matte(0.8)) for start, end in pieces]
+
+
+def behind() -> ls.Mesh:
+    """The side behind the camera."""
+    x, y, z = np.diag(SIZE)
+    return parallelogram(x + z, -x, y, matte(0.5))
+
+
+def lamp() -> ls.Mesh:
+    """A square that shines downwards."""
+    shining = ls.MaterialPbr(base_color=(0.5,) * 3, roughness=1.0, specular=0.0, emissive=(6.0, 5.4, 4.5))
+    return level(*LAMP, SIZE[1], shining)
+
+
+def level(start: tuple[float, float], end: tuple[float, float], height: float, material: ls.MaterialPbr) -> ls.Mesh:
+    """A rectangle from one corner (x, z) to the other that faces down."""
+    across, along = end[0] - start[0], end[1] - start[1]
+    return parallelogram((start[0], height, start[1]), (across, 0.0, 0.0), (0.0, 0.0, along), material)
+
+
+def faceted_ball(lift: float, material: ls.MaterialPbr | None = None) -> ls.Mesh:
+    """A ball of flat triangles on the floor, ``lift`` above it."""
+    ball = ball_at((1.15, 0.7 + lift, 2.1), 0.7, material or matte(0.8, 0.5, 0.2), rows=32)
+    return replace(ball, normals=None)
+
+
+def turned_box(material: ls.MaterialPbr) -> ls.Mesh:
+    """A tall box that stands askew."""
+    return transform_mesh(box((1.0, 1.7, 0.9), material), similarity((0.0, 1.0, 0.0), 0.45, offset=(2.75, 0.85, 1.3)))
+
+
+def mild_sky(directions: np.ndarray) -> np.ndarray:
+    """Linear radiance of a sky without a sun, shape (..., 3); environment space, unit: bright ahead, dark below."""
+    x, y, z = np.moveaxis(directions, -1, 0)[..., None]
+    return np.array([0.5, 0.7, 1.1]) * (1.0 + 0.7 * y) + np.array([1.1, 0.8, 0.4]) * np.exp(
+        3.0 * (0.6 * x - 0.8 * z - 1.0)
+    )
+
+
+def sky_light() -> ls.LightEnvironment:
+    """The sky, turned: it is bright on the right behind the camera."""
+    u, v = (np.arange(256) + 0.5) / 256, (np.arange(128)[:, None] + 0.5) / 128
+    image = mild_sky(directions_of(u, v)).astype(np.float32)
+    return ls.LightEnvironment(image, rotation_wxyz=(0.0, 0.0, 1.0, 0.0))
