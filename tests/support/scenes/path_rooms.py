@@ -66,11 +66,9 @@ def room_camera(width: int = WIDTH, height: int = HEIGHT) -> ls.Camera:
 
 
 def cornell_box() -> PathRoom:
-    """That of Mitsuba, ``mitsuba.cornell_box()``; lamps shine to one side there, so that this one has a black lid."""
-    white, red, green = (
-        matte(*color)
-        for color in ((0.885809, 0.698859, 0.666422), (0.570068, 0.0430135, 0.0443706), (0.105421, 0.37798, 0.076425))
-    )
+    """That of Mitsuba, ``mitsuba.cornell_box()``, seen askew. Its lamp shines to one side, so ours has a lid."""
+    white = matte(0.885809, 0.698859, 0.666422)
+    red, green = matte(0.570068, 0.0430135, 0.0443706), matte(0.105421, 0.37798, 0.076425)
     shining = replace(white, emissive=(18.387, 13.9873, 6.75357))
     x, y, z = 2.0 * np.eye(3)
     left, right = -0.5 * (x + y + z), 0.5 * (x - y - z)
@@ -87,7 +85,7 @@ def cornell_box() -> PathRoom:
         parallelogram(corner, across, along, shining),
         parallelogram(np.add(corner, (0.0, 1e-4, 0.0)), across, along, matte(0.0)),
     ]
-    camera = ls.Camera.look_at((0, 0, 3.9), (0, 0, 0), width=WIDTH, height=WIDTH, fov_y=float(np.radians(39.3077)))
+    camera = ls.Camera.look_at((0, 0, 3.9), (0, -0.25, 0), (0.1, 1.0, 0.0), width=WIDTH, height=WIDTH, fov_y=0.55)
     return PathRoom(ls.Scene((), meshes), camera)
 
 
