@@ -139,6 +139,7 @@ class Renderer:
             budget.add()
             if progress:
                 progress(budget.label, budget.fraction)
+        self._film.finish(self._scene)
         budget.warn_of_noise()
         with self._launcher.stage("download"):
             images = self._film.images(exposure, self.config)

@@ -107,6 +107,21 @@ class Film:
             self._launcher.run_banded(film_kernels.relative_errors, self._pixel_count, least, self._data, errors)
             return quantile(errors.numpy(), NOISE_PIXELS)
 
+    def finish(self, scene: DeviceScene) -> None:
+        """After the last sample: makes the images of the sums, and counts; on CUDA by a captured graph."""
+        self._launcher.replay("finish", (scene.graph_key, self._has_sums), self._finish)
+
+    def _finish(self) -> None:
+        with self._launcher.stage("store"):
+            if self._has_sums:
+                self._launcher.run_banded(film_kernels.average_samples, self._pixel_count, self._data)
+            if "variance" in self._plan.aovs:
+                variance = self._image("variance")
+                self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, variance)
+            if self._launcher.is_parallel:  # then the frame's count is one number to download
+                self._count_total.zero_()
+                self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, self._count_total)
+
     def _store(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
         with self._launcher.stage("store"):
             for name, values in self._sampled_images(wave, lights).items():
@@ -126,13 +141,11 @@ class Film:
             exposure: Of the camera, for the picture that is encoded on CUDA.
             config: Says how that is shown.
         """
-        self._average()
         transparent = config.background is None
         arrays = self._accumulated()
         accumulated = [*arrays]
         if "variance" in self._plan.aovs:
             arrays["variance"] = self._image("variance")
-            self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, arrays["variance"])
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
             display = picture_data(exposure, config.tone_map, transparent=transparent)
@@ -165,11 +178,8 @@ class Film:
     @property
     def nonfinite_count(self) -> int:
         """Samples of the frame that were left out as they were NaN or infinite."""
-        if self._launcher.is_parallel:  # one number to download
-            total = self._buffers.get("film.count_total", wp.int64, 1)
-            total.zero_()
-            self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, total)
-            return self._drawn - int(total.numpy()[0])
+        if self._launcher.is_parallel:
+            return self._drawn - int(self._count_total.numpy()[0])
         return self._drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
@@ -186,11 +196,6 @@ class Film:
             self._launcher.run_banded(film_kernels.count_hits, wave.count, wave.data, images["hits"])
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
-
-    def _average(self) -> None:
-        """Makes the images of the sums, if there are any."""
-        if self._has_sums:
-            self._launcher.run_banded(film_kernels.average_samples, self._pixel_count, self._data)
 
     def _accumulated(self) -> dict[str, DeviceArray]:
         """What samples are added to, by name."""
@@ -288,6 +293,10 @@ class Film:
     @property
     def _count(self) -> DeviceArray:
         return self._buffers.get("film.count", wp.int32, self._pixel_count)
+
+    @property
+    def _count_total(self) -> DeviceArray:
+        return self._buffers.get("film.count_total", wp.int64, 1)
 
     @property
     def _sums(self) -> tuple[PixelSums, DeviceArray]:
