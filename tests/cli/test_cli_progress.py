@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 
 import pytest
 import warp as wp
@@ -43,6 +44,31 @@ def test_a_bar_says_what_is_left(monkeypatch) -> None:
 def test_spoken_times(seconds: float, spoken: str) -> None:
     """Whole seconds, then whole minutes, whose hours carry."""
     assert spoken_time(seconds) == spoken
+
+
+def test_details_stay_in_the_bar_of_their_label(monkeypatch) -> None:
+    """How many samples there are, and how noisy: one bar, whose text changes, and that is gone at the end."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with progress_bars() as report:
+        bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
+        for words, fraction in (("tracing, 1 sample", 0.25), ("tracing, 16 samples, noise 0.200", 0.5)):
+            report(words, fraction)
+            assert [task.description for task in bars.tasks] == [words]
+        report("tracing, 64 samples, noise 0.100", 1.0)
+        assert not bars.tasks
+
+
+def test_frames_of_a_time_or_a_noise_say_what_they_have(work, caplog) -> None:
+    """In the line about the picture; and in another one where the noise is not as low as it should be."""
+    path = ("render", "@mesh.obj", *SIZE, "--pipeline", "path", "--max-bounces", "1", "-o", "@a.png")
+    timed = work.run(*path, "--time", "0.001")
+    assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
+    enough = work.run(*path, "--noise", "0.9", "--stats")
+    assert re.search(r"\), 16 samples, noise 0\.\d{3}\n", enough.out) and "noise" in enough.out
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        assert work.run(*path, "--noise", "0.0001", "--samples", "18").status == 0
+    (line,) = [record.getMessage() for record in caplog.records if "noise" in record.getMessage()]
+    assert re.fullmatch(r"the noise is 0\.\d{3} after 18 samples a pixel, where --noise is 0\.0001", line)
 
 
 def announced(caplog: pytest.LogCaptureFixture) -> list[str]:

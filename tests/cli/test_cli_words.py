@@ -88,6 +88,11 @@ def test_words(message: str, expected: str) -> None:
     ("options", "error"),
     [
         (("--samples", "0"), "--samples is 0, expected a whole number from 1"),
+        (("--time", "0"), "--time is 0.0, expected a number above 0"),
+        (("--time", "-3"), "--time is -3.0, expected a number above 0"),
+        (("--noise", "2"), "--noise is 2.0, expected more than 0 and less than 1"),
+        (("--noise", "soft"), "--noise is 'soft', expected a number or off"),
+        (("--adaptive", "on", "--pipeline", "hybrid"), "--adaptive on needs rays from the camera: --pipeline path or"),
         (("--shadow-offset", "-2"), "--shadow-offset is -2.0, expected 0.0 to 100.0"),
         (("--depth-iso", "2"), "--depth-iso is 2.0, expected 0.0 to 1.0"),
         (("--acceptance-scale", "0"), "--acceptance-scale is 0.0, expected 0.001 to 1.0"),
