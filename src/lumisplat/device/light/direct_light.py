@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.light import sample_light
 from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
+from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, LightSample
@@ -20,12 +21,21 @@ SHADOW_BRANCHES = wp.constant(2)
 
 
 @wp.func
+def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
+    """Whether light from there arrives at an interaction: from above, or, at rough glass, from below."""
+    cosine = wp.dot(interaction.normal, direction)
+    above = wp.dot(interaction.horizon_normal, direction)
+    if cosine < 0.0 and above < 0.0:
+        return transmits(interaction.bsdf)
+    return cosine > 0.0 and above > 0.0
+
+
+@wp.func
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
     """Unshadowed irradiance at an interaction by a sample of a light."""
-    cosine = wp.dot(interaction.normal, sample.direction)
-    if cosine <= 0.0 or wp.dot(interaction.horizon_normal, sample.direction) <= 0.0:
+    if not arrives(interaction, sample.direction):
         return wp.vec3(0.0)
-    return cosine * sample.irradiance
+    return wp.abs(wp.dot(interaction.normal, sample.direction)) * sample.irradiance
 
 
 @wp.func

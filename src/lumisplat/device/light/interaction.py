@@ -54,7 +54,16 @@ def bsdf_of(
         bsdf.specular = (1.0 - metallic) * wp.vec3(head_on_share(bsdf.dielectric, bsdf.eta)) + metallic * color
         bsdf.grazing = (1.0 - metallic) * bsdf.dielectric + metallic
         bsdf.alpha = roughness * roughness
-        bsdf.mean_mirrored = mean_mirrored_share(bsdf.dielectric, bsdf.eta, bsdf.alpha, materials[number].fresnel_mean)
+        smooth_alpha = bsdf.alpha
+        if roughness > 0.0 and transmission > 0.0:
+            bsdf.transmitted = (1.0 - metallic) * transmission * color
+            bsdf.thin_walled = materials[number].thin_walled != 0
+            bsdf.metallic = metallic
+            bsdf.metal = metallic * color
+            smooth_alpha = 0.0
+        bsdf.mean_mirrored = mean_mirrored_share(
+            bsdf.dielectric, bsdf.eta, smooth_alpha, materials[number].fresnel_mean
+        )
     else:
         bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
         bsdf.specular = materials[number].specular
@@ -80,6 +89,11 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
     interaction.bsdf.dielectric = wave[0].interactions.dielectric[j]
     interaction.bsdf.eta = wave[0].interactions.eta[j]
     interaction.bsdf.mean_mirrored = wave[0].interactions.mean_mirrored[j]
+    if wave[0].interactions.transmitted:
+        interaction.bsdf.transmitted = wave[0].interactions.transmitted[j]
+        interaction.bsdf.thin_walled = wave[0].interactions.thin_walled[j]
+        interaction.bsdf.metallic = wave[0].interactions.metallic[j]
+        interaction.bsdf.metal = wave[0].interactions.metal[j]
     interaction.weight = wave[0].interactions.weight[j]
     interaction.occlusion = wave[0].interactions.occlusion[j]
     interaction.shadow_only = wave[0].interactions.shadow_only[j]
@@ -105,6 +119,11 @@ def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]
     wave[0].interactions.dielectric[j] = interaction.bsdf.dielectric
     wave[0].interactions.eta[j] = interaction.bsdf.eta
     wave[0].interactions.mean_mirrored[j] = interaction.bsdf.mean_mirrored
+    if wave[0].interactions.transmitted:
+        wave[0].interactions.transmitted[j] = interaction.bsdf.transmitted
+        wave[0].interactions.thin_walled[j] = interaction.bsdf.thin_walled
+        wave[0].interactions.metallic[j] = interaction.bsdf.metallic
+        wave[0].interactions.metal[j] = interaction.bsdf.metal
     wave[0].interactions.weight[j] = interaction.weight
     wave[0].interactions.occlusion[j] = interaction.occlusion
     wave[0].interactions.shadow_only[j] = interaction.shadow_only

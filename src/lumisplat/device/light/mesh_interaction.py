@@ -93,8 +93,9 @@ def mesh_interaction(
         if material.occlusion_texture.width > 0:
             arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
             interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
-    # Rough surfaces do not let light through: what they do not reflect specularly is scattered back.
-    transmission = wp.where(material.roughness == 0.0, material.transmission, 0.0)
+    # Light comes through rough surfaces by paths only: else what they do not reflect specularly is scattered back.
+    lets_through = material.roughness == 0.0 or wave[0].traces_paths != 0
+    transmission = wp.where(lets_through, material.transmission, 0.0)
     interaction.wo = -wave[0].rays.direction[i]
     interaction.geometric_normal = face_normal(instance, meshes, corners)
     inside = wp.dot(interaction.geometric_normal, interaction.wo) < 0.0
@@ -104,7 +105,8 @@ def mesh_interaction(
     interaction.bsdf = bsdf_of(
         scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, boundary.eta
     )
-    if is_black(interaction.bsdf.diffuse) and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
+    is_dark = is_black(interaction.bsdf.diffuse) and is_black(interaction.bsdf.transmitted)
+    if is_dark and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction
     interaction.exists = True
     if inside:

@@ -2,7 +2,9 @@
 
 import warp as wp
 
+from lumisplat.device.light.mesh_interaction import mesh_spawn_point
 from lumisplat.device.light.shadow_terminator import lift_of, lifted
+from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveData
 
@@ -10,10 +12,30 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
+    """Whether a ray from interaction ``j`` leaves through its surface."""
+    if not wave[0].interactions.transmitted:
+        return False
+    through = wp.dot(direction, wave[0].interactions.geometric_normal[j]) < 0.0
+    return through and not is_black(wave[0].interactions.transmitted[j])
+
+
+@wp.func
+def spawn_origin(
+    j: int, direction: wp.vec3, lift: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> wp.vec3:
+    """Where a ray from interaction ``j`` begins, on the side to which it leaves; ``lift`` as ``spawn_lift``."""
+    if leaves_below(j, direction, wave):
+        stride = wave[0].interactions.exists.shape[0] // 2
+        return mesh_spawn_point(j - stride, -wave[0].interactions.geometric_normal[j], scene, wave)
+    return wave[0].interactions.spawn_point[j] + lift
+
+
+@wp.func
 def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
     """From the spawn point of interaction ``j`` to where a ray begins: on the smooth surface, where that is above."""
     height = wave[0].interactions.smooth_height[j]
-    if height <= 0.0:
+    if height <= 0.0 or leaves_below(j, direction, wave):
         return wp.vec3(0.0)
     normal = wave[0].interactions.horizon_normal[j]
     return lift_of(height, normal, wave[0].interactions.geometric_normal[j], direction)
@@ -33,7 +55,7 @@ def start_shadow_ray(
     if wave[0].interactions.smooth_height[j] > 0.0:
         contribution = lifted(contribution, lift)
     rays_out.is_active[j] = True
-    rays_out.origin[j] = wave[0].interactions.spawn_point[j] + lift
+    rays_out.origin[j] = spawn_origin(j, contribution.direction, lift, scene, wave)
     rays_out.direction[j] = contribution.direction
     rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
     rays_out.t_max[j] = contribution.distance

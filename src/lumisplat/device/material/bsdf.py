@@ -1,7 +1,7 @@
 """BSDFs: evaluated, sampled, and the densities of samples.
 
-Directions are unit vectors away from the surface, on the side of ``normal``: below it, nothing is reflected. The two
-models are reciprocal, and no more light leaves than arrives.
+Directions are unit vectors away from the surface, ``view`` on the side of ``normal``: below it, nothing is reflected,
+but rough glass transmits. The two models are reciprocal, and no more light leaves than arrives.
 
 The equations are in docs/method/materials.md.
 """
@@ -20,6 +20,14 @@ from lumisplat.device.material.ggx import (
     sample_ggx_vndf,
     smith_g1,
 )
+from lumisplat.device.material.rough_glass import (
+    glass_direction,
+    glass_eval,
+    glass_pdf,
+    glass_share,
+    transmits,
+)
+from lumisplat.device.math.color import is_black, mean_of
 from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, around
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf, BsdfSample
 
@@ -27,12 +35,6 @@ wp.set_module_options({"enable_backward": False})
 
 EXPONENT_MIN = wp.constant(wp.float32(-30.0))
 """Natural logarithm below which a highlight is dark."""
-
-
-@wp.func
-def mean_of(color: wp.vec3) -> float:
-    """The mean of the three channels."""
-    return (color[0] + color[1] + color[2]) / 3.0
 
 
 # --- Simple: a diffuse part and a Phong highlight ---
@@ -103,7 +105,7 @@ def head_on_share(dielectric: float, eta: float) -> float:
 @wp.func
 def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
     """Share of the light from that cosine which the dielectric mirrors, by its highlight or along a ray."""
-    if bsdf.alpha <= 0.0:
+    if bsdf.alpha <= 0.0 or transmits(bsdf):
         return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
     rising = rising_share(cosine, bsdf.alpha)
     head_on = head_on_share(bsdf.dielectric, bsdf.eta)
@@ -137,6 +139,8 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
     value = wp.vec3(0.0)
     if wp.max(bsdf.diffuse) > 0.0:
         value = pbr_diffuse(bsdf, cos_view, cos_light)
+    if transmits(bsdf):
+        return value + glass_eval(bsdf, normal, view, light)
     half = view + light
     length2 = wp.dot(half, half)
     if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
@@ -150,6 +154,8 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     """Probability with which the highlight is sampled: its share of the material's directional albedo."""
+    if transmits(bsdf):
+        return glass_share(bsdf, cos_view)
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return 0.0
     specular = mean_of(view_albedo(bsdf, cos_view))
@@ -165,7 +171,11 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
 @wp.func
 def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
-    if wp.dot(normal, view) <= 0.0 or wp.dot(normal, light) <= 0.0:
+    if wp.dot(normal, view) <= 0.0:
+        return wp.vec3(0.0)
+    if wp.dot(normal, light) <= 0.0:
+        if transmits(bsdf) and wp.dot(normal, light) < 0.0:
+            return glass_eval(bsdf, normal, view, light)
         return wp.vec3(0.0)
     if bsdf.model == BSDF_SIMPLE:
         return simple_eval(bsdf, normal, view, light)
@@ -173,29 +183,49 @@ def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 
 @wp.func
-def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
+def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """``bsdf_pdf`` above the horizon."""
+    diffuse = INV_PI * wp.dot(normal, light)
+    share = simple_share(bsdf)
+    if share <= 0.0:
+        return diffuse
+    specular = INV_TWO_PI * (bsdf.shininess + 1.0) * highlight(bsdf, normal, view, light)
+    return share * specular + (1.0 - share) * diffuse
 
-    It integrates to less than 1, by the share of samples below the horizon.
-    """
+
+@wp.func
+def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """``bsdf_pdf`` above the horizon."""
     cos_view = wp.dot(normal, view)
-    cos_light = wp.dot(normal, light)
-    if cos_view <= 0.0 or cos_light <= 0.0:
-        return 0.0
-    diffuse = INV_PI * cos_light
-    if bsdf.model == BSDF_SIMPLE:
-        share = simple_share(bsdf)
-        if share <= 0.0:
-            return diffuse
-        specular = INV_TWO_PI * (bsdf.shininess + 1.0) * highlight(bsdf, normal, view, light)
-        return share * specular + (1.0 - share) * diffuse
+    diffuse = INV_PI * wp.dot(normal, light)
     share = pbr_share(bsdf, cos_view)
+    if transmits(bsdf):
+        return share * glass_pdf(bsdf, normal, view, light) + (1.0 - share) * diffuse
     half = view + light
     if share <= 0.0 or wp.dot(half, half) <= HALF_MIN2:
         return (1.0 - share) * diffuse
     alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
     specular = 0.5 * ggx_d(normal, half, alpha) * smith_g1(cos_view, alpha)
     return share * specular + (1.0 - share) * diffuse
+
+
+@wp.func
+def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
+
+    It integrates to less than 1, by the share of samples below the horizon, or above it that were meant to transmit.
+    """
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    if cos_view <= 0.0:
+        return 0.0
+    if cos_light <= 0.0:
+        if cos_light < 0.0 and transmits(bsdf):
+            return pbr_share(bsdf, cos_view) * glass_pdf(bsdf, normal, view, light)
+        return 0.0
+    if bsdf.model == BSDF_SIMPLE:
+        return simple_pdf(bsdf, normal, view, light)
+    return pbr_pdf(bsdf, normal, view, light)
 
 
 @wp.func
@@ -236,10 +266,16 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
             along = around(normal, 0.0, 1.0, 0.0)
         facet = sample_ggx_vndf(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
         half = facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
-        sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
+        if transmits(bsdf):
+            sample.direction = glass_direction(bsdf, normal, view, half, choice / share)
+            if is_black(sample.direction):
+                sample.direction = normal
+                return sample
+        else:
+            sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
     density = bsdf_pdf(bsdf, normal, view, sample.direction)
     if density > 0.0:
         value = bsdf_eval(bsdf, normal, view, sample.direction)
-        sample.weight = (wp.dot(normal, sample.direction) / density) * value
+        sample.weight = (wp.abs(wp.dot(normal, sample.direction)) / density) * value
         sample.density = density
     return sample

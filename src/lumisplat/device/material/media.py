@@ -156,3 +156,30 @@ def passed_by_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
         return wp.vec3(1.0)
     way = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
     return passed(absorption_on_ray(i, scene, wave), way)
+
+
+@wp.func
+def scattered_media(
+    i: int,
+    by_mesh: bool,
+    direction: wp.vec3,
+    normal: wp.vec3,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+) -> wp.vec4i:
+    """The media of a ray that a surface scatters: those behind it, if it goes through the mesh.
+
+    Args:
+        i: The ray that arrives.
+        by_mesh: The mesh scatters it, else Gaussians before that do.
+        direction: In which it leaves.
+        normal: On the side from which it arrives.
+        scene: With the mesh.
+        wave: Of the ray.
+    """
+    if not by_mesh:
+        return media_of_ray(i, wave)
+    boundary = boundary_of_ray(i, scene, wave)
+    if wp.dot(direction, normal) < 0.0:
+        return boundary.media_behind
+    return boundary.media

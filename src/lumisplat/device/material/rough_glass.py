@@ -1,8 +1,8 @@
 """Rough dielectrics that transmit: reflection and refraction at microfacets (Walter et al. 2007), and thin walls.
 
 Directions are unit vectors away from the surface; ``view`` is on the side of ``normal``, ``light`` on either side.
-Radiance counts over the square of its medium's index of refraction: then no light is gained or lost where rays are bent,
-as at smooth surfaces.
+Radiance counts over the square of its medium's index of refraction: no light is gained or lost where rays are bent, as
+at smooth surfaces.
 
 The equations are in docs/method/materials.md#rough-glass.
 """
@@ -123,7 +123,7 @@ def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, choice: float) -> wp.vec3:
-    """Where light comes from that a sampled microfacet sends to the view.
+    """Where light comes from that a sampled microfacet sends to the view; zero: from another microfacet.
 
     Args:
         bsdf: The material.
@@ -134,11 +134,17 @@ def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, c
     """
     to_view = wp.dot(view, half)
     mirrored = wp.normalize(2.0 * to_view * half - view)
-    if choice < reflected_chance(bsdf, to_view):
-        return mirrored
-    if bsdf.thin_walled:
-        return mirrored - 2.0 * wp.dot(normal, mirrored) * normal
-    return refract(-view, half, bending(bsdf.eta))
+    is_lost = wp.dot(normal, mirrored) <= 0.0
+    found = mirrored
+    if choice >= reflected_chance(bsdf, to_view):
+        if bsdf.thin_walled:
+            found = mirrored - 2.0 * wp.dot(normal, mirrored) * normal
+        else:
+            found = refract(-view, half, bending(bsdf.eta))
+            is_lost = wp.dot(normal, found) >= 0.0
+    if is_lost:
+        return wp.vec3(0.0)
+    return found
 
 
 @wp.func

@@ -44,6 +44,12 @@ def decode_srgb_color(display: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def mean_of(color: wp.vec3) -> float:
+    """The mean of the three channels."""
+    return (color[0] + color[1] + color[2]) / 3.0
+
+
+@wp.func
 def is_black(color: wp.vec3) -> bool:
     """Whether all channels are 0."""
     return color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0

@@ -120,6 +120,13 @@ class Bsdf:
     """BSDF_PBR: index of refraction on the side of the viewer over that behind the surface."""
     mean_mirrored: float
     """BSDF_PBR: share of even light from all around that what is not metal mirrors."""
+    transmitted: wp.vec3
+    """Rough BSDF_PBR: share of the light let in that comes through; zero: none, and what follows is undefined."""
+    thin_walled: bool
+    """Light comes straight through; else it is refracted."""
+    metallic: float
+    metal: wp.vec3
+    """Reflectance of the metal at normal incidence, times ``metallic``."""
 
 
 @struct

@@ -38,6 +38,7 @@ class MaterialData:
     fresnel_mean: float
     """Share of even light from all around that a smooth dielectric of this ``ior`` mirrors."""
     transmission: float
+    thin_walled: int
     metallic_roughness_texture: TextureData
     normal_texture: TextureData
     normal_scale: float
@@ -167,6 +168,11 @@ class Interactions:
     dielectric: wp.array[float]
     eta: wp.array[float]
     mean_mirrored: wp.array[float]
+    transmitted: wp.array[wp.vec3]
+    """Like the next three without elements unless rough surfaces transmit."""
+    thin_walled: wp.array[wp.bool]
+    metallic: wp.array[float]
+    metal: wp.array[wp.vec3]
     weight: wp.array[float]
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]

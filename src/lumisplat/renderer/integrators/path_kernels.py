@@ -7,16 +7,18 @@ rays of the next one. The equations are in docs/method/paths.md.
 import warp as wp
 
 from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
+from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.light_choice import chosen_light, meets_rays, total_importance
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
-from lumisplat.device.light.shadow_ray import spawn_lift, start_shadow_ray
-from lumisplat.device.material.bsdf import bsdf_sample, mean_of
+from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin, start_shadow_ray
+from lumisplat.device.material.bsdf import bsdf_sample
 from lumisplat.device.material.fresnel import reflect, refract
-from lumisplat.device.material.media import media_of_ray, passed_by_ray
+from lumisplat.device.material.media import passed_by_ray, scattered_media
+from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
-from lumisplat.device.math.color import captured_color, is_black
+from lumisplat.device.math.color import captured_color, is_black, mean_of
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs.path import (
@@ -98,7 +100,8 @@ def scattering_share(interaction: Interaction) -> float:
     if not interaction.exists or interaction.shadow_only:
         return 0.0
     bsdf = interaction.bsdf
-    return interaction.weight * wp.max(mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing, 1e-6)
+    albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing + mean_of(bsdf.transmitted)
+    return interaction.weight * wp.max(albedo, 1e-6)
 
 
 @wp.func
@@ -132,13 +135,21 @@ def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVe
     vertex = PathVertex()
     vertex.position = interaction.position
     vertex.normal = interaction.normal
+    if transmits(interaction.bsdf):
+        vertex.normal = wp.vec3(0.0)  # light counts from both sides
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
 
 
 @wp.func
 def scattered_step(
-    i: int, branch: Branch, interaction: Interaction, u: wp.vec2, choice: float, wave: wp.array[WaveData]
+    i: int,
+    branch: Branch,
+    interaction: Interaction,
+    u: wp.vec2,
+    choice: float,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
 ) -> PathStep:
     """The step of a path that an interaction scatters.
 
@@ -148,18 +159,19 @@ def scattered_step(
         interaction: With that surface.
         u: Random, 0..1 each.
         choice: Random, 0..1, decides between diffuse and highlight.
+        scene: With the surface.
         wave: Of the ray.
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
-    if not (sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0):
+    if not (sampled.density > 0.0 and arrives(interaction, sampled.direction)):
         return step
     j = branch.kind * (wave[0].interactions.exists.shape[0] // 2) + i
     step.direction = sampled.direction
-    step.media = media_of_ray(i, wave)
+    step.media = scattered_media(i, branch.kind == BRANCH_MESH, sampled.direction, interaction.normal, scene, wave)
     step.weight = interaction.weight * sampled.weight
     step.density = branch.probability * sampled.density
-    step.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
+    step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.length = wave[0].meshes.t[i]
     if branch.kind == BRANCH_SPLATS:
@@ -312,7 +324,7 @@ def extend_paths(
     scatters = branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH  # noqa: PLR1714
     if scatters:
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
-        step = scattered_step(i, branch, scattered, u, ways[1], wave_inout)
+        step = scattered_step(i, branch, scattered, u, ways[1], scene, wave_inout)
     else:
         step = specular_step(i, branch, bounce, scene, wave_inout)
     throughput = wp.cw_mul(throughput, step.weight) / branch.probability

@@ -18,6 +18,10 @@ SHADOW_RAY_FIELDS = ("spawn_point", "spawn_t_min", "geometric_normal", "smooth_h
 """Fields of interactions that only shadow rays need."""
 
 
+ROUGH_GLASS_FIELDS = {"transmitted", "thin_walled", "metallic", "metal"}
+"""Fields of interactions that only rough surfaces need which transmit."""
+
+
 class Surfaces:
     """Makes a wave of rays from their hits.
 
@@ -89,7 +93,9 @@ class Surfaces:
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
         if not plan.is_lit:
             return Interactions()
-        without = () if plan.spawns_shadow_rays else SHADOW_RAY_FIELDS
+        without: set[str] = set() if plan.spawns_shadow_rays else set(SHADOW_RAY_FIELDS)
+        if not plan.has_rough_glass:
+            without |= ROUGH_GLASS_FIELDS
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:

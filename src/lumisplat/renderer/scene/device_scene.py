@@ -187,6 +187,6 @@ class DeviceScene:
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
-        meshes = mesh_instance_table(scene, self._meshes, camera)
+        meshes = mesh_instance_table(scene, self._meshes, camera, traces_paths=plan.traces_paths)
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
         self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)

@@ -14,7 +14,7 @@ from lumisplat.constants import (
     SAMPLES_OPEN,
     SPECULAR_BOUNCES,
 )
-from lumisplat.renderer.scene.materials import emits_capture_only, is_medium, is_relit
+from lumisplat.renderer.scene.materials import emits_capture_only, is_medium, is_relit, is_rough_glass
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
 from lumisplat.scene.scene import Scene
 
@@ -98,6 +98,8 @@ class FramePlan:
     """The scene has mesh instances."""
     has_media: bool
     """Rays are refracted into meshes, and know which they are in."""
+    has_rough_glass: bool
+    """Paths are scattered through rough surfaces."""
     draws_alpha: bool
     """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
     behind such surfaces by the share that these leave."""
@@ -159,7 +161,8 @@ class FramePlan:
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
-            has_media=not only_rasterises and any(is_medium(instance) for instance in scene.meshes),
+            has_media=not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes),
+            has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             draws_alpha=draws_alpha,
             keeps_captures=keeps,
             relights=relights,

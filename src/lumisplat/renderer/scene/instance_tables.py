@@ -94,7 +94,7 @@ def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
-def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.ndarray:
+def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera, *, traces_paths: bool) -> np.ndarray:
     """The rows of a scene's mesh instances, with boxes and hierarchies if ``assets`` has built them for rays."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
@@ -124,7 +124,7 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera) -> np.
         if isinstance(material, MaterialPbr):
             for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
                 row["material"][name] = getattr(material, name)
-            row["material"]["is_medium"] = is_medium(instance)
+            row["material"]["is_medium"] = is_medium(instance, traces_paths=traces_paths)
             row["material"]["absorption"] = absorption_of(material)
         bvh = assets.bvh(mesh)
         if bvh is not None:

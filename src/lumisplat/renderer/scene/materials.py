@@ -39,16 +39,22 @@ def is_relit(instance: SplatInstance) -> bool:
     return not instance.shadow_only and min(np.add(material.emissive, ambient)) < 1.0
 
 
-def is_medium(instance: MeshInstance) -> bool:
-    """Whether rays are refracted into a mesh."""
+def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
+    """Whether rays are refracted into a mesh: only paths, if it is rough."""
     material = instance.mesh.material
-    return material.is_smooth and isinstance(material, MaterialPbr) and material.is_solid
+    return (material.is_smooth or traces_paths) and isinstance(material, MaterialPbr) and material.is_solid
+
+
+def is_rough_glass(instance: MeshInstance) -> bool:
+    """Whether paths are scattered through the surface of a mesh."""
+    material = instance.mesh.material
+    return isinstance(material, MaterialPbr) and material.transmission > 0.0 and not material.is_smooth
 
 
 def absorbs(instance: MeshInstance) -> bool:
-    """Whether light grows dimmer on its way through a mesh."""
+    """Whether light that enters a mesh grows dimmer on its way through it."""
     material = instance.mesh.material
-    return is_medium(instance) and isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
+    return isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 
 
 def material_of(instance: SplatInstance) -> Material:
@@ -108,7 +114,7 @@ def _fill(row: Any, material: Material) -> None:
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular
     row["fresnel_mean"] = mean_fresnel(material.ior)
-    for name in ("metallic", "roughness", "ior", "transmission", "normal_scale", "occlusion_strength"):
+    for name in ("metallic", "roughness", "ior", "transmission", "thin_walled", "normal_scale", "occlusion_strength"):
         row[name] = getattr(material, name)
 
 

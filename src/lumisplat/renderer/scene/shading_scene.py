@@ -111,7 +111,7 @@ class ShadingTables:
         elif self._table.environment.exists and self._table.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
         row["light_count"] = self._table.count
-        row["absorbs"] = plan.has_media and any(absorbs(instance) for instance in scene.meshes)
+        row["absorbs"] = plan.has_media and any(map(absorbs, scene.meshes))
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
