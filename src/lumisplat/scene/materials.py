@@ -70,8 +70,7 @@ class MaterialPbr:
     transmission: float = 0.0
     """Share of the light not reflected that is refracted through the dielectric, 0..1, tinted by the base colour at
     each crossing. The mesh should be closed and its triangles counter-clockwise from outside, which is how a ray
-    decides whether it enters or leaves. Splats do not transmit, and rough surfaces only in `Pipeline.PATH`: they scatter
-    that share back."""
+    decides whether it enters or leaves. Splats scatter that share back, and rough meshes do but in `Pipeline.PATH`."""
     thin_walled: bool = False
     """Whether the mesh is a wall without an inside: light goes straight through it, and what follows means nothing."""
     attenuation_color: Color = (1.0, 1.0, 1.0)

@@ -7,10 +7,11 @@ import warp as wp
 
 from lumisplat.constants import LIGHT_COSINE_MIN, LUMINANCE
 from lumisplat.device.light.light import sample_light
+from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.math.directions import PI
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
 from lumisplat.device.structs.path import LightChoice, PathVertex
-from lumisplat.device.structs.shading import ShadingScene
+from lumisplat.device.structs.shading import Interaction, ShadingScene
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,6 +66,26 @@ def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[Shading
     for number in range(choice_count(scene)):
         total += light_importance(number, position, normal, scene)
     return total
+
+
+@wp.func
+def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
+    """Whether what is in the way of light ``number`` blocks it: always, if it is that of meshes."""
+    if number == scene[0].settings[0].light_count:
+        return True
+    return scene[0].lights[number].casts_shadow != 0
+
+
+@wp.func
+def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
+    """An interaction as the choice of a light reads it."""
+    vertex = PathVertex()
+    vertex.position = interaction.position
+    vertex.normal = interaction.normal
+    if transmits(interaction.bsdf):
+        vertex.normal = wp.vec3(0.0)  # light counts from both sides
+    vertex.importance = total_importance(vertex.position, vertex.normal, scene)
+    return vertex
 
 
 @wp.func

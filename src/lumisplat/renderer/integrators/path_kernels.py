@@ -9,14 +9,13 @@ import warp as wp
 from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
 from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.light_choice import chosen_light, meets_rays, total_importance
+from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays, vertex_at
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
 from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin, start_shadow_ray
 from lumisplat.device.material.bsdf import bsdf_sample
 from lumisplat.device.material.fresnel import reflect, refract
 from lumisplat.device.material.media import passed_by_ray, scattered_media
-from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import captured_color, is_black, mean_of
 from lumisplat.device.math.random import branch_key, sobol_2d
@@ -105,14 +104,6 @@ def scattering_share(interaction: Interaction) -> float:
 
 
 @wp.func
-def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Whether what is in the way of light ``number`` blocks it: always, if it is that of meshes."""
-    if number == scene[0].settings[0].light_count:
-        return True
-    return scene[0].lights[number].casts_shadow != 0
-
-
-@wp.func
 def seen_by(
     i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
@@ -127,18 +118,6 @@ def seen_by(
     else:
         seen += transmittance * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
     return seen
-
-
-@wp.func
-def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
-    """An interaction as the choice of a light reads it."""
-    vertex = PathVertex()
-    vertex.position = interaction.position
-    vertex.normal = interaction.normal
-    if transmits(interaction.bsdf):
-        vertex.normal = wp.vec3(0.0)  # light counts from both sides
-    vertex.importance = total_importance(vertex.position, vertex.normal, scene)
-    return vertex
 
 
 @wp.func
