@@ -113,7 +113,7 @@ SAMPLE_RATES = 16
 SAMPLE_RATE_MIN = 2
 """Fewest of these: an eighth of all samples reaches pixels that seemed quiet, where light that was missed may be."""
 
-NOISE_RADIUS_PX = 2
+NOISE_RADIUS_PX = 3
 """Adaptive sampling knows a pixel by those up to so many rows and columns away."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
