@@ -48,6 +48,7 @@ LAYERS = (
     "io",
     "frame",
     "shadow_maps",
+    "renderer.trees",
     "renderer.scene",
     "renderer.shadow",
     "renderer.trace",

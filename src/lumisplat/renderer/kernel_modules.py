@@ -18,12 +18,12 @@ from lumisplat.renderer.raster import (
     splat_raster_kernels,
     splat_tile_kernels,
 )
-from lumisplat.renderer.scene import gaussian_bvh_kernels
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
 from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels, path_gaussians_kernels
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
+from lumisplat.renderer.trees import box_tree_kernels, gaussian_bvh_kernels
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
@@ -41,8 +41,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [path_kernels, path_gaussians_kernels]
     elif plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
-    if plan.follows_rays:
-        modules += [gaussian_bvh_kernels]
+    modules += [gaussian_bvh_kernels] if plan.follows_rays else []
+    modules += [box_tree_kernels] if plan.follows_rays or (plan.is_sampled and plan.has_meshes) else []
     if plan.has_unshadowed:
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
@@ -75,7 +75,7 @@ def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) ->
 def transmittance_modules(launcher: Launcher) -> list[KernelModule]:
     """The kernel modules of transmittance along rays."""
     shadow_modules = [*gaussian_shadow_modules(launcher, RenderConfig()), mesh_shadow_kernels]
-    return [camera_ray_kernels, gaussian_bvh_kernels, *shadow_modules]
+    return [camera_ray_kernels, gaussian_bvh_kernels, box_tree_kernels, *shadow_modules]
 
 
 def gaussian_shadow_modules(launcher: Launcher, config: RenderConfig) -> list[KernelModule]:

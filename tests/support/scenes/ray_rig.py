@@ -40,6 +40,7 @@ class RayRig:
         threads: CPU threads.
         color: Colour of the Gaussians that lie before every mesh, the same for each ray.
         transmittance: Transmittance of these Gaussians.
+        parallel: Work is scheduled as for CUDA; None: on CUDA only.
     """
 
     def __init__(
@@ -48,8 +49,9 @@ class RayRig:
         threads: int | None = None,
         color: tuple[float, float, float] = (0.0, 0.0, 0.0),
         transmittance: float = 1.0,
+        parallel: bool | None = None,
     ) -> None:
-        self._launcher = Launcher(device, threads)
+        self._launcher = Launcher(device, threads, parallel=parallel)
         self.buffers = Buffers(device)
         self._config = RenderConfig(pipeline=Pipeline.TRACE, lighting=False)
         self.scene = DeviceScene(self._launcher, Buffers(device), self._config)

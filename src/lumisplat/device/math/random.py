@@ -30,7 +30,6 @@ BITS_2 = wp.constant(wp.uint32(2))
 LOW_4 = wp.constant(wp.uint32(15))
 ONE = wp.constant(wp.uint32(1))
 UNIT = wp.constant(wp.float32(2.0**-24))
-FIRST_BIT = wp.constant(wp.uint32(0x80000000))
 KARRAS_1 = wp.constant(wp.uint32(0x6C50B47C))
 KARRAS_2 = wp.constant(wp.uint32(0xB82F1E52))
 KARRAS_3 = wp.constant(wp.uint32(0xC7AFE638))
@@ -129,13 +128,29 @@ def reversed_bits(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
-    """Owen scrambling: whether a bit flips depends on those above it and on the key (Laine and Karras 2011)."""
-    word = reversed_bits(word) + key
+    """Owen scrambling of a word whose bits are in reverse order, as those of the result are (Laine and Karras 2011).
+
+    Whether a bit flips depends on the lower ones, which are the higher ones of the number, and on the key.
+    """
+    word = word + key
     word = wp.bit_xor(word, word * KARRAS_1)
     word = wp.bit_xor(word, word * KARRAS_2)
     word = wp.bit_xor(word, word * KARRAS_3)
-    word = wp.bit_xor(word, word * KARRAS_4)
-    return reversed_bits(word)
+    return wp.bit_xor(word, word * KARRAS_4)
+
+
+@wp.func
+def second_sobol(index: wp.uint32) -> wp.uint32:
+    """Point ``index`` of Sobol's second dimension, its bits in reverse order.
+
+    Bit j is the sum, modulo 2, of the bits k of the index with an odd binomial coefficient of k over j: those whose
+    numbers have all bits that j has (Lucas). So the bits are summed over one bit of their numbers after the other.
+    """
+    index = wp.bit_xor(index, wp.rshift(index, BITS_16))
+    index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_8), wp.uint32(0x00FF00FF)))
+    index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_4), wp.uint32(0x0F0F0F0F)))
+    index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_2), wp.uint32(0x33333333)))
+    return wp.bit_xor(index, wp.bit_and(wp.rshift(index, ONE), wp.uint32(0x55555555)))
 
 
 @wp.func
@@ -147,16 +162,8 @@ def sobol_2d(key: wp.uint32, sample: int) -> wp.vec2:
     independent.
     """
     key = mix(key)
-    index = scrambled(wp.uint32(sample), key)
-    second = wp.uint32(0)
-    direction = FIRST_BIT
-    rest = index
-    while rest != wp.uint32(0):
-        if wp.bit_and(rest, wp.uint32(1)) != wp.uint32(0):
-            second = wp.bit_xor(second, direction)
-        direction = wp.bit_xor(direction, wp.rshift(direction, wp.uint32(1)))
-        rest = wp.rshift(rest, wp.uint32(1))
+    index = reversed_bits(scrambled(reversed_bits(wp.uint32(sample)), key))
     key = mix(key + wp.uint32(1))
-    x = scrambled(reversed_bits(index), key)
-    y = scrambled(second, mix(key + wp.uint32(1)))
+    x = reversed_bits(scrambled(index, key))
+    y = reversed_bits(scrambled(second_sobol(index), mix(key + wp.uint32(1))))
     return wp.vec2(float(int(wp.rshift(x, BITS_8))) * UNIT, float(int(wp.rshift(y, BITS_8))) * UNIT)

@@ -8,6 +8,7 @@ The equations are in docs/method/ray_tracing.md#triangles.
 
 import warp as wp
 
+from lumisplat.device.bvh.node_test import larger, lesser
 from lumisplat.device.structs.rays import RayShear, TriangleHit
 
 # Fused multiply-adds would round the two products of an edge differently, and shared edges leak.
@@ -17,11 +18,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.func
 def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
     """The vector's components, permuted cyclically so that ``axis`` comes last."""
-    if axis == 0:
-        return wp.vec3(v[1], v[2], v[0])
-    if axis == 1:
-        return wp.vec3(v[2], v[0], v[1])
-    return v
+    # Component by component: a vector that is written in branches goes through memory.
+    x = wp.where(axis == 0, v[1], wp.where(axis == 1, v[2], v[0]))
+    y = wp.where(axis == 0, v[2], wp.where(axis == 1, v[0], v[1]))
+    return wp.vec3(x, y, wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2])))
 
 
 @wp.func
@@ -65,7 +65,7 @@ def intersect_triangle(
     weight_a = edge_side(flat_c, flat_b)
     weight_b = edge_side(flat_a, flat_c)
     weight_c = edge_side(flat_b, flat_a)
-    if wp.min(weight_a, wp.min(weight_b, weight_c)) < 0.0 and wp.max(weight_a, wp.max(weight_b, weight_c)) > 0.0:
+    if lesser(weight_a, lesser(weight_b, weight_c)) < 0.0 and larger(weight_a, larger(weight_b, weight_c)) > 0.0:
         return hit
     total = weight_a + weight_b + weight_c
     if total == 0.0:

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants import NODE_WIDTH
 from lumisplat.device.structs.declare import struct
-from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
 
 Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
@@ -75,6 +75,42 @@ class AssetBvh:
     particles: wp.array[Particle]
     """In the order of the tree."""
     gaussians: GaussianData
+
+
+@struct
+class MeshTriangle:
+    """A triangle as rays hit it, object space."""
+
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+    face: int
+    """Its number in its mesh."""
+
+
+@struct
+class TriangleBvh:
+    """The triangles of some meshes as rays hit them, each mesh by a tree of its own."""
+
+    nodes: wp.array[Node]
+    """The roots first."""
+    triangles: wp.array[MeshTriangle]
+    """In the order of the trees."""
+
+
+@struct
+class MeshBvh:
+    """What rays traverse to find meshes: a tree over the instances, whose leaves stand for trees of triangles."""
+
+    tlas_nodes: wp.array[Node]
+    """Top level: the tree over the instances, the root first."""
+    tlas_order: wp.array[int]
+    """The instance at each place of its order."""
+    assets: wp.array[TriangleBvh]
+    instances: wp.array[MeshInstanceData]
+    meshes: MeshData
+    draws_alpha: bool
+    """Alpha is the chance of meeting a surface; else there is one wherever alpha is above 0."""
 
 
 @struct

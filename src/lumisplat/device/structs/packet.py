@@ -79,6 +79,16 @@ class WaitingNode:
 
 
 @struct
+class WaitingLink:
+    """A child of a node that a single ray still has to visit."""
+
+    entry: float
+    """Where the ray enters its box."""
+    link: int
+    """As those of ``Node``."""
+
+
+@struct
 class Hit:
     """Where a ray hits a Gaussian."""
 

@@ -126,6 +126,31 @@ class MeshRay:
 
 
 @struct
+class MeshHit:
+    """The nearest triangle on one ray so far, as ``MeshHits``."""
+
+    t: float
+    local_t: float
+    """Distance from where the ray begins in the space of the mesh: finer than ``t``, by which it orders its faces."""
+    face: int
+    """Of its mesh; -1: none."""
+    instance: int
+    weights: wp.vec2
+
+
+@struct
+class MeshPassage:
+    """What a shadow ray has passed of an instance so far."""
+
+    light: wp.vec3
+    """What is left, linear."""
+    inside: float
+    """Length of its way inside, but for what ``entries`` adds."""
+    entries: int
+    """How often it has entered more than left: so often its end is to be added to the way."""
+
+
+@struct
 class TriangleHit:
     """Where a ray hits a triangle."""
 

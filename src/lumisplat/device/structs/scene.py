@@ -166,8 +166,10 @@ class MeshInstanceData:
     low: wp.vec3
     """Corner of a world-space box around it, with room for rounding."""
     high: wp.vec3
-    bvh: wp.uint64
-    """Id of the bounding volume hierarchy of the mesh's triangles, object space; for rays only."""
+    asset: int
+    """Which TriangleBvh has the mesh's triangles; like what follows for rays only."""
+    root: int
+    """Root of the tree of the mesh's triangles there."""
     first: int
     """Index of the instance's first triangle among all of the scene's."""
     face_first: int

@@ -7,6 +7,7 @@ import operator
 import numpy as np
 
 from lumisplat.config import RenderConfig
+from lumisplat.device.structs.bvh import MeshBvh
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
 from lumisplat.device.structs.shading import ShadingScene
@@ -18,6 +19,7 @@ from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
+from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
@@ -44,6 +46,7 @@ class DeviceScene:
         self._sample["seed"] = config.seed
         self._jitters = config.jitter
         self._shading = ShadingTables(buffers, config, launcher.device)
+        self._mesh_bvh = MeshBvhScene(launcher)
         self.bvh = BvhScene(launcher)
         """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
         self.assets: list[SplatAsset] = []
@@ -82,6 +85,13 @@ class DeviceScene:
         return self._meshes.data
 
     @property
+    def mesh_bvh(self) -> MeshBvh:
+        """What rays traverse to find meshes; synced if the frame is sampled."""
+        row = self._mesh_bvh.data
+        row.instances, row.meshes, row.draws_alpha = self.mesh_instances, self.mesh_data, self.draws_alpha
+        return row
+
+    @property
     def shading(self) -> DeviceArray:
         """All that shading reads: a 1-element ShadingScene array; synced if the frame is sampled."""
         return self._shading.data
@@ -97,13 +107,14 @@ class DeviceScene:
 
         What changes from frame to frame and sample to sample is in arrays, whose addresses stay.
         """
-        tables = self.bvh.graph_key, self._shading.graph_key
+        tables = self.bvh.graph_key, self._mesh_bvh.graph_key, self._shading.graph_key
         return self.image_size, self._plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
         """Device memory of assets and hierarchies, bytes."""
-        return sum(asset.bytes for asset in self.assets) + self._meshes.bytes + self.bvh.bytes
+        splats = sum(asset.bytes for asset in self.assets) + self.bvh.bytes
+        return splats + self._meshes.bytes + self._mesh_bvh.bytes
 
     def sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         """Uploads the assets that are new, drops those no longer used, and writes all tables that the plan needs.
@@ -165,8 +176,8 @@ class DeviceScene:
                 self._meshes.sync(scene)
                 self._note_layout(same_meshes=same_meshes)
                 self._structure = structure
-            if plan.is_sampled and self._meshes.sync_bvhs():
-                self.version += 1
+            if plan.is_sampled:
+                self._mesh_bvh.sync(scene)
         except DeviceError:
             raise
         except RuntimeError as error:
@@ -187,6 +198,8 @@ class DeviceScene:
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
-        meshes = mesh_instance_table(scene, self._meshes, camera, traces_paths=plan.traces_paths)
+        meshes = mesh_instance_table(
+            scene, self._meshes, self._mesh_bvh.places, camera, traces_paths=plan.traces_paths
+        )
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
         self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)

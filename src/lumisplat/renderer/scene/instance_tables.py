@@ -19,11 +19,12 @@ from lumisplat.device.structs.scene import (
 )
 from lumisplat.renderer.scene.materials import is_medium, is_relit, place_texture, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
+from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import AlphaMode, MaterialPbr
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
 _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}
@@ -94,8 +95,10 @@ def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
-def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera, *, traces_paths: bool) -> np.ndarray:
-    """The rows of a scene's mesh instances, with boxes and hierarchies if ``assets`` has built them for rays."""
+def mesh_instance_table(
+    scene: Scene, assets: MeshAssets, places: InstancePlaces, camera: Camera, *, traces_paths: bool
+) -> np.ndarray:
+    """The rows of a scene's mesh instances; ``places`` has those that rays may hit, or none."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
         return table
@@ -110,27 +113,35 @@ def mesh_instance_table(scene: Scene, assets: MeshAssets, camera: Camera, *, tra
     table["object_from_world"] = object_from_world
     table["position"] = transforms[:, :3, 3]
     table["first"] = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes[:-1])])
-    for number, instance in enumerate(scene.meshes):
-        mesh, material, row = instance.mesh, instance.mesh.material, table[number : number + 1]
-        row["face_first"] = assets.face_first(mesh)
-        row["has_normals"] = mesh.normals is not None
-        row["base_color"] = material.base_color
-        texture = material.base_color_texture
-        if texture is not None and mesh.uvs is not None:
-            place_texture(row["texture"], texture, material, assets.texture_first)
-        row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
-        row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
-        row["material"]["smooth"] = material.is_smooth
-        if isinstance(material, MaterialPbr):
-            for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
-                row["material"][name] = getattr(material, name)
-            row["material"]["is_medium"] = is_medium(instance, traces_paths=traces_paths)
-            row["material"]["absorption"] = absorption_of(material)
-        bvh = assets.bvh(mesh)
-        if bvh is not None:
-            row["low"], row["high"] = bvh.world_box(instance.transform)
-            row["bvh"] = bvh.bvh.id  # pyright: ignore[reportUnknownMemberType]
+    if len(places.roots):
+        table["low"], table["high"] = places.low, places.high
+        table["asset"], table["root"] = places.assets, places.roots
+    first_with = {id(instance.mesh): number for number, instance in reversed(list(enumerate(scene.meshes)))}
+    for number in first_with.values():
+        _write_mesh(table[number : number + 1], scene.meshes[number], assets, traces_paths=traces_paths)
+    firsts = [first_with[id(instance.mesh)] for instance in scene.meshes]
+    for name in ("face_first", "has_normals", "base_color", "texture", "alpha", "material"):
+        table[name] = table[name][firsts]
     return table
+
+
+def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, traces_paths: bool) -> None:
+    """Writes what the instances of a mesh have in common."""
+    mesh, material = instance.mesh, instance.mesh.material
+    row["face_first"] = assets.face_first(mesh)
+    row["has_normals"] = mesh.normals is not None
+    row["base_color"] = material.base_color
+    texture = material.base_color_texture
+    if texture is not None and mesh.uvs is not None:
+        place_texture(row["texture"], texture, material, assets.texture_first)
+    row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
+    row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
+    row["material"]["smooth"] = material.is_smooth
+    if isinstance(material, MaterialPbr):
+        for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
+            row["material"][name] = getattr(material, name)
+        row["material"]["is_medium"] = is_medium(instance, traces_paths=traces_paths)
+        row["material"]["absorption"] = absorption_of(material)
 
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:

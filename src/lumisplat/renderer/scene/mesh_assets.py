@@ -2,46 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
-
 import numpy as np
-import warp as wp
 
-from lumisplat.constants import INSTANCE_BOX_MARGIN, RAY_START_BACK
 from lumisplat.device.structs.scene import MeshData
-from lumisplat.renderer.scene.upload import TextureKey, build_triangle_bvh, first_of, texture_key, upload_meshes
+from lumisplat.renderer.scene.upload import TextureKey, first_of, texture_key, upload_meshes
 from lumisplat.runtime.buffers import bytes_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
-
-
-@dataclass(frozen=True, slots=True)
-class TriangleBvh:
-    """The bounding volume hierarchy of a mesh's triangles."""
-
-    mesh: Mesh
-    bvh: wp.Bvh
-    corners: np.ndarray
-    """Of its bounding box, object space, shape (8, 3)."""
-
-    @classmethod
-    def of(cls, mesh: Mesh, device: str) -> TriangleBvh:
-        """The hierarchy of a mesh, built on the device."""
-        corners = list(itertools.product(*zip(*mesh.bounds(), strict=True)))
-        return cls(mesh, build_triangle_bvh(mesh, device), np.array(corners, dtype=np.float64))
-
-    @property
-    def bytes(self) -> int:
-        """Memory of its boxes, bytes."""
-        return 2 * 12 * self.mesh.face_count
-
-    def world_box(self, transform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World-space corners (min, max) around an instance of the mesh, with a margin for rounding errors of rays."""
-        world = self.corners @ transform[:3, :3].T + transform[:3, 3]
-        low, high = world.min(axis=0), world.max(axis=0)
-        margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low) + RAY_START_BACK * np.abs([low, high]).max()
-        return low - margin, high + margin
 
 
 class MeshAssets:
@@ -54,7 +21,6 @@ class MeshAssets:
     def __init__(self, device: str) -> None:
         self._device = device
         self._meshes: dict[int, Mesh] = {}
-        self._bvhs: dict[int, TriangleBvh] = {}
         self._face_first: dict[int, int] = {}
         self._texture_first: dict[TextureKey, int] = {}
         self.data = MeshData()
@@ -69,13 +35,6 @@ class MeshAssets:
         self.data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
         self._meshes = meshes
 
-    def sync_bvhs(self) -> bool:
-        """Builds the hierarchies of new meshes; returns whether there were any."""
-        held, self._bvhs = self._bvhs, {}
-        for key, mesh in self._meshes.items():
-            self._bvhs[key] = held[key] if key in held else TriangleBvh.of(mesh, self._device)
-        return not self._bvhs.keys() <= held.keys()
-
     def face_first(self, mesh: Mesh) -> int:
         """First face of a mesh in the data."""
         return self._face_first[id(mesh)]
@@ -84,13 +43,8 @@ class MeshAssets:
         """First texel of a texture in the data."""
         return self._texture_first[texture_key(texture)]
 
-    def bvh(self, mesh: Mesh) -> TriangleBvh | None:
-        """The hierarchy of a mesh; None: it is not built."""
-        return self._bvhs.get(id(mesh))
-
     @property
     def bytes(self) -> int:
-        """Memory of meshes, textures and hierarchies, bytes."""
+        """Memory of meshes and textures, bytes."""
         m = self.data
-        meshes = bytes_of(m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels) if self._meshes else 0
-        return meshes + sum(held.bytes for held in self._bvhs.values())
+        return bytes_of(m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels) if self._meshes else 0

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 import warp as wp
 
-from lumisplat.constants import TRIANGLE_BOX_MARGIN
 from lumisplat.device.structs.scene import GaussianData, MeshData
 from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
@@ -110,20 +109,6 @@ def textures_of(material: Material) -> list[Any]:
     """All textures that a material may have; None: it has no such texture."""
     names = [field.name for field in fields(material) if field.name.endswith("_texture")]
     return [getattr(material, name) for name in names]
-
-
-def build_triangle_bvh(mesh: Mesh, device: str) -> wp.Bvh:
-    """A bounding volume hierarchy over a mesh's triangles in its own space; item k is triangle k.
-
-    Boxes are grown so that rounding never makes a ray miss a triangle that it hits.
-    """
-    corners = mesh.positions[mesh.indices].astype(np.float64)
-    low, high = mesh.bounds()
-    margin = TRIANGLE_BOX_MARGIN * np.linalg.norm(high.astype(np.float64) - low)
-    down, up = np.float32(-np.inf), np.float32(np.inf)
-    lows = np.nextafter((corners.min(axis=1) - margin).astype(np.float32), down)
-    highs = np.nextafter((corners.max(axis=1) + margin).astype(np.float32), up)
-    return wp.Bvh(wp.array(lows, dtype=wp.vec3, device=device), wp.array(highs, dtype=wp.vec3, device=device))
 
 
 def upload_array(values: np.ndarray, device: str) -> DeviceArray:

@@ -3,18 +3,127 @@
 import warp as wp
 
 from lumisplat.constants import EDGE_WEIGHT_MAX
+from lumisplat.device.bvh.ray_nodes import (
+    LinkStackStorage,
+    enter_boxes,
+    link_stack,
+    load_node,
+    push_entered,
+    push_link,
+)
 from lumisplat.device.light.shadow import pass_straight
 from lumisplat.device.material.media import passed
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
-from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshData, MeshInstanceData
+from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
+from lumisplat.device.structs.packet import WaitingLink
+from lumisplat.device.structs.rays import MeshPassage, MeshRay, RayData
+from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 # As for all that intersects triangles: fused products would let rays through shared edges.
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
+
+
+@wp.func
+def pass_triangle(
+    triangle: MeshTriangle,
+    ray: MeshRay,
+    direction: wp.vec3,
+    t_max: float,
+    is_opaque: bool,
+    number: int,
+    scene: MeshBvh,
+    passage: wp.ref[MeshPassage],
+):
+    """Takes light through a triangle of instance ``number``, on a ray that ends at ``t_max``."""
+    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
+    t = ray.begin + hit.t
+    if not (t > 0.0 and t < t_max):
+        return
+    is_glass = not is_opaque and scene.instances[number].material.smooth != 0
+    if not is_glass and scene.instances[number].alpha.mode == ALPHA_OPAQUE:
+        passage.light = wp.vec3(0.0)
+        return
+    weights = hit_weights(hit.weights)
+    if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, triangle.a, triangle.b, triangle.c):
+        return
+    instance = scene.instances[number]
+    corners = scene.meshes.indices[instance.face_first + triangle.face]
+    share = wp.vec3(0.0)
+    if is_glass:
+        normal = surface_normal(instance, scene.meshes, corners, weights)
+        color = surface_color(instance, scene.meshes, corners, weights)
+        share = pass_straight(instance.material, color, wp.min(wp.abs(wp.dot(normal, direction)), 1.0))
+        enters = wp.dot(direction, face_normal(instance, scene.meshes, corners)) < 0.0
+        passage.inside += wp.where(enters, -t, t)
+        passage.entries += wp.where(enters, 1, -1)
+    alpha = surface_alpha(instance, scene.meshes, corners, weights)
+    passage.light = wp.cw_mul(passage.light, alpha * share + wp.vec3(1.0 - alpha))
+
+
+@wp.func
+def pass_instance(
+    stack: wp.array[WaitingLink],
+    top: int,
+    number: int,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    t_max: float,
+    is_opaque: bool,
+    scene: MeshBvh,
+    light: wp.ref[wp.vec3],
+):
+    """Takes light through the triangles of instance ``number``, on the stack above ``top``."""
+    span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
+    if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < t_max):
+        return
+    ray = ray_in_mesh(scene.instances[number], origin, direction, span[0], 0.0)
+    inverse = inverse_or_large(ray.direction)
+    asset = scene.instances[number].asset
+    passage = MeshPassage()
+    passage.light = light
+    node = Node()
+    height = int(top)
+    push_link(stack, height, scene.instances[number].root)
+    while height > top and wp.max(passage.light) > 0.0:
+        height -= 1
+        link = stack[height].link
+        if link < 0:
+            triangle = scene.assets[asset].triangles[~link]
+            pass_triangle(triangle, ray, direction, t_max, is_opaque, number, scene, passage)
+        else:
+            load_node(scene.assets[asset].nodes, link, node)
+            push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), t_max - ray.begin)
+    light = passage.light
+    if scene.instances[number].material.is_medium != 0:
+        inside = passage.inside
+        if passage.entries > 0 and t_max < wp.inf:
+            inside += float(passage.entries) * t_max
+        light = wp.cw_mul(light, passed(scene.instances[number].material.absorption, wp.max(inside, 0.0)))
+
+
+@wp.func
+def light_past_meshes(origin: wp.vec3, direction: wp.vec3, t_max: float, is_opaque: bool, scene: MeshBvh) -> wp.vec3:
+    """What all triangles between the origin of a ray and ``t_max`` let through."""
+    light = wp.vec3(1.0)
+    inverse = inverse_or_large(direction)
+    storage = LinkStackStorage()
+    stack = link_stack(storage)
+    node = Node()
+    top = int(0)
+    push_link(stack, top, 0)
+    while top > 0 and wp.max(light) > 0.0:
+        top -= 1
+        link = stack[top].link
+        if link < 0:
+            pass_instance(stack, top, scene.tlas_order[~link], origin, direction, t_max, is_opaque, scene, light)
+        else:
+            load_node(scene.tlas_nodes, link, node)
+            push_entered(stack, top, node, enter_boxes(node, origin, inverse), t_max)
+    return light
 
 
 @wp.kernel
@@ -22,8 +131,7 @@ def shadow_by_meshes(
     start: int,
     opaque: wp.array[wp.bool],
     meshes_only: bool,
-    instances: wp.array[MeshInstanceData],
-    meshes: MeshData,
+    scene: MeshBvh,
     rays: RayData,
     skips: wp.array[wp.bool],
     light_out: wp.array[wp.vec3],
@@ -31,8 +139,7 @@ def shadow_by_meshes(
 ):
     """What all triangles between the origin and ``t_max`` let through.
 
-    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none. Surfaces with alpha block that
-    share.
+    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none.
 
     ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
     shadow-only sets if ``meshes_only`` block these.
@@ -44,48 +151,7 @@ def shadow_by_meshes(
     if opaque:
         is_opaque = opaque[i]
     if rays.is_active[i] and t_max > 0.0:
-        origin = rays.origin[i]
-        direction = rays.direction[i]
-        inverse = inverse_or_large(direction)
-        for number in range(instances.shape[0]):
-            span = box_span(origin, inverse, instances[number].low, instances[number].high)
-            if span[0] <= span[1] and span[1] > 0.0 and span[0] < t_max and wp.max(light) > 0.0:
-                instance = instances[number]
-                inside = float(0.0)
-                entries = int(0)
-                ray = ray_in_mesh(instance, origin, direction, span[0], 0.0)
-                query = wp.bvh_query_ray(instance.bvh, ray.origin, ray.direction)
-                item = int(0)
-                while wp.max(light) > 0.0 and wp.bvh_query_next(query, item, t_max - ray.begin):
-                    corners = meshes.indices[instance.face_first + item]
-                    v0 = meshes.positions[corners[0]]
-                    v1 = meshes.positions[corners[1]]
-                    v2 = meshes.positions[corners[2]]
-                    hit = intersect_triangle(ray.origin, ray.direction, ray.shear, v0, v1, v2)
-                    t = ray.begin + hit.t
-                    if t > 0.0 and t < t_max:
-                        share = wp.vec3(0.0)
-                        is_glass = not is_opaque and instance.material.smooth != 0
-                        if is_glass or instance.alpha.mode != ALPHA_OPAQUE:
-                            weights = hit_weights(hit.weights)
-                            if wp.min(weights) < EDGE and not owns_crossing(ray.origin, ray.shear, v0, v1, v2):
-                                share = wp.vec3(1.0)
-                            else:
-                                if is_glass:
-                                    normal = surface_normal(instance, meshes, corners, weights)
-                                    color = surface_color(instance, meshes, corners, weights)
-                                    cosine = wp.min(wp.abs(wp.dot(normal, direction)), 1.0)
-                                    share = pass_straight(instance.material, color, cosine)
-                                    enters = wp.dot(direction, face_normal(instance, meshes, corners)) < 0.0
-                                    inside += wp.where(enters, -t, t)
-                                    entries += wp.where(enters, 1, -1)
-                                alpha = surface_alpha(instance, meshes, corners, weights)
-                                share = alpha * share + wp.vec3(1.0 - alpha)
-                        light = wp.cw_mul(light, share)
-                if instance.material.is_medium != 0:
-                    if entries > 0 and t_max < wp.inf:
-                        inside += float(entries) * t_max
-                    light = wp.cw_mul(light, passed(instance.material.absorption, wp.max(inside, 0.0)))
+        light = light_past_meshes(rays.origin[i], rays.direction[i], t_max, is_opaque, scene)
     light_out[i] = light
     is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])
     limit_out[i] = wp.where(is_done, 0.0, t_max)

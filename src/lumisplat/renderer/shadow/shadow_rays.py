@@ -110,7 +110,7 @@ class ShadowRays:
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
-            *(opaque, meshes_only, scene.mesh_instances, scene.mesh_data, rays, skips, light, limits),
+            *(opaque, meshes_only, scene.mesh_bvh, rays, skips, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
         return limits

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels
-from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
@@ -74,6 +75,8 @@ class GaussianTracer:
         settings = self._settings_bounced if bounced else self._settings
         tells_relit = scene.mixes_sets and sets is SplatSets.ALL
         hits = self._buffers.struct(name, GaussianHits, count, () if tells_relit else RELIT_FIELDS)
+        if scene.gaussian_count == 0 and profiles is None:
+            return without_hits(hits)
         self._launcher.run_banded(
             self._kernels[scene.bvh.stack],
             count // self._lanes,
@@ -81,6 +84,16 @@ class GaussianTracer:
             bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
         )
         return hits
+
+
+def without_hits(hits: GaussianHits) -> GaussianHits:
+    """The hits of rays through a scene without Gaussians."""
+    for field in (hits.color, hits.normal, hits.hits):
+        device_array(field).zero_()
+    device_array(hits.transmittance).fill_(1.0)
+    device_array(hits.depth).fill_(math.inf)
+    device_array(hits.gaussian).fill_(-1)
+    return hits
 
 
 def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:

@@ -36,7 +36,7 @@ class MeshTracer:
             self._launcher.run_banded(
                 kernels.find_mesh_hits,
                 count,
-                *(scene.draws_alpha, scene.mesh_instances, scene.mesh_data, rays, hits),
+                *(scene.mesh_bvh, rays, hits),
                 bands=bands,
             )
         else:

@@ -1,17 +1,13 @@
-"""Bounding volume hierarchies over the boxes of Gaussians, level by level from the root, and the refit of their boxes.
+"""Bounding volume hierarchies over boxes, level by level from the root, and the refit of their boxes.
 
-``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``split_by_area`` (CPU), ``split_by_code`` (CUDA): one
-item is one node of a level, whose Gaussians are ordered child by child. ``link_nodes``, ``refit_nodes``: one item is
-one node of a level. ``place_links``: one item is one node. ``gather_particles``: one item is one particle, in the order
-of the BVH.
+``split_by_area`` (CPU), ``split_by_code`` (CUDA): one item is one node of a level, whose items are ordered child by
+child. ``link_nodes``, ``refit_nodes``: one item is one node of a level. ``place_links``: one item is one node.
 """
 
 import warp as wp
 
 from lumisplat.constants import NODE_WIDTH, SAH_BINS
-from lumisplat.device.gaussian.particle import particle_box, particle_of
-from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, Node, Particle
-from lumisplat.device.structs.scene import GaussianData, KernelData
+from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Children, Node
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
@@ -46,13 +42,6 @@ def half_area(low: wp.vec3, high: wp.vec3) -> float:
     """Half the surface of a box; zero for an inverted one."""
     size = wp.max(high - low, wp.vec3(0.0))
     return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
-
-
-@wp.kernel
-def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
-    """Tight boxes of the Gaussians of an asset."""
-    i = start + wp.tid()
-    boxes_out[i] = particle_box(kernel, gaussians, i)
 
 
 @wp.func
@@ -220,34 +209,6 @@ def split_by_area(
     inner_counts_out[node] = inner
 
 
-@wp.kernel
-def code_gaussians(
-    start: int,
-    low: wp.vec3,
-    per_cell: wp.vec3,
-    gaussians: GaussianData,
-    codes_out: wp.array[int],
-    items_out: wp.array[int],
-):
-    """Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
-    i = start + wp.tid()
-    cell = wp.cw_mul(gaussians.means[i] - low, per_cell)
-    code = int(0)
-    for k in range(3):
-        code = code | (spread_bits(int(wp.clamp(cell[k], 0.0, 1023.0))) << k)
-    codes_out[i] = code
-    items_out[i] = i
-
-
-@wp.func
-def spread_bits(x: int) -> int:
-    """Two zero bits after each of the ten bits of ``x``."""
-    x = (x | (x << 16)) & 0x030000FF
-    x = (x | (x << 8)) & 0x0300F00F
-    x = (x | (x << 4)) & 0x030C30C3
-    return (x | (x << 2)) & 0x09249249
-
-
 @wp.func
 def first_with_digit(codes: wp.array[int], begin: int, end: int, shift: int, digit: int) -> int:
     """The first of sorted codes, equal above the digit at ``shift``, whose digit there is at least ``digit``."""
@@ -328,21 +289,6 @@ def link_nodes(
         elif end - begin == 1:
             links[c] = ~begin
     links_out[node_first + n] = links
-
-
-@wp.kernel
-def gather_particles(
-    start: int,
-    kernel: KernelData,
-    gaussians: GaussianData,
-    items: wp.array[int],
-    particles_out: wp.array[Particle],
-    boxes_out: wp.array[Box],
-):
-    """Particles and their boxes in the order of the BVH."""
-    i = start + wp.tid()
-    particles_out[i] = particle_of(kernel, gaussians, items[i])
-    boxes_out[i] = particle_box(kernel, gaussians, items[i])
 
 
 @wp.kernel

@@ -1,0 +1,93 @@
+"""How a single ray visits nodes, with one lane for each of their children.
+
+Rays that part share no nodes: a packet of them visits what any of its rays does. The children of a node fill the lanes
+of a vector register as well as rays do (Wald, Benthin and Boulos 2008).
+"""
+
+import warp as wp
+
+from lumisplat.constants import NODE_WIDTH, TRAVERSE_MARGIN, TRAVERSE_STACK
+from lumisplat.device.bvh.local_arrays import storage_of
+from lumisplat.device.bvh.node_test import larger, lesser
+from lumisplat.device.math.aligned_memory import aligned_load_of
+from lumisplat.device.structs.bvh import FAR, Children, Node
+from lumisplat.device.structs.packet import WaitingLink
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+WIDTH = wp.constant(NODE_WIDTH)
+LONGER = wp.constant(wp.float32(1.0 + TRAVERSE_MARGIN))
+ENTRIES = wp.constant(TRAVERSE_STACK)
+
+LinkStackStorage = storage_of(WaitingLink, TRAVERSE_STACK)
+
+load_node = aligned_load_of(Node)
+
+
+@wp.func
+def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
+    """The stack whose links lie in a variable."""
+    return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingLink)
+
+
+@wp.func
+def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
+    """Makes a link the next one, wherever its box is."""
+    waiting = WaitingLink()
+    waiting.link = link
+    stack[top] = waiting
+    top += 1
+
+
+@wp.func
+def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
+    """Where a ray enters the boxes of a node's children, at least 0; 2 FAR: it does not.
+
+    Args:
+        node: The node.
+        origin: Of the ray, in the space of the tree.
+        inverse: Of the components of its direction, finite.
+    """
+    entries = Children()
+    low_x = node.low_x
+    low_y = node.low_y
+    low_z = node.low_z
+    high_x = node.high_x
+    high_y = node.high_y
+    high_z = node.high_z
+    for c in range(WIDTH):
+        ax = (low_x[c] - origin[0]) * inverse[0]
+        bx = (high_x[c] - origin[0]) * inverse[0]
+        ay = (low_y[c] - origin[1]) * inverse[1]
+        by = (high_y[c] - origin[1]) * inverse[1]
+        az = (low_z[c] - origin[2]) * inverse[2]
+        bz = (high_z[c] - origin[2]) * inverse[2]
+        near = larger(larger(lesser(ax, bx), lesser(ay, by)), lesser(az, bz))
+        far = lesser(lesser(larger(ax, bx), larger(ay, by)), larger(az, bz))
+        entry = larger(near, 0.0)
+        # An empty child has an inverted box, which is told by its order of planes alone.
+        inside = lesser(LONGER * far - entry, high_x[c] - low_x[c])
+        entries[c] = wp.where(inside >= 0.0, entry, 2.0 * FAR)
+    return entries
+
+
+@wp.func
+def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
+    """Pushes the children that a ray enters up to ``reach``, the nearest last, so that it is next."""
+    links = node.link
+    base = int(top)
+    end = int(top)
+    last = lesser(reach, FAR)
+    for c in range(WIDTH):
+        # Written in any case, and overwritten: no branch to be mispredicted.
+        stack[end].entry = entries[c]
+        stack[end].link = links[c]
+        end += wp.where(entries[c] <= last, 1, 0)
+    for k in range(base + 1, end):
+        waiting = stack[k]
+        j = int(k)
+        while j > base and stack[j - 1].entry < waiting.entry:
+            stack[j] = stack[j - 1]
+            j -= 1
+        stack[j] = waiting
+    top = end

@@ -1,0 +1,95 @@
+"""Host pass: a bounding volume hierarchy over the Gaussians of an asset, and its refit when they move."""
+
+# Warp's vector types are made by calls, so that type checkers know neither them nor the kernels that take them.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import REBUILD_COST, STRAY_SHARE
+from lumisplat.device.structs.bvh import Box, Particle
+from lumisplat.device.structs.scene import GaussianData, KernelData
+from lumisplat.renderer.trees import gaussian_bvh_kernels as kernels
+from lumisplat.renderer.trees.box_tree import BoxTree, Split
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import copy_elements, sort_pairs
+
+MORTON_CELLS = 1024.0
+BOUNDS_SAMPLES = 65536
+
+
+class GaussianBvh(BoxTree):
+    """A bounding volume hierarchy over one Gaussian set, in its own space.
+
+    Args:
+        launcher: Runs the kernels.
+        gaussians: The set on the device.
+        kernel: How its Gaussians respond, on which their bounds depend.
+    """
+
+    def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
+        super().__init__(launcher)
+        self._kernel = kernel
+        self._build(gaussians)
+
+    def refit(self, gaussians: GaussianData) -> None:
+        """Updates the boxes after Gaussians have moved; rebuilds the hierarchy if its cost has grown too much.
+
+        Args:
+            gaussians: As many as before.
+        """
+        self._fit(gaussians)
+        if not self.cost <= REBUILD_COST * self.cost_built:
+            self._build(gaussians)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (min, max) of a box around all Gaussians, object space, (3,) each; inverted if all are ignored."""
+        root = self.nodes[:1].numpy()[0]
+        low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
+        return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
+
+    def _build(self, gaussians: GaussianData) -> None:
+        count = len(gaussians.means)
+        scratch = Buffers(self._launcher.device)
+        self._items = self._buffers.get("items", wp.int32, count)
+        split_of = self._split_by_code if self._launcher.is_parallel else self._split_by_area
+        self.grow(scratch, np.array([count]), split_of(scratch, gaussians, count))
+        self._fit(gaussians)
+        self.cost_built = self.cost
+        low, high = sampled_bounds(gaussians)
+        self.extent = float(np.linalg.norm(high - low))
+        """Diagonal of a box around nearly all means, object space."""
+
+    def _split_by_area(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
+        boxes = scratch.get("boxes", Box, count)
+        self._launcher.run_banded(kernels.box_gaussians, count, self._kernel, gaussians, boxes)
+        self._items.assign(np.arange(count, dtype=np.int32))
+        return self.by_area(boxes, self._items)
+
+    def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
+        codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # half is for the sort
+        low, high = sampled_bounds(gaussians)
+        per_cell = wp.vec3(MORTON_CELLS / np.maximum(high - low, 1e-30))
+        self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
+        sort_pairs(codes, items, count)
+        copy_elements(items, self._items, count)
+        return self.by_code(codes)
+
+    def _fit(self, gaussians: GaussianData) -> None:
+        count = len(gaussians.means)
+        self.particles: DeviceArray = self._buffers.get("particles", Particle, count)
+        boxes = self._buffers.get("boxes", Box, count)
+        self._launcher.run_banded(
+            kernels.gather_particles, count, self._kernel, gaussians, self._items, self.particles, boxes
+        )
+        self.fit(boxes)
+
+
+def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (min, max) of a box around all means but outliers, object space, shape (3,) each; from a sample."""
+    means = device_array(gaussians.means)[:: -(-len(gaussians.means) // BOUNDS_SAMPLES)].numpy()
+    low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    return low, high

@@ -1,0 +1,51 @@
+"""The Gaussians of bounding volume hierarchies: their boxes and codes, and the records that rays read.
+
+``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``gather_particles``: one item is one particle, in the
+order of the hierarchy.
+"""
+
+import warp as wp
+
+from lumisplat.device.bvh.morton import morton_code
+from lumisplat.device.gaussian.particle import particle_box, particle_of
+from lumisplat.device.structs.bvh import Box, Particle
+from lumisplat.device.structs.scene import GaussianData, KernelData
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
+
+
+@wp.kernel
+def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
+    """Tight boxes of the Gaussians of an asset."""
+    i = start + wp.tid()
+    boxes_out[i] = particle_box(kernel, gaussians, i)
+
+
+@wp.kernel
+def code_gaussians(
+    start: int,
+    low: wp.vec3,
+    per_cell: wp.vec3,
+    gaussians: GaussianData,
+    codes_out: wp.array[int],
+    items_out: wp.array[int],
+):
+    """Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
+    i = start + wp.tid()
+    codes_out[i] = morton_code(gaussians.means[i], low, per_cell)
+    items_out[i] = i
+
+
+@wp.kernel
+def gather_particles(
+    start: int,
+    kernel: KernelData,
+    gaussians: GaussianData,
+    items: wp.array[int],
+    particles_out: wp.array[Particle],
+    boxes_out: wp.array[Box],
+):
+    """Particles and their boxes in the order of the BVH."""
+    i = start + wp.tid()
+    particles_out[i] = particle_of(kernel, gaussians, items[i])
+    boxes_out[i] = particle_box(kernel, gaussians, items[i])

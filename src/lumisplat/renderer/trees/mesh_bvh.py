@@ -1,0 +1,159 @@
+"""The scene's meshes as rays hit them: a bounding volume hierarchy (BVH) a mesh, and one over the instances."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import INSTANCE_BOX_MARGIN, RAY_START_BACK, REBUILD_COST, TRIANGLE_BOX_MARGIN
+from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, TriangleBvh
+from lumisplat.math.arrays import Doubles
+from lumisplat.renderer.trees.box_tree import HostBoxTree
+from lumisplat.runtime.buffers import bytes_of
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.struct_tables import table_dtype, upload_structs
+from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
+
+
+class TriangleTrees(HostBoxTree):
+    """The trees of the triangles of some meshes, each in its own space, built together.
+
+    Args:
+        launcher: Runs the kernels.
+        meshes: The meshes; the tree of each has its number in this order as its root.
+    """
+
+    def __init__(self, launcher: Launcher, meshes: list[Mesh]) -> None:
+        self.root_of = {id(mesh): number for number, mesh in enumerate(meshes)}
+        self._meshes = meshes  # so that no other mesh gets the id of one
+        counts = np.array([mesh.face_count for mesh in meshes])
+        boxes = [list(itertools.product(*zip(*mesh.bounds(), strict=True))) for mesh in meshes]
+        self.corners: Doubles = np.array(boxes, np.float64)
+        """Of boxes around the meshes, shape (M, 8, 3)."""
+        margins = TRIANGLE_BOX_MARGIN * np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1)
+        around = np.repeat(margins, counts)[:, None]
+        faces: Doubles = np.concatenate([mesh.positions[mesh.indices].astype(np.float64) for mesh in meshes])
+        super().__init__(launcher, faces.min(axis=1) - around, faces.max(axis=1) + around, counts)
+        table = np.zeros(len(faces), dtype=table_dtype(MeshTriangle))
+        for k, name in enumerate("abc"):
+            table[name] = faces[self.order, k]
+        table["face"] = self.order - np.repeat(np.cumsum(counts) - counts, counts)
+        self.triangles = self._buffers.upload("triangles", MeshTriangle, table)
+
+
+class MeshBvhScene:
+    """BVHs of a scene's meshes, built when rays first need them; the one over the instances is refitted as they move.
+
+    Args:
+        launcher: Runs the kernels.
+    """
+
+    def __init__(self, launcher: Launcher) -> None:
+        self._launcher = launcher
+        self._trees: list[TriangleTrees] = []
+        self._instances: HostBoxTree | None = None
+        self._placed: object = None
+        self.data = MeshBvh()
+        """What kernels traverse; nothing that they may, if the scene has no meshes."""
+        self.places = InstancePlaces.none()
+        """Where the instances are, and where their trees."""
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the BVHs, bytes."""
+        above = [self._instances] if self._instances else []
+        table = bytes_of(self.data.assets) if self._trees else 0
+        return table + sum(tree.bytes for tree in (*self._trees, *above))
+
+    @property
+    def graph_key(self) -> object:
+        """What kernels get of it by value: captured graphs are stale after a change."""
+        return [trees.build for trees in self._trees], self._instances and self._instances.build
+
+    def sync(self, scene: Scene) -> None:
+        """Builds the trees of new meshes, and refits the one over the instances, or builds it, if they have moved."""
+        if not scene.meshes:
+            self._trees, self._instances, self._placed = [], None, None
+            self.places = InstancePlaces.none()
+            return
+        meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
+        self._sync_trees(meshes)
+        held = {key: (asset, root) for asset, trees in enumerate(self._trees) for key, root in trees.root_of.items()}
+        assets, roots = np.array([held[id(instance.mesh)] for instance in scene.meshes]).T
+        transforms = np.array([instance.transform for instance in scene.meshes])
+        placed = assets.tobytes(), roots.tobytes(), transforms.tobytes(), [trees.build for trees in self._trees]
+        if placed == self._placed:
+            return  # nothing has moved
+        self._placed = None  # until all of it is there
+        corners = np.concatenate([trees.corners for trees in self._trees])
+        firsts = np.cumsum([0, *(len(trees.corners) for trees in self._trees)])
+        low, high = world_boxes(corners[firsts[assets] + roots], transforms)
+        self.places = InstancePlaces(assets, roots, low, high)
+        self._instances = self._tree_over(self._instances)
+        self.data.tlas_nodes, self.data.tlas_order = self._instances.nodes, self._instances.items
+        self._placed = placed
+
+    def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
+        """Drops the trees of which no mesh is used, and builds those of new meshes."""
+        kept = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
+        held = {key for trees in kept for key in trees.root_of}
+        missing = [mesh for key, mesh in meshes.items() if key not in held]
+        if missing:
+            kept.append(TriangleTrees(self._launcher, missing))
+        if [trees.build for trees in kept] == [trees.build for trees in self._trees]:
+            return
+        rows: list[TriangleBvh] = []
+        for trees in kept:
+            row = TriangleBvh()
+            row.nodes, row.triangles = trees.nodes, trees.triangles
+            rows.append(row)
+        self.data.assets = upload_structs(rows, TriangleBvh, self._launcher.device)
+        self._trees = kept
+
+    def _tree_over(self, before: HostBoxTree | None) -> HostBoxTree:
+        """The tree over the instances: the one before, refitted, unless that has become too loose."""
+        low, high = self.places.low, self.places.high
+        if before is not None and len(before.order) == len(low):
+            before.place(low, high)
+            if before.cost <= REBUILD_COST * before.cost_built:
+                return before
+        return HostBoxTree(self._launcher, low, high, np.array([len(low)]))
+
+
+@dataclass(frozen=True, slots=True)
+class InstancePlaces:
+    """What rays need to know of the mesh instances of a scene, in arrays with an element each."""
+
+    assets: npt.NDArray[np.int64]
+    """Which TriangleBvh has the mesh's triangles."""
+    roots: npt.NDArray[np.int64]
+    """Root of the mesh's tree there."""
+    low: Doubles
+    """Lower corner of a world-space box around it, shape (N, 3)."""
+    high: Doubles
+
+    @classmethod
+    def none(cls) -> InstancePlaces:
+        """Of a scene without meshes."""
+        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+def world_boxes(corners: Doubles, transforms: Doubles) -> tuple[Doubles, Doubles]:
+    """World-space boxes around instances of meshes, with a margin for rounding errors of rays.
+
+    Args:
+        corners: Of boxes around the meshes, object space, shape (N, 8, 3).
+        transforms: World from object, shape (N, 4, 4).
+
+    Returns:
+        Corners (min, max), shape (N, 3) each.
+    """
+    world = corners @ transforms[:, :3, :3].transpose(0, 2, 1) + transforms[:, None, :3, 3]
+    low, high = world.min(axis=1), world.max(axis=1)
+    largest = np.abs(world).max(axis=(1, 2))
+    margin = INSTANCE_BOX_MARGIN * np.linalg.norm(high - low, axis=1) + RAY_START_BACK * largest
+    return low - margin[:, None], high + margin[:, None]
