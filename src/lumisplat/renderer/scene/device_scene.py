@@ -198,8 +198,6 @@ class DeviceScene:
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
-        meshes = mesh_instance_table(
-            scene, self._meshes, self._mesh_bvh.places, camera, traces_paths=plan.traces_paths
-        )
+        meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.places, camera, traces_paths=plan.traces_paths)
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
         self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)
