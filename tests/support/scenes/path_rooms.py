@@ -51,10 +51,10 @@ def path_rooms() -> dict[str, PathRoom]:
     return rooms | {"cornell": cornell_box()}
 
 
-def with_gaussians(room: PathRoom) -> PathRoom:
-    """A closed room whose ball and whose wall at the end are Gaussians."""
+def with_gaussians(room: PathRoom, count: int | None = None) -> PathRoom:
+    """A closed room whose ball and whose wall at the end are Gaussians, ``count`` each."""
     end, ball = 1, len(room.scene.meshes) - 2
-    splats = [as_splats(room.scene.meshes[number].mesh) for number in (end, ball)]
+    splats = [as_splats(room.scene.meshes[number].mesh, count) for number in (end, ball)]
     meshes = [instance for number, instance in enumerate(room.scene.meshes) if number not in {end, ball}]
     return replace(room, scene=ls.Scene(splats, meshes))
 
