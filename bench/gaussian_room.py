@@ -74,9 +74,8 @@ def mitsuba_image(room: PathRoom) -> np.ndarray:
 
 
 def frame_of(room: PathRoom, samples: int, seed: int, device: str) -> np.ndarray:
-    """By our paths, linear, shape (H, W, 3); Gaussians are as wide as they were made."""
-    trace = ls.TraceConfig(dilation=0.0)
-    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=BOUNCES, seed=seed, trace=trace)
+    """By our paths, linear, shape (H, W, 3)."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=BOUNCES, seed=seed)
     return ls.render(room.scene, room.camera, config, device=device).color
 
 
