@@ -1,4 +1,4 @@
-"""What adaptive sampling brings: errors of frames of paths with even and adaptive samples, and the time to the same one.
+"""What adaptive sampling brings: errors of frames of paths with even and adaptive samples, and the time to the same.
 
 ``python -m bench.adaptive [--device cuda] [--width 128] [--reference 1024]`` prints a table of two scenes of uneven
 noise; ``--pictures FOLDER`` keeps pictures and their numbers of samples.
