@@ -29,6 +29,7 @@ LAYERS = (
     "device.shadow_map",
     "device.material",
     "device.light",
+    "device.path",
     "device.film",
     "scene",
     "scene.sampling",

@@ -59,7 +59,13 @@ class ToneMap(Enum):
     """AgX: filmic, highlights lose their colour."""
 
 
-AOVS = ("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count")
+PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
+"""Images whose sum is a frame of paths; the other pipelines have the last one."""
+
+AOVS = (
+    *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count"),
+    *(*PATH_PARTS[:4], "bounces"),
+)
 """Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
 
 

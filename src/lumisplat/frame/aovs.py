@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS, listed_names
+from lumisplat.config import AOVS, PATH_PARTS, listed_names
 from lumisplat.config.checks import quoted
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame_data import FrameData
@@ -21,7 +21,18 @@ Image = npt.NDArray[Any]
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS)
 """Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, the others always."""
 
-RADIANCE = ("albedo", "emission", "reflection", "hits", "light_direct", "light_shadow", "variance")
+RADIANCE = (
+    "albedo",
+    "emission",
+    "reflection",
+    "hits",
+    "light_direct",
+    "light_shadow",
+    "light_total",
+    "variance",
+    *PATH_PARTS[:4],
+    "bounces",
+)
 """Fields of a frame that hold the layers of `AOVS`, as floats."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
@@ -38,6 +49,8 @@ class LightLayers(NamedTuple):
     """Radiance if nothing blocked it, (H, W, 3)."""
     shadow: FloatArray
     """Share of ``direct`` that arrives, 0..1, (H, W, 3)."""
+    total: FloatArray | None
+    """All of its light in frames of paths, bounces included, (H, W, 3)."""
 
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
@@ -83,9 +96,11 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
         elif layer in ("gaussian_index", "instance_index"):
             channels[f"index.{layer.removesuffix('_index')}"] = getattr(frame, layer)
         elif layer == "lights":
-            for light in light_layers(frame):
-                channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
-                channels |= _planes(f"light.{light.label}.shadow", _finite(light.shadow), "RGB")
+            channels |= _light_channels(frame)
+        elif layer == "bounces":
+            assert frame.bounces is not None
+            for number, image in enumerate(frame.bounces):
+                channels |= _planes(f"bounce.{number}", _finite(image), "RGB")
         elif layer == "sample_count":
             channels["sample_count.Y"] = getattr(frame, layer)
         elif layer == "hits":
@@ -95,11 +110,25 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
     return channels
 
 
+def _light_channels(frame: FrameData) -> dict[str, Image]:
+    """Channels of the layers of each light."""
+    channels: dict[str, Image] = {}
+    for light in light_layers(frame):
+        channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
+        channels |= _planes(f"light.{light.label}.shadow", _finite(light.shadow), "RGB")
+        if light.total is not None:
+            channels |= _planes(f"light.{light.label}.total", _finite(light.total), "RGB")
+    if frame.light_total is not None:
+        channels |= _planes("light_other", _finite(frame.light_total[-1]), "RGB")
+    return channels
+
+
 def light_layers(frame: FrameData) -> list[LightLayers]:
     """The layers of each light, of a frame that has them, see `check_layer`."""
     assert frame.light_direct is not None and frame.light_shadow is not None
     labels = light_labels(frame.light_names or ("",) * len(frame.light_direct))
-    return [LightLayers(*row) for row in zip(labels, frame.light_direct, frame.light_shadow, strict=True)]
+    totals = [None] * len(labels) if frame.light_total is None else list(frame.light_total[:-1])
+    return [LightLayers(*row) for row in zip(labels, frame.light_direct, frame.light_shadow, totals, strict=True)]
 
 
 def light_labels(names: Sequence[str]) -> list[str]:

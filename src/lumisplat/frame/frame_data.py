@@ -100,8 +100,23 @@ class FrameData:
     the irradiance instead."""
     light_shadow: FloatArray | None = None
     """Share of ``light_direct`` that arrives, 0..1, (L, H, W, 3)."""
+    light_total: FloatArray | None = None
+    """Of a frame of paths, linear radiance, (L + 1, H, W, 3): all light of each light, seen directly, in mirrors, and
+    after bounces; last what shines and is no light. The sum is that of ``bounces``."""
     light_names: tuple[str, ...] = ()
     """Names of the L lights."""
+    direct_diffuse: FloatArray | None = None
+    """Linear radiance of a frame of paths, (H, W, 3), like the next three: what lamps, skies and all that shines give
+    the first surface, which scatters it diffusely. These four and ``emission`` add up to ``color``."""
+    direct_glossy: FloatArray | None = None
+    """The same, reflected by highlights, mirrors and glass."""
+    indirect_diffuse: FloatArray | None = None
+    """What other surfaces give the first one, which scatters it diffusely."""
+    indirect_glossy: FloatArray | None = None
+    """The same, reflected by highlights, mirrors and glass."""
+    bounces: FloatArray | None = None
+    """Linear radiance of a frame of paths by how often surfaces have scattered it, (max_bounces + 2, H, W, 3); the sum
+    is ``light``, but for what light changes of shadow-only captures."""
     is_denoised: bool = False
     """Whether ``light`` was denoised: no samples can be added to it any more."""
     variance: FloatArray | None = None

@@ -58,8 +58,9 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, positions from their
     bounding box, each index has a colour of its own. Radiance is exposed and encoded as sRGB, and clipped to white; of
     ``variance`` its root is. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface
-    are black. A layer has one picture of its own name, but ``lights`` has two for each light,
-    ``light.NAME.direct`` and ``light.NAME.shadow``.
+    are black. A layer has one picture of its own name, but ``lights`` has two for each light, ``light.NAME.direct`` and
+    ``light.NAME.shadow``, and in frames of paths ``light.NAME.total`` and ``light_other`` too, and ``bounces`` has
+    ``bounce.0`` and so on.
 
     Args:
         frame: The rendered frame.
@@ -74,6 +75,13 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
         for light in light_layers(frame):
             pictures[f"light.{light.label}.direct"] = _radiance_picture(frame, light.direct)
             pictures[f"light.{light.label}.shadow"] = light.shadow
+            if light.total is not None:
+                pictures[f"light.{light.label}.total"] = _radiance_picture(frame, light.total)
+        if frame.light_total is not None:
+            pictures["light_other"] = _radiance_picture(frame, frame.light_total[-1])
+    elif layer == "bounces":
+        assert frame.bounces is not None
+        pictures = {f"bounce.{number}": _radiance_picture(frame, image) for number, image in enumerate(frame.bounces)}
     elif layer in ("depth", "normal", "hits"):
         pictures = {layer: view_picture(frame, layer)}
     elif layer == "position":

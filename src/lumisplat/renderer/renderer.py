@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import PATH_PARTS, Pipeline, RenderConfig
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
@@ -204,9 +204,11 @@ class Renderer:
         check_samples(self.config, plan, resume)
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
-        if plan.traces_paths and (missing := {"lights", "reflection"} & plan.aovs):
+        of_paths = {"bounces", *PATH_PARTS[:4]}
+        if missing := plan.aovs & ({"reflection"} if plan.traces_paths else of_paths):
+            others = "Pipeline.HYBRID does" if plan.traces_paths else "Pipeline.PATH does"
             names = ", ".join(sorted(missing))
-            raise ConfigError(f"Pipeline.PATH has no {names} among its aovs, nor views of them: Pipeline.HYBRID does")
+            raise ConfigError(f"Pipeline.{self.config.pipeline.name} has no {names} among its aovs: {others}")
         if plan.rasterises:
             refuse_lens(camera)
             self._warnings.warn_of_degree(scene)

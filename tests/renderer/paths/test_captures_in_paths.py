@@ -65,6 +65,19 @@ def test_haze_that_is_kept_before_what_is_lit() -> None:
     assert_is(captured, 0.3 * 0.8)
 
 
+def test_a_lamp_behind_haze_is_as_bright_as_what_gets_through() -> None:
+    """To the camera, which sees a share of it, whether or not the haze has an iso-opacity surface."""
+    for opacity in (0.2, 0.6):
+        scene = ls.Scene(
+            splats=[picture(0.0, opacity, (0.0, 0.0, 0.0)), picture(3.0, 0.5, (0.0, 0.0, 0.0))],
+            lights=[ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)],
+        )
+        frame = paths(scene, view(), 16, 0)
+        alone = paths(replace(scene, splats=()), view(), 16, 0)
+        assert alone.light.max() > 0.0
+        np.testing.assert_allclose(frame.light, (1.0 - opacity) * alone.light, rtol=2e-3)
+
+
 def test_a_panel_behind_a_panel_lights_by_what_gets_through() -> None:
     """A white picture of opacity 0.5 before black: the floor between receives half of the decoded white, blended."""
     floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))

@@ -139,14 +139,3 @@ def test_given_rays_see_what_emitters_light() -> None:
     frame = paths(ls.Scene(meshes=room), view, 64, 4)
     assert hits.color_space == "linear"
     np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
-
-
-def test_shadow_only_captures_are_told_of_once(caplog: pytest.LogCaptureFixture) -> None:
-    """That they take no shadows here."""
-    capture = replace(as_splats(ball(0.3, diffuse(0.7)), 500), material=None, shadow_only=True)
-    shown = ls.Scene(splats=[capture], lights=[LIGHTS["point"]])
-    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1), "cpu")
-    with caplog.at_level("WARNING", logger="lumisplat"):
-        for _ in range(2):
-            renderer.render(shown, camera())
-    assert caplog.text.count("shadow-only captures take no shadows in Pipeline.PATH") == 1

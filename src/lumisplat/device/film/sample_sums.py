@@ -33,8 +33,26 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
 
 
 @wp.func
-def sample_of_ray(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
-    """What ray ``i`` sees."""
+def captured_factor(share: wp.vec3, sent: wp.vec3, arrived: wp.vec3, mean_sent: wp.vec3) -> wp.vec3:
+    """What is left of a captured colour, or more than that, by what its surface receives, per channel.
+
+    Args:
+        share: Of the colour that is the surface's.
+        sent: Irradiance as it was captured.
+        arrived: The same with all that was added.
+        mean_sent: What a change counts against.
+    """
+    factor = wp.vec3(1.0)
+    for channel in range(3):
+        if mean_sent[channel] > 0.0:
+            change = (arrived[channel] - sent[channel]) / mean_sent[channel]
+            factor[channel] = wp.max(1.0 + share[channel] * change, 0.0)
+    return factor
+
+
+@wp.func
+def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
+    """What ray ``i`` sees, of a pixel."""
     sample = PixelSample()
     sample.color = wave[0].radiance.captured[i]
     sample.alpha = wave[0].radiance.alpha[i]
@@ -44,6 +62,13 @@ def sample_of_ray(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) ->
         sample.light = wave[0].radiance.light[i]
         if film[0].capture_factor:
             sample.capture_factor = wave[0].radiance.capture_factor[i]
+        if film[0].captured_sent:
+            sample.capture_factor = captured_factor(
+                wave[0].radiance.captured_share[i],
+                wave[0].radiance.sent[i],
+                wave[0].radiance.arrived[i],
+                film[0].captured_sent[pixel],
+            )
     return sample
 
 
@@ -123,15 +148,27 @@ def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 
 @wp.func
-def develop(pixel: int, film: wp.array[FilmData]):
-    """Makes the linear colour of a lit pixel from what was captured and light.
+def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
+    """What shadows take from the captured part of a pixel, or light adds to it, linear.
 
-    What shadows take from the captured goes to the light. It is a share of the mean, with a mean of its own: means of
-    display-referred colours and of linear ones do not subtract.
+    It is a share of the mean, with a mean of its own: means of display-referred colours and of linear ones do not
+    subtract.
     """
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
     if film[0].capture_factor:
-        film[0].lit.light[pixel] += wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
+        return wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
+    if film[0].captured_sent:
+        sent = film[0].captured_sent[pixel]
+        factor = captured_factor(film[0].captured_share[pixel], sent, film[0].captured_arrived[pixel], sent)
+        return wp.cw_mul(captured, factor - wp.vec3(1.0))
+    return wp.vec3(0.0)
+
+
+@wp.func
+def develop(pixel: int, film: wp.array[FilmData]):
+    """Makes the linear colour of a lit pixel from what was captured and light; changes of the former are light."""
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    film[0].lit.light[pixel] += captured_change(pixel, film)
     film[0].lit.color[pixel] = wp.max(captured + film[0].lit.light[pixel], wp.vec3(0.0))
 
 

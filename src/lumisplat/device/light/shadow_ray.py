@@ -43,6 +43,7 @@ def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
 
 @wp.func
 def start_shadow_ray(
+    ray: int,
     j: int,
     number: int,
     contribution: Contribution,
@@ -50,16 +51,16 @@ def start_shadow_ray(
     wave: wp.array[WaveData],
     rays_out: RayData,
 ):
-    """Starts shadow ray ``j``, from interaction ``j`` towards light ``number``; its keys are left to the caller."""
+    """Starts a shadow ray from interaction ``j`` towards light ``number``; its keys are left to the caller."""
     lift = spawn_lift(j, contribution.direction, wave)
     if wave[0].interactions.smooth_height[j] > 0.0:
         contribution = lifted(contribution, lift)
-    rays_out.is_active[j] = True
-    rays_out.origin[j] = spawn_origin(j, contribution.direction, lift, scene, wave)
-    rays_out.direction[j] = contribution.direction
-    rays_out.t_min[j] = wave[0].interactions.spawn_t_min[j]
-    rays_out.t_max[j] = contribution.distance
+    rays_out.is_active[ray] = True
+    rays_out.origin[ray] = spawn_origin(j, contribution.direction, lift, scene, wave)
+    rays_out.direction[ray] = contribution.direction
+    rays_out.t_min[ray] = wave[0].interactions.spawn_t_min[j]
+    rays_out.t_max[ray] = contribution.distance
     if number < scene[0].settings[0].light_count:  # else it is one of triangles that shine
-        rays_out.t_max[j] = wp.min(contribution.distance, scene[0].lights[number].range)
-    rays_out.path_length[j] = 0.0
-    rays_out.spread[j] = 0.0
+        rays_out.t_max[ray] = wp.min(contribution.distance, scene[0].lights[number].range)
+    rays_out.path_length[ray] = 0.0
+    rays_out.spread[ray] = 0.0

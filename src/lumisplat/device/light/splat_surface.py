@@ -5,7 +5,7 @@ import warp as wp
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.light.interaction import bsdf_of, unit_or
-from lumisplat.device.math.color import decode_srgb_color, over
+from lumisplat.device.math.color import captured_color, decode_srgb_color, over
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
 
@@ -131,6 +131,26 @@ def with_captured(
 def reflects_light(surface: SplatSurface) -> bool:
     """Whether lights change what Gaussians show: they do not only emit their captured colour."""
     return surface.gaussian >= 0
+
+
+@wp.func
+def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
+    """Share, per channel, of a ray's decoded captured colour that is not the background's.
+
+    Args:
+        surface: Of the ray.
+        over_light: As for ``splat_surface``.
+        scene: The scene.
+    """
+    shown = captured_color(surface.captured, surface.weight)
+    behind = wp.vec3(0.0)
+    if not over_light:
+        behind = decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
+    share = wp.vec3(0.0)
+    for channel in range(3):
+        if shown[channel] > 0.0:
+            share[channel] = wp.max(shown[channel] - behind[channel], 0.0) / shown[channel]
+    return share
 
 
 @wp.func

@@ -279,3 +279,23 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
         sample.weight = (wp.abs(wp.dot(normal, sample.direction)) / density) * value
         sample.density = density
     return sample
+
+
+@wp.func
+def diffuse_share(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Share of ``bsdf_eval``, per channel, that is the diffuse part; nothing of what is transmitted."""
+    share = wp.vec3(0.0)
+    cos_view = wp.dot(normal, view)
+    cos_light = wp.dot(normal, light)
+    value = bsdf_eval(bsdf, normal, view, light)
+    if cos_view <= 0.0 or cos_light <= 0.0:
+        return share
+    diffuse = wp.vec3(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        diffuse = wp.cw_mul(INV_PI * bsdf.diffuse, simple_scale(bsdf))
+    else:
+        diffuse = pbr_diffuse(bsdf, cos_view, cos_light)
+    for channel in range(3):
+        if value[channel] > 0.0:
+            share[channel] = wp.min(diffuse[channel] / value[channel], 1.0)
+    return share

@@ -80,6 +80,13 @@ class FilmData:
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
     """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
+    captured_share: wp.array[wp.vec3]
+    """Share of it that is a shadow-only surface's, the mean over samples; like the next two without elements unless
+    paths find what such surfaces receive."""
+    captured_sent: wp.array[wp.vec3]
+    """The mean irradiance of that surface as it was captured."""
+    captured_arrived: wp.array[wp.vec3]
+    """The same with all that was added."""
     count: wp.array[int]
     """Samples of each pixel that were finite, which alone count."""
     sums: PixelSums

@@ -3,6 +3,11 @@
 import warp as wp
 
 from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import Contribution
+
+LEAVES_RECEIVER: float = wp.constant(-1.0)
+"""In place of a density: the ray leaves a shadow-only surface, whose lights all count by their own samples."""
 
 
 @struct
@@ -14,13 +19,18 @@ class PathData:
     throughput: wp.array[wp.vec3]
     """Factor of what the ray sees in the colour of that ray."""
     density: wp.array[float]
-    """With which the direction of the ray was sampled, per steradian; 0: it was the only one."""
+    """With which the direction of the ray was sampled, per steradian; 0: it was the only one; LEAVES_RECEIVER."""
     position: wp.array[wp.vec3]
     """Of the surface where the ray begins, as ``PathVertex``."""
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
     """Whether all surfaces before were smooth: the path shows what the camera sees in mirrors."""
+    receives: wp.array[wp.bool]
+    """Whether it brings what a shadow-only surface receives, in place of what its first ray sees."""
+    diffuse: wp.array[wp.vec3]
+    """Share of what it brings that the first surface has scattered diffusely; without elements in frames without
+    layers."""
     media: wp.array[wp.vec4i]
     """The media that the ray has entered, as ``Boundary``; without elements in scenes without media."""
 
@@ -44,7 +54,66 @@ class PathSteps:
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
+    receives: wp.array[wp.bool]
+    diffuse: wp.array[wp.vec3]
     media: wp.array[wp.vec4i]
+
+
+@struct
+class PathShadowRays:
+    """Shadow rays of a wave of paths, and what lights contribute along them.
+
+    Element ``ray`` leads from the surface to a sampled light; element ``stride + ray``, if there are so many, is the
+    ray itself up to a light that it shows.
+    """
+
+    rays: RayData
+    """Active where the light has a shadow."""
+    contributions: wp.array[wp.vec3]
+    """Without shadows."""
+    opaque: wp.array[wp.bool]
+    """Whether glass blocks the ray: towards lights that rays find through it."""
+    skips: wp.array[wp.bool]
+    """Whether it passes shadow-only sets: from one of them."""
+    lights: wp.array[int]
+    """Number of the light."""
+    diffuse: wp.array[wp.vec3]
+    """As of `PathData`, after this surface; without elements in frames without layers."""
+    sent: wp.array[wp.vec3]
+    """What the light alone would contribute, by its own samples; without elements unless frames ask for ``lights``."""
+
+
+PART_DIRECT_DIFFUSE: int = wp.constant(0)
+PART_INDIRECT_DIFFUSE: int = wp.constant(1)
+PART_DIRECT_GLOSSY: int = wp.constant(2)
+PART_INDIRECT_GLOSSY: int = wp.constant(3)
+PART_EMISSION: int = wp.constant(4)
+PARTS: int = wp.constant(5)
+
+
+@struct
+class PathImages:
+    """What paths bring, added up for the ray of the first wave that each began with; linear.
+
+    Layers have no elements unless the frame asks for them.
+    """
+
+    light: wp.array[wp.vec3]
+    """All of it."""
+    parts: wp.array[wp.vec3]
+    """By PART_DIRECT_DIFFUSE and so on: row after row of one element a ray, like the next ones."""
+    bounces: wp.array[wp.vec3]
+    """By how often surfaces have scattered it; the last row is that of all further ones."""
+    lights_sent: wp.array[wp.vec3]
+    """By light: what the first surface would reflect of it, unshadowed."""
+    lights_arrived: wp.array[wp.vec3]
+    """What arrives of that."""
+    lights_total: wp.array[wp.vec3]
+    """All of each light; the last row is what shines and is no light."""
+    sent: wp.array[wp.vec3]
+    """Irradiance of shadow-only surfaces as they were captured; without elements in frames without such sets."""
+    arrived: wp.array[wp.vec3]
+    """The same with all that was added."""
 
 
 @struct
@@ -61,6 +130,8 @@ class PathStep:
     """Factor of the throughput, but for the probability of the branch."""
     density: float
     """With which the direction was sampled, per steradian; 0: it is the only one."""
+    diffuse: wp.vec3
+    """Share of the weight that is diffuse."""
     media: wp.vec4i
     """Those that its ray has entered, as ``Boundary``."""
 
@@ -95,6 +166,16 @@ class LightChoice:
     number: int
     """-1: no light shines here."""
     probability: float
+
+
+@struct
+class SampledLight:
+    """What one sample of a light contributes at a surface of a path."""
+
+    contribution: Contribution
+    """Weighted against what the path's own ray meets of the light."""
+    sent: wp.vec3
+    """Its colour, unweighted."""
 
 
 @struct

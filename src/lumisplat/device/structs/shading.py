@@ -208,6 +208,13 @@ class RayRadiance:
     """1 - share of the background."""
     capture_factor: wp.array[wp.vec3]
     """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
+    captured_share: wp.array[wp.vec3]
+    """Share of the captured colour, decoded, that is a shadow-only surface's; like the next two without elements unless
+    paths find what such surfaces receive."""
+    sent: wp.array[wp.vec3]
+    """Irradiance of the shadow-only surface as it was captured."""
+    arrived: wp.array[wp.vec3]
+    """The same with all that was added."""
     reflection: wp.array[wp.vec3]
     """The part of ``light`` from specular bounces; like the next two without elements if the frame lacks this image."""
     albedo: wp.array[wp.vec3]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import PATH_PARTS, RenderConfig
 from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums
@@ -29,6 +29,9 @@ from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_of
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
+
+RECEIVED = ("captured_share", "captured_sent", "captured_arrived")
+"""What shadow-only surfaces receive: fields of the film, and images."""
 
 
 class Film:
@@ -55,7 +58,7 @@ class Film:
         self._plan = plan
         self._size = scene.image_size
         self._light_count = len(scene.lights.names)
-        self._has_sums = plan.samples > 1 or resume is not None or plan.has_shadow_only
+        self._has_sums = plan.samples > 1 or resume is not None or plan.has_shadow_only or plan.has_receivers
         row = FilmData()
         row.width, row.height, row.in_blocks = *self._size, 1
         row.pixels, row.count = self._pixels.data, self._count
@@ -63,6 +66,8 @@ class Film:
             row.lit = self._lit.data
         if plan.has_shadow_only:
             row.capture_factor = self._image("capture_factor")
+        if plan.has_receivers:
+            row.captured_share, row.captured_sent, row.captured_arrived = map(self._image, RECEIVED)
         if self._has_sums:
             row.sums = self._sums[0]
             self._sums[1].zero_()
@@ -118,6 +123,9 @@ class Film:
             if "variance" in self._plan.aovs:
                 variance = self._image("variance")
                 self._launcher.run_banded(film_kernels.estimate_variance, self._pixel_count, self._data, variance)
+            if self._shows_captured:
+                inputs = self._data, self._image("emission"), self._image("emission_shown")
+                self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
             if self._launcher.is_parallel:  # then the frame's count is one number to download
                 self._count_total.zero_()
                 self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, self._count_total)
@@ -146,6 +154,8 @@ class Film:
         accumulated = [*arrays]
         if "variance" in self._plan.aovs:
             arrays["variance"] = self._image("variance")
+        if self._shows_captured:
+            arrays["emission_shown"] = self._image("emission_shown")
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
             display = picture_data(exposure, config.tone_map, transparent=transparent)
@@ -163,9 +173,10 @@ class Film:
         """The layers that the frame asks for."""
         images: dict[str, Any] = {}
         size, light_count = self._size, self._light_count
-        for name in ("albedo", "emission", "reflection", "variance"):
+        for name in ("albedo", "reflection", "variance", *PATH_PARTS):
             if name in self._plan.aovs:
-                images[name] = copies.give(partial(self._layer, size, copies, name))
+                shown = "emission_shown" if name == "emission" and self._shows_captured else name
+                images[name] = copies.give(partial(self._layer, size, copies, shown))
         if "hits" in self._plan.aovs:
             images["hits"] = copies.give(lambda: self._layer(size, copies, "hits")[..., 0])
         if "sample_count" in self._plan.aovs:
@@ -173,6 +184,11 @@ class Film:
         if "lights" in self._plan.aovs:
             images["light_direct"] = copies.give(lambda: self._layers(size, copies, "direct", light_count))
             images["light_shadow"] = copies.give(lambda: self._shadow_shares(size, copies, light_count))
+            if self._plan.traces_paths:
+                images["light_total"] = copies.give(lambda: self._layers(size, copies, "total", light_count + 1))
+        if "bounces" in self._plan.aovs:
+            count = self._plan.max_bounces + 2
+            images["bounces"] = copies.give(lambda: self._layers(size, copies, "bounce", count))
         return images
 
     @property
@@ -189,20 +205,28 @@ class Film:
             for name in ("albedo", "emission", "reflection")
             if name in self._plan.aovs
         }
+        if self._plan.has_receivers:
+            radiance = wave.row.radiance
+            received = map(device_array, (radiance.captured_share, radiance.sent, radiance.arrived))
+            images |= dict(zip(RECEIVED, received, strict=True))
         if self._plan.has_shadow_only:
             images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:
             images["hits"] = self._buffers.get("film.hit_counts", wp.vec3, wave.count)
             self._launcher.run_banded(film_kernels.count_hits, wave.count, wave.data, images["hits"])
         images |= {f"direct{n}": image for n, image in enumerate(lights.direct)}
-        return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)}
+        return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)} | lights.layers
 
     def _accumulated(self) -> dict[str, DeviceArray]:
         """What samples are added to, by name."""
-        names = [name for name in ("albedo", "emission", "reflection", "hits") if name in self._plan.aovs]
+        names = [name for name in ("albedo", "reflection", "hits", *PATH_PARTS) if name in self._plan.aovs]
         names += ["capture_factor"] * self._plan.has_shadow_only
+        names += RECEIVED if self._plan.has_receivers else ()
+        if "bounces" in self._plan.aovs:
+            names += [f"bounce{n}" for n in range(self._plan.max_bounces + 2)]
         if "lights" in self._plan.aovs:
             names += [f"{kind}{n}" for kind in ("direct", "arrived") for n in range(self._light_count)]
+            names += [f"total{n}" for n in range(self._light_count + 1) if self._plan.traces_paths]
         arrays: dict[str, DeviceArray] = {"count": self._count} | {name: self._image(name) for name in names}
         arrays |= {"rates": self._adaptive.rates} if self._plan.adapts else {}
         return arrays | ({"sums": self._sums[1]} if self._has_sums else {})
@@ -274,6 +298,11 @@ class Film:
         if frame.light is not None and frame.captured_weight is not None:
             lit = {"captured_weight": frame.captured_weight, "light": frame.light, "color": frame.color}
             self._lit.upload(lit)
+
+    @property
+    def _shows_captured(self) -> bool:
+        """Whether captures, which are added up apart, are a part of the emission: in frames of paths."""
+        return self._plan.traces_paths and "emission" in self._plan.aovs
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)

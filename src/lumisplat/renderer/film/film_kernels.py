@@ -8,6 +8,7 @@ from lumisplat.device.film.first_surface import first_surface
 from lumisplat.device.film.running_mean import add_color
 from lumisplat.device.film.sample_sums import (
     add_to_sums,
+    captured_change,
     develop,
     is_finite_sample,
     mean_sample,
@@ -76,7 +77,7 @@ def add_samples(
     sample = PixelSample()
     if is_finite_sample(i, film_inout, wave):
         film_inout[0].count[pixel] = film_inout[0].count[pixel] + 1
-        sample = sample_of_ray(i, film_inout, wave)
+        sample = sample_of_ray(i, pixel, film_inout, wave)
         if film_inout[0].sums.color:
             add_to_sums(pixel, sample, film_inout)
     if not film_inout[0].sums.color:
@@ -100,6 +101,14 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
     store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
     if film_inout[0].lit.light:
         develop(pixel, film_inout)
+
+
+@wp.kernel
+def add_captured(start: int, film: wp.array[FilmData], seen: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]):
+    """Item = pixel: what is seen that shines, with the captured part and its changes."""
+    pixel = start + wp.tid()
+    captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+    emission_out[pixel] = seen[pixel] + captured + captured_change(pixel, film)
 
 
 @wp.kernel

@@ -1,50 +1,51 @@
-"""Paths, wave by wave. One item is one ray of a wave, with its two interactions; at most one path is on each.
+"""Paths, wave by wave. One item is one ray of a wave; at most one path is on each.
 
-``extend_paths`` and ``add_direct_light`` run before and after the shadow rays of a wave; ``spawn_paths`` starts the
-rays of the next one. The equations are in docs/method/paths.md.
+``add_seen_light`` adds what the rays of a wave see, and ``continue_paths`` says where the paths go on, and which light
+is sampled there; ``add_sampled_light`` follows the shadow rays, and ``spawn_paths`` starts the rays of the next wave.
+The equations are in docs/method/paths.md.
 """
 
 import warp as wp
 
-from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
-from lumisplat.device.light.direct_light import arrives
-from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays, vertex_at
-from lumisplat.device.light.mesh_interaction import mesh_emission
-from lumisplat.device.light.path_light import emitted_share, far_light, light_on_way, sampled_light
-from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin, start_shadow_ray
-from lumisplat.device.material.bsdf import bsdf_sample
-from lumisplat.device.material.fresnel import reflect, refract
-from lumisplat.device.material.media import passed_by_ray, scattered_media
-from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
-from lumisplat.device.math.color import captured_color, is_black, mean_of
+from lumisplat.device.light.interaction import SHADE_OPTIONS
+from lumisplat.device.light.light_choice import vertex_at
+from lumisplat.device.material.media import passed_by_ray
+from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.mesh.mesh_surface import hit_weights
+from lumisplat.device.path.images import add_light, add_sent_light
+from lumisplat.device.path.seen_light import environment_number, far_light, leaves_receiver, own_light
+from lumisplat.device.path.shadow_rays import (
+    add_sent,
+    add_shown_lights,
+    clear_shadow_ray,
+    diffuse_of,
+    light_surface,
+)
+from lumisplat.device.path.steps import (
+    bounce_at,
+    branch_of,
+    is_scattering,
+    loaded_interaction,
+    scattered_step,
+    specular_step,
+    survival,
+)
 from lumisplat.device.structs.path import (
     BRANCH_MESH,
     BRANCH_NONE,
-    BRANCH_REFRACTED,
-    BRANCH_SPLATS,
-    Branch,
     PathData,
+    PathImages,
+    PathShadowRays,
     PathStep,
     PathSteps,
     PathVertex,
 )
-from lumisplat.device.structs.rays import Bounce, RayData
-from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
+from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
-ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
-GOES_ON_MIN = wp.constant(wp.float32(ROULETTE_RANGE[0]))
-GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
-
-# Branches of a ray's key: 0 is the ray that goes on.
-LIGHT_POINT_BRANCH = wp.constant(2)
-"""Which point of a light; at a mesh behind Gaussians, the next one."""
-LIGHT_BRANCH = wp.constant(4)
-"""Which light; at a mesh behind Gaussians, the next one."""
+# Branches of a ray's key: 0 is the ray that goes on, and path/shadow_rays.py has the others.
 DIRECTION_BRANCH = wp.constant(6)
 """In which direction a path goes on."""
 WAY_BRANCH = wp.constant(7)
@@ -63,250 +64,165 @@ def begin_paths(start: int, paths_out: PathData):
     paths_out.normal[i] = wp.vec3(0.0)
     paths_out.importance[i] = 0.0
     paths_out.is_specular[i] = True
+    paths_out.receives[i] = False
     if paths_out.media:
         paths_out.media[i] = wp.vec4i(0)
 
 
-@wp.func
-def branch_of(u: float, splats: Interaction, mesh: Interaction, reflected: float, refracted: float) -> Branch:
-    """By which surface a path goes on, in proportion to what about each reflects.
-
-    Args:
-        u: Random, 0..1.
-        splats: Interaction with the surface of the Gaussians.
-        mesh: With the mesh behind them.
-        reflected: Share of the ray that the mesh reflects as a mirror.
-        refracted: Share that it refracts.
-    """
-    shares = wp.vec4(scattering_share(splats), scattering_share(mesh), reflected, refracted)
-    total = shares[0] + shares[1] + shares[2] + shares[3]
-    branch = Branch()
-    branch.kind = BRANCH_NONE
-    if not (total > 0.0 and total < wp.inf):
-        return branch
-    rest = u * total
-    for kind in range(4):
-        if shares[kind] > 0.0 and rest >= 0.0:
-            branch.kind = kind
-            branch.probability = shares[kind] / total
-            rest -= shares[kind]
-    return branch
-
-
-@wp.func
-def scattering_share(interaction: Interaction) -> float:
-    """About the share of a ray that an interaction scatters; above 0 wherever it scatters any."""
-    if not interaction.exists or interaction.shadow_only:
-        return 0.0
-    bsdf = interaction.bsdf
-    albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing + mean_of(bsdf.transmitted)
-    return interaction.weight * wp.max(albedo, 1e-6)
-
-
-@wp.func
-def seen_by(
-    i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
-) -> wp.vec3:
-    """Linear radiance that a scattered, reflected or refracted ray sees of what shines, but for visible lights."""
-    transmittance = wave[0].gaussians.transmittance[i]
-    seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
-    seen += wave[0].radiance.light[i]
-    if wave[0].meshes.face[i] >= 0:
-        share = emitted_share(i, no_shadows, paths, scene, wave)
-        if share < 1.0:
-            seen += (share - 1.0) * transmittance * mesh_emission(i, scene, wave)
-    else:
-        seen += transmittance * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
-    return seen
-
-
-@wp.func
-def scattered_step(
-    i: int,
-    branch: Branch,
-    interaction: Interaction,
-    u: wp.vec2,
-    choice: float,
-    scene: wp.array[ShadingScene],
-    wave: wp.array[WaveData],
-) -> PathStep:
-    """The step of a path that an interaction scatters.
-
-    Args:
-        i: Ray of the path.
-        branch: BRANCH_SPLATS or BRANCH_MESH.
-        interaction: With that surface.
-        u: Random, 0..1 each.
-        choice: Random, 0..1, decides between diffuse and highlight.
-        scene: With the surface.
-        wave: Of the ray.
-    """
-    step = PathStep()
-    sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
-    if not (sampled.density > 0.0 and arrives(interaction, sampled.direction)):
-        return step
-    j = branch.kind * (wave[0].interactions.exists.shape[0] // 2) + i
-    step.direction = sampled.direction
-    step.media = scattered_media(i, branch.kind == BRANCH_MESH, sampled.direction, interaction.normal, scene, wave)
-    step.weight = interaction.weight * sampled.weight
-    step.density = branch.probability * sampled.density
-    step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
-    step.t_min = wave[0].interactions.spawn_t_min[j]
-    step.length = wave[0].meshes.t[i]
-    if branch.kind == BRANCH_SPLATS:
-        step.length = wp.length(interaction.position - wave[0].rays.origin[i])
-    return step
-
-
-@wp.func
-def specular_step(
-    i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
-) -> PathStep:
-    """The step of a path that a smooth mesh reflects or refracts."""
-    step = PathStep()
-    transmittance = wave[0].gaussians.transmittance[i]
-    side = bounce.side
-    step.direction = reflect(wave[0].rays.direction[i], bounce.normal)
-    step.weight = transmittance * bounce.reflected
-    step.media = bounce.media
-    if branch.kind == BRANCH_REFRACTED:
-        step.direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
-        step.weight = transmittance * bounce.refracted
-        step.media = bounce.media_behind
-        side = -bounce.side
-    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
-    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
-    step.origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
-    step.length = wave[0].meshes.t[i]
-    step.spread = wave[0].rays.spread[i]
-    return step
-
-
-@wp.func
-def survival(number: int, throughput: wp.vec3, u: float) -> float:
-    """Probability with which a path goes on after a wave; 0: it has ended."""
-    largest = wp.max(throughput)
-    if not (largest > 0.0 and largest < wp.inf):
-        return 0.0
-    if number + 1 < ROULETTE_FIRST:
-        return 1.0
-    chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
-    return wp.where(u < chance, chance, 0.0)
+@wp.kernel
+def leave_receivers(start: int, wave: wp.array[WaveData], paths: PathData, ends_out: wp.array[float]):
+    """Item = ray: where it ends, if it leaves a shadow-only surface and is traced without what was added, too."""
+    i = start + wp.tid()
+    ends_out[i] = -1.0
+    if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
+        ends_out[i] = wp.inf
 
 
 @wp.kernel
-def extend_paths(
+def add_captured_light(
+    start: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    paths: PathData,
+    captured: GaussianHits,
+    images_inout: PathImages,
+):
+    """Adds what shadow-only surfaces received as they were captured: light of such sets, and of the sky beyond.
+
+    Args:
+        start: First item: a ray.
+        no_shadows: Light passes through everything.
+        scene: The scene.
+        wave: With the rays.
+        paths: Theirs.
+        captured: What shadow-only sets alone give those that leave such surfaces.
+        images_inout: Where it is added.
+    """
+    i = start + wp.tid()
+    if not (wave[0].rays.is_active[i] and leaves_receiver(i, paths)):
+        return
+    throughput = paths.throughput[i]
+    own = captured_color(captured.color[i], 1.0 - captured.transmittance[i])
+    far = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
+    # One after the other, as ``add_seen_light`` does: where both are the same light, they are the same number.
+    add_sent_light(paths.root[i], wp.cw_mul(throughput, own), images_inout)
+    add_sent_light(paths.root[i], wp.cw_mul(throughput, far), images_inout)
+
+
+@wp.kernel
+def add_seen_light(
     start: int,
     number: int,
-    bounces: int,
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
     paths: PathData,
-    light_inout: wp.array[wp.vec3],
-    rays_out: RayData,
-    opaque_out: wp.array[wp.bool],
-    contributions_out: wp.array[wp.vec3],
-    steps_out: PathSteps,
+    shadows_out: PathShadowRays,
+    images_inout: PathImages,
 ):
-    """Adds what paths see, samples a light where they are, and says where they go on.
+    """Adds what the rays of a wave see of what shines.
 
     Args:
-        start: First item.
+        start: First item: a ray.
         number: Of the wave.
-        bounces: After so many, paths end: they only see what shines.
         no_shadows: Light passes through everything.
         scene: The scene.
         wave_inout: The wave; what shows a lamp becomes opaque in the first one.
         paths: Its paths.
-        light_inout: Light of the rays of the first wave.
-        rays_out: Shadow rays, two a ray; active where a light has a shadow.
-        opaque_out: Shadow rays that glass blocks: towards lights that rays find through it.
-        contributions_out: What the lights contribute, without shadows, two a ray.
+        shadows_out: Shadow rays of lights that are shown behind captures.
+        images_inout: Where it is added.
+    """
+    i = start + wp.tid()
+    count = wave_inout[0].rays.is_active.shape[0]
+    clear_shadow_ray(i, shadows_out)
+    if shadows_out.contributions.shape[0] > count:
+        clear_shadow_ray(count + i, shadows_out)
+    if not wave_inout[0].rays.is_active[i]:
+        return
+    lights = scene[0].settings[0].light_count
+    far_number = lights
+    if wave_inout[0].meshes.face[i] < 0:
+        far_number = environment_number(scene)
+    own = wave_inout[0].radiance.light[i]
+    far = wp.vec3(0.0)
+    if number == 0:
+        wave_inout[0].radiance.light[i] = wp.vec3(0.0)
+        if wave_inout[0].meshes.face[i] < 0:
+            far = own
+            own = wp.vec3(0.0)
+    else:
+        own = own_light(i, no_shadows, paths, scene, wave_inout)
+        if wave_inout[0].meshes.face[i] < 0:
+            far = far_light(i, wave_inout[0].rays.direction[i], no_shadows, paths, scene)
+            far = wave_inout[0].gaussians.transmittance[i] * far
+    throughput = wp.cw_mul(paths.throughput[i], passed_by_ray(i, scene, wave_inout))
+    diffuse = diffuse_of(i, number, paths)
+    add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, own), number, lights, diffuse, images_inout)
+    add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, far), number, far_number, diffuse, images_inout)
+    add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
+
+
+@wp.kernel
+def continue_paths(
+    start: int,
+    number: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    paths: PathData,
+    shadows_inout: PathShadowRays,
+    images: PathImages,
+    steps_out: PathSteps,
+):
+    """Chooses the surface by which each path goes on, samples a light there, and says where it goes.
+
+    Args:
+        start: First item: a ray.
+        number: Of the wave.
+        no_shadows: Light passes through everything.
+        scene: The scene.
+        wave: The wave.
+        paths: Its paths.
+        shadows_inout: Receives shadow rays to the lights.
+        images: Those that frames ask for.
         steps_out: Where paths go on.
     """
     i = start + wp.tid()
-    stride = contributions_out.shape[0] // 2
     steps_out.goes_on[i] = 0
-    for slot in range(2):
-        contributions_out[slot * stride + i] = wp.vec3(0.0)
-        rays_out.is_active[slot * stride + i] = False
-    if not wave_inout[0].rays.is_active[i]:
+    if not wave[0].rays.is_active[i]:
         return
-    share = passed_by_ray(i, scene, wave_inout)
-    throughput = wp.cw_mul(paths.throughput[i], share)
-    if number == 0:
-        light_inout[i] = wp.cw_mul(share, light_inout[i])
-    else:
-        seen = seen_by(i, no_shadows, paths, scene, wave_inout)
-        light_inout[paths.root[i]] += wp.cw_mul(throughput, seen)
-    end = wp.min(wave_inout[0].meshes.t[i], wave_inout[0].gaussians.depth[i])
-    on_way = light_on_way(i, end, no_shadows, paths, scene, wave_inout)
-    light_inout[paths.root[i]] += wp.cw_mul(paths.throughput[i], on_way)
-    if number == 0 and not is_black(on_way):
-        wave_inout[0].radiance.alpha[i] = 1.0
-    if number > bounces:
-        return
-
-    splats = Interaction()
-    mesh = Interaction()
-    if wave_inout[0].interactions.exists[i]:
-        splats = load_interaction(i, wave_inout)
-    if wave_inout[0].interactions.exists[stride + i]:
-        mesh = load_interaction(stride + i, wave_inout)
-    bounce = Bounce()
-    transmittance = wave_inout[0].gaussians.transmittance[i]
-    if wave_inout[0].meshes.face[i] >= 0 and transmittance > 0.0:
-        if sends_rays_on(i, scene, wave_inout):
-            bounce = bounce_of_ray(i, True, scene, wave_inout)
-    key = wave_inout[0].rays.pixel_key[i]
-    sample = wave_inout[0].rays.sample[i]
+    key = wave[0].rays.pixel_key[i]
+    sample = wave[0].rays.sample[i]
+    receives_light = bool(False)
+    if images.sent:
+        receives_light = number == 0
+    splats = loaded_interaction(i, receives_light, wave)
+    mesh = loaded_interaction(wave[0].rays.is_active.shape[0] + i, False, wave)
+    bounce = bounce_at(i, scene, wave)
     ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
-    reflected = transmittance * wp.max(bounce.reflected)
-    refracted = transmittance * wp.max(bounce.refracted)
-    branch = branch_of(ways[0], splats, mesh, reflected, refracted)
-
-    # Direct light of both surfaces, and the lights that the one by which the path goes on may choose among.
-    scattered = splats
-    vertex = PathVertex()
-    total = scattering_share(splats) + scattering_share(mesh) + reflected + refracted
-    for slot in range(2):
-        interaction = splats
-        if slot == 1:
-            interaction = mesh
-        if scattering_share(interaction) > 0.0:
-            j = slot * stride + i
-            u = sobol_2d(branch_key(key, LIGHT_POINT_BRANCH + slot), sample)
-            which = sobol_2d(branch_key(key, LIGHT_BRANCH + slot), sample)
-            here = vertex_at(interaction, scene)
-            choice = chosen_light(which[0], here, scene)
-            if branch.kind == slot:
-                scattered = interaction
-                vertex = here
-            if choice.number >= 0:
-                branch_share = scattering_share(interaction) / total
-                is_met = meets_rays(choice.number, no_shadows, scene)
-                opaque_out[j] = is_met
-                contribution = sampled_light(choice, branch_share, interaction, u, which[1], is_met, scene)
-                contributions_out[j] = wp.cw_mul(throughput, contribution.color)
-                is_shadowed = not no_shadows and casts_shadow(choice.number, scene)
-                if is_shadowed and not is_black(contributions_out[j]):
-                    start_shadow_ray(j, choice.number, contribution, scene, wave_inout, rays_out)
-                    ray_key = wave_inout[0].rays.sample_key[i]
-                    rays_out.pixel_key[j] = branch_key(key, LIGHT_POINT_BRANCH + slot)
-                    rays_out.sample_key[j] = branch_key(ray_key, LIGHT_POINT_BRANCH + slot)
-                    rays_out.sample[j] = sample
-
+    branch = branch_of(ways[0], splats, mesh, wave[0].gaussians.transmittance[i], bounce)
     if branch.kind == BRANCH_NONE:
         return
+
+    factor = wp.cw_mul(paths.throughput[i], passed_by_ray(i, scene, wave)) / branch.probability
+    vertex = PathVertex()
     step = PathStep()
-    scatters = branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH  # noqa: PLR1714
-    if scatters:
+    receives = paths.receives[i]
+    if is_scattering(branch):
+        interaction = splats
+        if branch.kind == BRANCH_MESH:
+            interaction = mesh
+        if interaction.shadow_only:
+            receives = True
+            factor = wp.vec3(1.0)
+        vertex = vertex_at(interaction, scene)
+        light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
-        step = scattered_step(i, branch, scattered, u, ways[1], scene, wave_inout)
+        step = scattered_step(i, branch, interaction, u, ways[1], scene, wave)
     else:
-        step = specular_step(i, branch, bounce, scene, wave_inout)
-    throughput = wp.cw_mul(throughput, step.weight) / branch.probability
+        step = specular_step(i, branch, bounce, scene, wave)
+    throughput = wp.cw_mul(factor, step.weight)
     chance = survival(number, throughput, sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0])
     if chance <= 0.0:
         return
@@ -314,41 +230,52 @@ def extend_paths(
     steps_out.origin[i] = step.origin
     steps_out.direction[i] = step.direction
     steps_out.t_min[i] = step.t_min
-    steps_out.path_length[i] = wave_inout[0].rays.path_length[i] + step.length
+    steps_out.path_length[i] = wave[0].rays.path_length[i] + step.length
     steps_out.spread[i] = step.spread
     steps_out.throughput[i] = throughput / chance
     steps_out.density[i] = step.density
     steps_out.position[i] = vertex.position
     steps_out.normal[i] = vertex.normal
     steps_out.importance[i] = vertex.importance
-    steps_out.is_specular[i] = paths.is_specular[i] and not scatters
+    steps_out.is_specular[i] = paths.is_specular[i] and not is_scattering(branch)
+    steps_out.receives[i] = receives
     if steps_out.media:
         steps_out.media[i] = step.media
+    if steps_out.diffuse:
+        steps_out.diffuse[i] = step.diffuse
+        if number > 0:
+            steps_out.diffuse[i] = paths.diffuse[i]
 
 
 @wp.kernel
-def add_direct_light(
+def add_sampled_light(
     start: int,
+    number: int,
+    scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     paths: PathData,
-    rays: RayData,
-    contributions: wp.array[wp.vec3],
+    shadows: PathShadowRays,
     visibility: wp.array[wp.vec3],
-    light_inout: wp.array[wp.vec3],
+    images_inout: PathImages,
 ):
-    """Adds what arrives of the lights that paths have sampled."""
+    """Adds what arrives of the lights that paths have sampled, and of those that rays show behind captures."""
     i = start + wp.tid()
+    count = wave[0].rays.is_active.shape[0]
     if not wave[0].rays.is_active[i]:
         return
-    stride = contributions.shape[0] // 2
-    arrived = wp.vec3(0.0)
-    for slot in range(2):
-        j = slot * stride + i
-        if rays.is_active[j]:
-            arrived += wp.cw_mul(contributions[j], visibility[j])
-        else:
-            arrived += contributions[j]
-    light_inout[paths.root[i]] += arrived
+    for slot in range(shadows.contributions.shape[0] // count):
+        j = slot * count + i
+        arrived = shadows.contributions[j]
+        if not is_black(arrived):
+            receives = paths.receives[i] or shadows.skips[j]
+            diffuse = diffuse_of(i, number, paths)
+            if slot == 0:
+                add_sent(i, number, scene, paths, shadows, images_inout)
+                if number == 0 and shadows.diffuse:
+                    diffuse = shadows.diffuse[i]
+            if shadows.rays.is_active[j]:
+                arrived = wp.cw_mul(arrived, visibility[j])
+            add_light(paths.root[i], receives, arrived, number + 1 - slot, shadows.lights[j], diffuse, images_inout)
 
 
 @wp.kernel
@@ -382,5 +309,8 @@ def spawn_paths(
     paths_out.normal[child] = steps.normal[i]
     paths_out.importance[child] = steps.importance[i]
     paths_out.is_specular[child] = steps.is_specular[i]
+    paths_out.receives[child] = steps.receives[i]
     if paths_out.media:
         paths_out.media[child] = steps.media[i]
+    if paths_out.diffuse:
+        paths_out.diffuse[child] = steps.diffuse[i]

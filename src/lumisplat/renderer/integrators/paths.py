@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import logging
-
 import warp as wp
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.structs.path import PathData, PathSteps
+from lumisplat.device.structs.path import PathData, PathImages, PathShadowRays, PathSteps
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import path_kernels as kernels
+from lumisplat.renderer.integrators.path_layers import PathLayers
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -19,11 +18,9 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
-
-_log = logging.getLogger("lumisplat")
 
 
 class PathIntegrator:
@@ -40,9 +37,7 @@ class PathIntegrator:
         self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
-        self._has_warned = False
-        self._without: tuple[str, ...] = ()
-        """Fields of paths that the frame does not need."""
+        self._layers = PathLayers(buffers)
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
         """The first wave, with the radiance of its rays.
@@ -53,37 +48,34 @@ class PathIntegrator:
             hits: The rays, and what they hit.
             sample: Number of the sample.
         """
-        self._warn_of_shadow_only(plan)
         self._shadows.begin_sample(sample)
-        self._without = () if plan.has_media else ("media",)
         with self._launcher.stage("light"):
-            paths = self._begin(hits)
+            paths = self._begin(plan, hits)
             first = wave = self._wave(scene, plan, hits, paths, 0)
-            light = device_array(first.row.radiance.light)
-            steps = self._extend(scene, plan, 0, wave=wave, paths=paths, light=light)
+            images = self._layers.begin(plan, first, lights=len(scene.lights.names))
+            steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
             for number in range(1, plan.max_bounces + 2):
                 capacity = grown_capacity(int(device_array(steps.places)[-1:].numpy()[0]))
                 if capacity == 0:
                     break
-                rays, paths = self._spawn(wave, paths, steps, number, capacity)
+                rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
+                onwards = self._paths(plan, number % 2, capacity)
+                self._spawn(wave, paths, steps, rays=rays, onwards=onwards)
+                paths = onwards
                 hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
                 wave = self._wave(scene, plan, hits, paths, number)
-                steps = self._extend(scene, plan, number, wave=wave, paths=paths, light=light)
+                if number == 1 and plan.has_receivers:
+                    self._add_captured(scene, plan, wave, paths, images)
+                steps = self._extend(scene, plan, number, wave=wave, paths=paths, images=images)
         return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """None: paths sample one light at a time."""
-        return LightImages()
+        """The layers of these hits that the frame asks for."""
+        return self._layers.images(plan)
 
-    def _warn_of_shadow_only(self, plan: FramePlan) -> None:
-        """Logs, once, that shadow-only sets stay as captured."""
-        if plan.has_shadow_only and not self._has_warned:
-            self._has_warned = True
-            _log.warning("shadow-only captures take no shadows in Pipeline.PATH: they do with Pipeline.HYBRID")
-
-    def _begin(self, hits: PrimaryHits) -> PathData:
+    def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
         """One path a ray."""
-        paths = self._buffers.struct("path.paths0", PathData, hits.count, self._without)
+        paths = self._paths(plan, 0, hits.count)
         self._launcher.run_banded(kernels.begin_paths, hits.count, paths)
         return paths
 
@@ -93,42 +85,70 @@ class PathIntegrator:
         carried = Carried(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(scene, plan, hits, min(number, 1), carried=carried, may_branch=False)
 
+    def _add_captured(
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, paths: PathData, images: PathImages
+    ) -> None:
+        """Adds what shadow-only surfaces received as they were captured, along the rays that leave them."""
+        count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
+        ends = self._buffers.get("path.receiver_ends", wp.float32, count)
+        run(kernels.leave_receivers, count, wave.data, paths, ends)
+        captured = self._tracer.find_captured(scene, wave.row.rays, ends, "path.captured")
+        run(kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, paths, captured, images)
+
     def _extend(
-        self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, light: DeviceArray
+        self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
     ) -> PathSteps:
-        """Adds what the paths of a wave see, and what lights send there, to the light of the first wave's rays.
+        """Adds what the paths of a wave see, and what lights send there.
 
         Returns where the paths go on.
         """
-        count, run = wave.count, self._launcher.run_banded
-        rays = self._buffers.struct("path.shadow_rays", RayData, 2 * count)
-        contributions = self._buffers.get("path.contributions", wp.vec3, 2 * count)
-        opaque = self._buffers.get("path.opaque", wp.bool, 2 * count)
-        steps = self._buffers.struct("path.steps", PathSteps, count, self._without)
+        count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
+        scattering = number, no_shadows, scene.shading, wave.data, paths, shadows, images
         with self._launcher.stage("shade"):
-            run(
-                kernels.extend_paths,
-                count,
-                *(number, plan.max_bounces, not plan.casts_shadows, scene.shading, wave.data, paths, light),
-                *(rays, opaque, contributions, steps),
-                bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
-            )
-        visibility = contributions
-        if plan.casts_shadows and number <= plan.max_bounces:
+            run(kernels.add_seen_light, count, *scattering, bands=bands)
+            if number <= plan.max_bounces:
+                run(kernels.continue_paths, count, *scattering, steps, bands=bands)
+            else:
+                steps.goes_on.zero_()
+        visibility = shadows.contributions
+        if plan.casts_shadows and (number <= plan.max_bounces or plan.shows_lights_in_haze):
             with self._launcher.stage("shadow"):
                 visibility = self._shadows.trace(
-                    scene, rays, None, "path.visibility", opaque=opaque, of_splats=plan.splat_shadows
+                    scene,
+                    shadows.rays,
+                    shadows.skips,
+                    "path.visibility",
+                    opaque=shadows.opaque,
+                    of_splats=plan.splat_shadows,
                 )
-        run(kernels.add_direct_light, count, wave.data, paths, rays, contributions, visibility, light)
+        run(kernels.add_sampled_light, count, number, scene.shading, wave.data, paths, shadows, visibility, images)
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
         return steps
 
-    def _spawn(
-        self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, capacity: int
-    ) -> tuple[RayData, PathData]:
-        """The rays of the next wave, and their paths."""
-        rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
+    def _spawn(self, wave: RayWave, paths: PathData, steps: PathSteps, *, rays: RayData, onwards: PathData) -> None:
+        """Writes the rays of the next wave, and their paths."""
         rays.is_active.zero_()
-        onwards = self._buffers.struct(f"path.paths{number % 2}", PathData, capacity, self._without)
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, paths, steps, rays, onwards)
-        return rays, onwards
+
+    def _paths(self, plan: FramePlan, number: int, count: int) -> PathData:
+        return self._buffers.struct(f"path.paths{number}", PathData, count, unused_fields(plan))
+
+    def _steps(self, plan: FramePlan, count: int) -> PathSteps:
+        return self._buffers.struct("path.steps", PathSteps, count, unused_fields(plan))
+
+    def _shadow_rays(self, plan: FramePlan, count: int) -> PathShadowRays:
+        """To sampled lights and, where captures may hide lights that rays show, to these."""
+        total = 2 * count if plan.shows_lights_in_haze else count
+        without = {"rays", *unused_fields(plan)}
+        if "lights" not in plan.aovs:
+            without.add("sent")
+        shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
+        shadows.rays = self._buffers.struct("path.shadow_rays", RayData, total)
+        return shadows
+
+
+def unused_fields(plan: FramePlan) -> list[str]:
+    """Fields of paths that a frame does not need."""
+    return ["diffuse"] * (not plan.has_path_layers) + ["media"] * (not plan.has_media)

@@ -9,8 +9,8 @@ import warp as wp
 from lumisplat.device.light.direct_light import light_contribution, shadow_ray_key
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_ray import start_shadow_ray
-from lumisplat.device.light.splat_surface import is_over_light, splat_surface
-from lumisplat.device.math.color import captured_color, decode_srgb_color, is_black
+from lumisplat.device.light.splat_surface import is_over_light, shown_share, splat_surface
+from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
 
@@ -41,7 +41,7 @@ def spawn_shadow_rays(
         contributions_out[j] = contribution.color
         rays_out.is_active[j] = not is_black(contribution.color)
         if rays_out.is_active[j]:
-            start_shadow_ray(j, number, contribution, scene, wave, rays_out)
+            start_shadow_ray(j, j, number, contribution, scene, wave, rays_out)
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
             rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
             rays_out.sample[j] = wave[0].rays.sample[i]
@@ -97,13 +97,9 @@ def darken_captured(
     surface = splat_surface(i, over_light, scene, wave_inout)
     ambient = wp.PI * scene[0].materials[surface.instance].ambient
     blocked = sent - arrivals.arrived[i]
-    shown = captured_color(surface.captured, surface.weight)
-    behind = wp.vec3(0.0)
-    if not over_light:
-        behind = decode_srgb_color(surface.transmittance * scene[0].settings[0].background)
+    share = shown_share(surface, over_light, scene)
     factor = wp.vec3(1.0)
     for k in range(3):
-        if blocked[k] > 0.0 and shown[k] > 0.0:
-            share = wp.max(shown[k] - behind[k], 0.0) / shown[k]
-            factor[k] = 1.0 - share * blocked[k] / (ambient[k] + sent[k])
+        if blocked[k] > 0.0 and share[k] > 0.0:
+            factor[k] = 1.0 - share[k] * blocked[k] / (ambient[k] + sent[k])
     wave_inout[0].radiance.capture_factor[i] = factor

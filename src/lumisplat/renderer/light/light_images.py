@@ -15,3 +15,5 @@ class LightImages:
     """Unshadowed."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
     """Shadowed."""
+    layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
+    """Further ones, by name."""

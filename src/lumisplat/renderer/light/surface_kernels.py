@@ -14,6 +14,7 @@ from lumisplat.device.light.splat_surface import (
     is_over_light,
     reflects_light,
     shadow_offset,
+    shown_share,
     splat_interaction,
     splat_surface,
 )
@@ -216,6 +217,9 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     wave[0].radiance.alpha[i] = wp.where(
         wave[0].meshes.face[i] >= 0 or sees_environment, 1.0, 1.0 - surface.transmittance
     )
+    if wave[0].radiance.captured_share:
+        if reflects_light(surface) and scene[0].materials[surface.instance].shadow_only != 0:
+            wave[0].radiance.captured_share[i] = shown_share(surface, over_light, scene)
     if wave[0].radiance.albedo:
         store_layers(i, surface, over_light, scene, wave)
     store_interactions(i, surface, scene, wave)
@@ -244,6 +248,10 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
     store_branches(i, wp.vec2i(0, 0), wave)
     if wave[0].radiance.capture_factor:
         wave[0].radiance.capture_factor[i] = wp.vec3(1.0)
+    if wave[0].radiance.captured_share:
+        wave[0].radiance.captured_share[i] = wp.vec3(0.0)
+        wave[0].radiance.sent[i] = wp.vec3(0.0)
+        wave[0].radiance.arrived[i] = wp.vec3(0.0)
     if wave[0].radiance.albedo:
         wave[0].radiance.albedo[i] = wp.vec3(0.0)
         wave[0].radiance.emission[i] = wp.vec3(0.0)

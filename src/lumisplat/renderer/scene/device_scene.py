@@ -69,6 +69,8 @@ class DeviceScene:
         """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
         self.draws_alpha = False
         """Rays meet surfaces of some alpha by chance: `FramePlan.draws_alpha`."""
+        self.traces_paths = False
+        """Light bounces in all directions: `FramePlan.traces_paths`."""
         self.keeps_captures = False
         """Some splat sets keep their captured colours."""
         self.relights = False
@@ -125,6 +127,7 @@ class DeviceScene:
         self._jitters = plan.jitters
         with self._launcher.stage("sync"):
             self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
+            self.traces_paths = plan.traces_paths
             self.keeps_captures, self.relights = plan.keeps_captures, plan.relights
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lumisplat.config import PathPrimary, Pipeline, RasterStrategy, RenderConfig, ShadowMethod, Shadows
+from lumisplat.config import PATH_PARTS, PathPrimary, Pipeline, RasterStrategy, RenderConfig, ShadowMethod, Shadows
 from lumisplat.constants import (
     PATH_BOUNCES,
     SAMPLES_OF_ALPHA,
@@ -15,7 +15,7 @@ from lumisplat.constants import (
     SPECULAR_BOUNCES,
 )
 from lumisplat.renderer.scene.materials import emits_capture_only, is_medium, is_relit, is_rough_glass
-from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect
+from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect, LightSphere
 from lumisplat.scene.scene import Scene
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
@@ -104,17 +104,26 @@ class FramePlan:
     """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
     behind such surfaces by the share that these leave."""
     has_shadow_only: bool
-    """Some splat set is shadow-only."""
+    """Some splat set is shadow-only, and not seen by paths: lights darken it."""
     keeps_captures: bool
     """Some splat sets keep their captured colours."""
     relights: bool
     """Some splat sets are relit."""
     mixes_sets: bool
     """Both are there, and what they show is added up apart."""
+    has_receivers: bool
+    """Paths find what shadow-only surfaces receive, as there is something that takes or adds light."""
+    shows_lights_in_haze: bool
+    """Rays of paths may show lights behind captures that are kept."""
     aovs: frozenset[str]
     """Further images of the frame."""
     for_camera: bool
     """Rays are those of a camera's pixels, which see a background."""
+
+    @property
+    def has_path_layers(self) -> bool:
+        """Paths say of their light whether the first surface has scattered it diffusely."""
+        return self.traces_paths and bool(self.aovs & set(PATH_PARTS))
 
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
@@ -127,8 +136,11 @@ class FramePlan:
         casts = any(light.enabled and light.casts_shadow for light in scene.lights) or (is_path and shines(scene))
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
-        has_blockers = splat_shadows.exist or bool(scene.meshes)
-        casts_shadows = is_lit and casts and has_blockers and config.shadows is not Shadows.OFF
+        has_shadows = is_lit and config.shadows is not Shadows.OFF
+        in_haze = has_shadows and is_path and keeps and any(map(is_visible, scene.lights))
+        if in_haze:
+            splat_shadows = replace(splat_shadows, on_reflecting=True)
+        casts_shadows = has_shadows and ((casts and (splat_shadows.exist or bool(scene.meshes))) or in_haze)
         aovs = frozenset(config.aovs) if is_lit else UNLIT_AOVS & frozenset(config.aovs)
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
@@ -167,7 +179,9 @@ class FramePlan:
             keeps_captures=keeps,
             relights=relights,
             mixes_sets=is_lit and keeps and relights and not (is_path and config.path.primary is PathPrimary.PARTICLE),
-            has_shadow_only=is_lit and any(instance.shadow_only for instance in scene.splats),
+            has_shadow_only=is_lit and not is_path and any(instance.shadow_only for instance in scene.splats),
+            has_receivers=casts_shadows and traces_paths and adds_to_captures(scene),
+            shows_lights_in_haze=in_haze,
             aovs=aovs,
             for_camera=True,
         )
@@ -191,6 +205,17 @@ def may_adapt(config: RenderConfig) -> bool:
     rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
     shadows = config.shadow_rays
     return not rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
+
+
+def adds_to_captures(scene: Scene) -> bool:
+    """Whether there are shadow-only sets, and something else that may take light from them or add some."""
+    captured = [instance.shadow_only for instance in scene.splats]
+    return any(captured) and (bool(scene.meshes) or not all(captured))
+
+
+def is_visible(light: Light) -> bool:
+    """Whether paths show a light as a body."""
+    return isinstance(light, LightRect | LightSphere) and light.enabled and light.visible
 
 
 def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -> int:

@@ -21,13 +21,14 @@ class MeshTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def find(self, scene: DeviceScene, rays: RayData, name: str) -> MeshHits:
+    def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool) -> MeshHits:
         """The nearest triangle between each ray's ``t_min`` and ``t_max``.
 
         Args:
             scene: Up to date for rays.
             rays: What to follow.
             name: Of the buffers that hold the result.
+            bounced: Whether the rays were scattered by surfaces: meshes count from their origin on.
         """
         count = len(rays.t_max)
         hits = self._buffers.struct(name, MeshHits, count)
@@ -36,7 +37,7 @@ class MeshTracer:
             self._launcher.run_banded(
                 kernels.find_mesh_hits,
                 count,
-                *(scene.mesh_bvh, rays, hits),
+                *(bounced, scene.mesh_bvh, rays, hits),
                 bands=bands,
             )
         else:

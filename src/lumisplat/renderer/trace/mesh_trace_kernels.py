@@ -11,10 +11,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 
 @wp.kernel
-def find_mesh_hits(start: int, scene: MeshBvh, rays: RayData, hits_out: MeshHits):
-    """The nearest triangle between a ray's ``t_min`` and ``t_max``."""
+def find_mesh_hits(start: int, bounced: bool, scene: MeshBvh, rays: RayData, hits_out: MeshHits):
+    """The nearest triangle between a ray's ``t_min``, or its origin if it has ``bounced``, and ``t_max``."""
     i = start + wp.tid()
-    t_min = rays.t_min[i]
+    t_min = wp.where(bounced, 0.0, rays.t_min[i])
     t_max = rays.t_max[i]
     hits_out.t[i] = t_max
     hits_out.face[i] = -1

@@ -35,7 +35,7 @@ class PathGaussians:
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
     ) -> GaussianHits:
         """As `GaussianTracer.find`: a ray that meets a relit Gaussian has a transmittance of 0."""
-        if self._is_blended_first and not bounced:
+        if not scene.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
         if not scene.keeps_captures:
             return self._met.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
@@ -48,6 +48,10 @@ class PathGaussians:
         kept = self._blended.find(scene, rays, ends, name, bounced=bounced, sets=SplatSets.KEPT)
         run(kernels.choose_hits, count, rays, met, kept)
         return kept
+
+    def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
+        """What shadow-only sets alone give bounced rays, as `RayTracer.find_captured`."""
+        return self._blended.find(scene, rays, ends, name, bounced=True, sets=SplatSets.SHADOW_ONLY)
 
 
 def _with(config: RenderConfig, strategy: TraceStrategy) -> RenderConfig:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warp as wp
+
 from lumisplat.config import Pipeline, RenderConfig
-from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
@@ -38,7 +40,20 @@ class RayTracer:
             bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
         """
         with self._launcher.stage("mesh"):
-            meshes = self._meshes.find(scene, rays, f"{name}.meshes")
+            meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
         with self._launcher.stage("gaussians"):
             gaussians = self._gaussians.find(scene, rays, meshes.t, f"{name}.gaussians", bounced=bounced)
         return PrimaryHits(rays, meshes, gaussians)
+
+    def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
+        """What shadow-only sets alone give rays of paths that leave them.
+
+        Args:
+            scene: Up to date for rays.
+            rays: A multiple of ``PACKET_RAYS``.
+            ends: Where each ends; not above 0: it is not traced.
+            name: Of the buffers that hold the result.
+        """
+        assert isinstance(self._gaussians, PathGaussians)
+        with self._launcher.stage("gaussians"):
+            return self._gaussians.find_captured(scene, rays, ends, name)

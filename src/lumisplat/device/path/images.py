@@ -1,0 +1,86 @@
+"""Where what paths bring is added: the light of a ray, its layers, and what shadow-only surfaces receive.
+
+The layers are those of docs/method/paths.md#layers.
+"""
+
+import warp as wp
+
+from lumisplat.device.structs.path import (
+    PART_DIRECT_DIFFUSE,
+    PART_DIRECT_GLOSSY,
+    PART_EMISSION,
+    PART_INDIRECT_DIFFUSE,
+    PART_INDIRECT_GLOSSY,
+    PathImages,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: wp.vec3):
+    """Adds to the element of a ray in one of several rows of ``count`` elements each."""
+    i = row * count + root
+    rows[i] = rows[i] + value
+
+
+@wp.func
+def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: PathImages):
+    """Adds light to the part that its first scattering decides: diffuse or glossy, direct or indirect."""
+    count = images.light.shape[0]
+    if bounces == 0:
+        add_to_row(images.parts, PART_EMISSION, count, root, value)
+        return
+    scattered = wp.cw_mul(diffuse, value)
+    if bounces == 1:
+        add_to_row(images.parts, PART_DIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images.parts, PART_DIRECT_GLOSSY, count, root, value - scattered)
+    else:
+        add_to_row(images.parts, PART_INDIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images.parts, PART_INDIRECT_GLOSSY, count, root, value - scattered)
+
+
+@wp.func
+def add_light(
+    root: int, receives: bool, value: wp.vec3, bounces: int, light: int, diffuse: wp.vec3, images: PathImages
+):
+    """Adds what a path brings of a light.
+
+    Args:
+        root: The ray that the path began with.
+        receives: As of ``PathData``.
+        value: Linear radiance, times the throughput.
+        bounces: How often surfaces have scattered it.
+        light: Number of the light; one more than that of the last one: it is none, but shines.
+        diffuse: Share that the first surface has scattered diffusely.
+        images: Where it is added.
+    """
+    if receives:
+        images.arrived[root] += value
+        return
+    images.light[root] += value
+    count = images.light.shape[0]
+    if images.parts:
+        add_to_parts(root, value, bounces, diffuse, images)
+    if images.bounces:
+        add_to_row(images.bounces, bounces, count, root, value)
+    if images.lights_total:
+        lights = images.lights_arrived.shape[0] // count
+        add_to_row(images.lights_total, wp.min(light, lights), count, root, value)
+        if bounces == 1 and light < lights:
+            add_to_row(images.lights_arrived, light, count, root, value)
+
+
+@wp.func
+def add_unshadowed(root: int, value: wp.vec3, light: int, images: PathImages):
+    """Adds what the first surface of a path would reflect of a light, if that is one and the frame asks for it."""
+    if images.lights_sent:
+        count = images.light.shape[0]
+        if light < images.lights_sent.shape[0] // count:
+            add_to_row(images.lights_sent, light, count, root, value)
+
+
+@wp.func
+def add_sent_light(root: int, value: wp.vec3, images: PathImages):
+    """Adds irradiance of a shadow-only surface as it was captured."""
+    images.sent[root] += value

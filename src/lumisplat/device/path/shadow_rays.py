@@ -1,0 +1,168 @@
+"""Light that paths sample, and lights that their rays show behind captures: contributions, and their shadow rays.
+
+The equations are in docs/method/paths.md#lights.
+"""
+
+import warp as wp
+
+from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays
+from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.math.color import is_black
+from lumisplat.device.math.random import branch_key, draw, sobol_2d
+from lumisplat.device.path.images import add_light, add_sent_light, add_unshadowed
+from lumisplat.device.path.sampled_light import sampled_light
+from lumisplat.device.path.seen_light import environment_number, shown_light
+from lumisplat.device.structs.path import PathData, PathImages, PathShadowRays, PathVertex
+from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+# Branches of a ray's key: 0 is the ray that goes on, and path_kernels.py has the others.
+LIGHT_POINT_BRANCH = wp.constant(2)
+"""Which point of a light."""
+LIGHT_BRANCH = wp.constant(3)
+"""Which light."""
+SHOWN_BRANCH = wp.constant(4)
+"""How Gaussians hide a light that the ray itself shows."""
+
+
+@wp.func
+def diffuse_of(i: int, number: int, paths: PathData) -> wp.vec3:
+    """Share of what path ``i`` brings that its first surface has scattered diffusely."""
+    if number == 0 or not paths.diffuse:
+        return wp.vec3(0.0)
+    return paths.diffuse[i]
+
+
+@wp.func
+def clear_shadow_ray(j: int, shadows: PathShadowRays):
+    """Shadow ray ``j``: there is none, and nothing to be shadowed."""
+    shadows.contributions[j] = wp.vec3(0.0)
+    shadows.rays.is_active[j] = False
+    shadows.opaque[j] = True
+    shadows.skips[j] = False
+
+
+@wp.func
+def start_shown_ray(
+    i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], paths: PathData, shadows: PathShadowRays
+):
+    """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
+    j = wave[0].rays.is_active.shape[0] + i
+    shadows.contributions[j] = value
+    shadows.lights[j] = light
+    shadows.rays.is_active[j] = True
+    shadows.rays.origin[j] = wave[0].rays.origin[i]
+    shadows.rays.direction[j] = wave[0].rays.direction[i]
+    shadows.rays.t_min[j] = wave[0].rays.t_min[i]
+    shadows.rays.t_max[j] = t
+    shadows.rays.path_length[j] = 0.0
+    shadows.rays.spread[j] = 0.0
+    shadows.rays.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], SHOWN_BRANCH)
+    shadows.rays.sample_key[j] = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
+    shadows.rays.sample[j] = wave[0].rays.sample[i]
+
+
+@wp.func
+def add_shown_lights(
+    i: int,
+    number: int,
+    no_shadows: bool,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    paths: PathData,
+    shadows: PathShadowRays,
+    images: PathImages,
+):
+    """Adds the visible lights that the ray of path ``i`` passes before its surface.
+
+    Behind captures that are kept, a shadow ray says how much of one of them there is.
+    """
+    is_hazy = shadows.contributions.shape[0] > wave[0].rays.is_active.shape[0]
+    end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    met = int(0)
+    for light in range(scene[0].settings[0].light_count):
+        crossing = shown_light(i, light, no_shadows, paths, scene, wave)
+        value = wp.cw_mul(paths.throughput[i], crossing.radiance)
+        if number == 0 and crossing.t < end:
+            wave[0].radiance.alpha[i] = 1.0
+        if is_hazy and crossing.t < wp.inf:
+            met += 1
+            if draw(wave[0].rays.sample_key[i], wp.uint32(light)) * float(met) < 1.0:
+                start_shown_ray(i, light, crossing.t, value, wave, paths, shadows)
+        elif crossing.t < end:
+            add_light(paths.root[i], paths.receives[i], value, number, light, diffuse_of(i, number, paths), images)
+    if met > 1:
+        j = wave[0].rays.is_active.shape[0] + i
+        shadows.contributions[j] = float(met) * shadows.contributions[j]
+
+
+@wp.func
+def light_surface(
+    i: int,
+    slot: int,
+    factor: wp.vec3,
+    no_shadows: bool,
+    interaction: Interaction,
+    vertex: PathVertex,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    shadows: PathShadowRays,
+):
+    """Samples one light for the surface by which path ``i`` goes on, and starts its shadow ray.
+
+    Args:
+        i: Ray of the path.
+        slot: Which of its two interactions: 0, Gaussians, or 1, a mesh.
+        factor: Throughput of the path by that surface.
+        no_shadows: Light passes through everything.
+        interaction: With the surface.
+        vertex: The same.
+        scene: The scene.
+        wave: Of the ray.
+        shadows: Receives contribution and shadow ray.
+    """
+    key = wave[0].rays.pixel_key[i]
+    sample = wave[0].rays.sample[i]
+    u = sobol_2d(branch_key(key, LIGHT_POINT_BRANCH), sample)
+    which = sobol_2d(branch_key(key, LIGHT_BRANCH), sample)
+    choice = chosen_light(which[0], vertex, scene)
+    if choice.number < 0:
+        return
+    is_met = meets_rays(choice.number, no_shadows, scene)
+    if interaction.shadow_only:
+        # Rays that leave it show of all lights only the environment, which they alone find.
+        if is_met and choice.number == environment_number(scene):
+            return
+        shadows.skips[i] = True
+        is_met = False
+    light = sampled_light(choice, interaction, u, which[1], is_met, scene)
+    shadows.contributions[i] = wp.cw_mul(factor, light.contribution.color)
+    shadows.opaque[i] = is_met
+    shadows.lights[i] = choice.number
+    if shadows.diffuse:
+        direction = light.contribution.direction
+        shadows.diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
+    if shadows.sent:
+        shadows.sent[i] = wp.cw_mul(factor, light.sent)
+    if is_black(shadows.contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
+        return
+    count = wave[0].rays.is_active.shape[0]
+    start_shadow_ray(i, slot * count + i, choice.number, light.contribution, scene, wave, shadows.rays)
+    shadows.rays.pixel_key[i] = branch_key(key, LIGHT_POINT_BRANCH)
+    shadows.rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], LIGHT_POINT_BRANCH)
+    shadows.rays.sample[i] = sample
+
+
+@wp.func
+def add_sent(
+    i: int, number: int, scene: wp.array[ShadingScene], paths: PathData, shadows: PathShadowRays, images: PathImages
+):
+    """Adds what lights would contribute unshadowed: to a shadow-only surface as captured, or to their own layers."""
+    light = shadows.lights[i]
+    if shadows.skips[i]:
+        if light < scene[0].settings[0].light_count:
+            add_sent_light(paths.root[i], shadows.contributions[i], images)
+    elif number == 0 and shadows.sent:
+        add_unshadowed(paths.root[i], shadows.sent[i], light, images)

@@ -1,0 +1,185 @@
+"""Where paths go on: by which surface of a ray, in which direction, and whether (docs/method/paths.md#lights)."""
+
+import warp as wp
+
+from lumisplat.constants import ROULETTE_BOUNCE, ROULETTE_RANGE
+from lumisplat.device.light.direct_light import arrives
+from lumisplat.device.light.interaction import load_interaction
+from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin
+from lumisplat.device.material.bsdf import bsdf_sample, diffuse_share
+from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.material.media import scattered_media
+from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
+from lumisplat.device.math.color import mean_of
+from lumisplat.device.math.directions import PI
+from lumisplat.device.mesh.mesh_surface import hit_weights
+from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
+from lumisplat.device.structs.path import (
+    BRANCH_MESH,
+    BRANCH_NONE,
+    BRANCH_REFRACTED,
+    BRANCH_SPLATS,
+    LEAVES_RECEIVER,
+    Branch,
+    PathStep,
+)
+from lumisplat.device.structs.rays import Bounce
+from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
+GOES_ON_MIN = wp.constant(wp.float32(ROULETTE_RANGE[0]))
+GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
+
+
+@wp.func
+def scattering_share(interaction: Interaction) -> float:
+    """About the share of a ray that an interaction scatters; above 0 wherever it scatters any."""
+    if not interaction.exists:
+        return 0.0
+    if interaction.shadow_only:
+        return interaction.weight
+    bsdf = interaction.bsdf
+    albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing + mean_of(bsdf.transmitted)
+    return interaction.weight * wp.max(albedo, 1e-6)
+
+
+@wp.func
+def branch_of(u: float, splats: Interaction, mesh: Interaction, transmittance: float, bounce: Bounce) -> Branch:
+    """By which surface a path goes on, in proportion to what about each reflects.
+
+    Args:
+        u: Random, 0..1.
+        splats: Interaction with the surface of the Gaussians.
+        mesh: With the mesh behind them.
+        transmittance: Of the Gaussians.
+        bounce: Reflection and refraction by the mesh.
+    """
+    reflected = transmittance * wp.max(bounce.reflected)
+    refracted = transmittance * wp.max(bounce.refracted)
+    shares = wp.vec4(scattering_share(splats), scattering_share(mesh), reflected, refracted)
+    total = shares[0] + shares[1] + shares[2] + shares[3]
+    branch = Branch()
+    branch.kind = BRANCH_NONE
+    if not (total > 0.0 and total < wp.inf):
+        return branch
+    rest = u * total
+    for kind in range(4):
+        if shares[kind] > 0.0 and rest >= 0.0:
+            branch.kind = kind
+            branch.probability = shares[kind] / total
+            rest -= shares[kind]
+    return branch
+
+
+@wp.func
+def loaded_interaction(j: int, receives_light: bool, wave: wp.array[WaveData]) -> Interaction:
+    """Interaction ``j``, which need not exist.
+
+    A shadow-only surface is white for the paths that find what it receives. If no path does, it does not exist.
+    """
+    interaction = Interaction()
+    if not wave[0].interactions.exists[j]:
+        return interaction
+    interaction = load_interaction(j, wave)
+    if interaction.shadow_only:
+        interaction.exists = receives_light
+        interaction.bsdf = Bsdf()
+        interaction.bsdf.model = BSDF_SIMPLE
+        interaction.bsdf.diffuse = wp.vec3(1.0)
+    return interaction
+
+
+@wp.func
+def bounce_at(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
+    """Reflection and refraction of ray ``i`` by the mesh that it hits; none, if that is not smooth."""
+    bounce = Bounce()
+    if wave[0].meshes.face[i] >= 0 and wave[0].gaussians.transmittance[i] > 0.0:
+        if sends_rays_on(i, scene, wave):
+            bounce = bounce_of_ray(i, True, scene, wave)
+    return bounce
+
+
+@wp.func
+def scattered_step(
+    i: int,
+    branch: Branch,
+    interaction: Interaction,
+    u: wp.vec2,
+    choice: float,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+) -> PathStep:
+    """The step of a path that an interaction scatters.
+
+    Args:
+        i: Ray of the path.
+        branch: BRANCH_SPLATS or BRANCH_MESH.
+        interaction: With that surface.
+        u: Random, 0..1 each.
+        choice: Random, 0..1, decides between diffuse and highlight.
+        scene: With the surface.
+        wave: Of the ray.
+    """
+    step = PathStep()
+    sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
+    if not (sampled.density > 0.0 and arrives(interaction, sampled.direction)):
+        return step
+    j = branch.kind * wave[0].rays.is_active.shape[0] + i
+    step.direction = sampled.direction
+    step.media = scattered_media(i, branch.kind == BRANCH_MESH, sampled.direction, interaction.normal, scene, wave)
+    step.weight = interaction.weight * sampled.weight
+    step.density = sampled.density
+    if interaction.shadow_only:
+        step.weight = wp.vec3(PI)  # irradiance over radiance
+        step.density = LEAVES_RECEIVER
+    step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
+    step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
+    step.t_min = wave[0].interactions.spawn_t_min[j]
+    step.length = wave[0].meshes.t[i]
+    if branch.kind == BRANCH_SPLATS:
+        step.length = wp.length(interaction.position - wave[0].rays.origin[i])
+    return step
+
+
+@wp.func
+def specular_step(
+    i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> PathStep:
+    """The step of a path that a smooth mesh reflects or refracts."""
+    step = PathStep()
+    transmittance = wave[0].gaussians.transmittance[i]
+    side = bounce.side
+    step.direction = reflect(wave[0].rays.direction[i], bounce.normal)
+    step.weight = transmittance * bounce.reflected
+    step.media = bounce.media
+    if branch.kind == BRANCH_REFRACTED:
+        step.direction = refract(wave[0].rays.direction[i], bounce.normal, bounce.eta)
+        step.weight = transmittance * bounce.refracted
+        step.media = bounce.media_behind
+        side = -bounce.side
+    corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
+    instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
+    step.origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
+    step.length = wave[0].meshes.t[i]
+    step.spread = wave[0].rays.spread[i]
+    return step
+
+
+@wp.func
+def is_scattering(branch: Branch) -> bool:
+    """Whether a path goes on by a surface that scatters, and not as in a mirror."""
+    return branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH  # noqa: PLR1714
+
+
+@wp.func
+def survival(number: int, throughput: wp.vec3, u: float) -> float:
+    """Probability with which a path goes on after a wave; 0: it has ended."""
+    largest = wp.max(throughput)
+    if not (largest > 0.0 and largest < wp.inf):
+        return 0.0
+    if number + 1 < ROULETTE_FIRST:
+        return 1.0
+    chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
+    return wp.where(u < chance, chance, 0.0)

@@ -1,0 +1,124 @@
+"""Layers of frames of paths: each set of them adds up to the picture, and holds what its name says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.config import PATH_PARTS
+from support.scenes.lit_scene import LAMPS, SKY, camera, scene
+from support.scenes.path_scenes import cube_without_ceiling, diffuse, paths, quad
+
+ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
+
+
+def rooms() -> ls.Scene:
+    """Gaussians that are relit and kept, meshes, a mirror, glass, a sky, lamps, and a lamp that is seen."""
+    lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
+    return scene(*LAMPS, SKY, lamp)
+
+
+@pytest.mark.parametrize("shown", ["all", "shadow-only"])
+def test_layers_add_up_to_the_picture(shown: str) -> None:
+    """The five parts; the bounces, with captures; the lights, with captures: to 1e-5."""
+    lit = rooms()
+    if shown == "shadow-only":
+        lit = replace(lit, splats=[replace(one, material=None, shadow_only=True) for one in lit.splats])
+    frame = paths(lit, camera(), 4, 3, aovs=ALL)
+    assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
+    captured = frame.color - frame.light
+    parts = sum(getattr(frame, name).astype(np.float64) for name in PATH_PARTS)
+    np.testing.assert_allclose(np.maximum(parts, 0.0), frame.color, rtol=1e-5, atol=1e-5)
+    changed = frame.emission - captured - frame.bounces[0]
+    np.testing.assert_allclose(frame.bounces.sum(0) + changed + captured, frame.color, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(frame.light_total.sum(0), frame.bounces.sum(0), rtol=1e-5, atol=1e-5)
+
+
+def test_layers_change_no_picture() -> None:
+    """To the bit."""
+    plain, layered = (paths(rooms(), camera(), 2, 3, aovs=aovs) for aovs in ((), ALL))
+    np.testing.assert_array_equal(plain.color, layered.color)
+
+
+def test_parts_of_a_room() -> None:
+    """A cube of diffuse walls under a panel that shines: nothing is glossy, the floor's direct light is the panel's."""
+    panel = quad((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))
+    room = ls.Scene(meshes=[*cube_without_ceiling(diffuse(0.5)), panel])
+    down = ls.Camera.look_at((0.5, 0.5, 0.5), (0.5, 0.0, 0.5), (0, 0, 1), width=16, height=16, fov_y=0.01)
+    frame = paths(room, down, 128, 6, aovs=ALL)
+    direct = 0.5 / np.pi * np.pi * 0.239456 * np.pi  # albedo / pi times the irradiance at the floor's centre
+    assert not frame.direct_glossy.any() and not frame.indirect_glossy.any() and not frame.emission.any()
+    np.testing.assert_allclose(frame.direct_diffuse.mean(), direct / np.pi, rtol=0.01)
+    np.testing.assert_allclose(frame.bounces[1], frame.direct_diffuse, rtol=1e-6)
+    np.testing.assert_allclose(frame.indirect_diffuse.mean(), 0.5 / np.pi * 1.2416 - direct / np.pi, rtol=0.02)
+
+
+def test_a_metal_is_glossy_and_a_lamp_shines() -> None:
+    """A rough metal floor has glossy light alone; a lamp that is looked at is emission."""
+    metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.4)
+    floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), metal)
+    lamp = ls.LightSphere((0.0, 0.8, 0.0), 0.2, intensity=4.0)
+    above = ls.Camera.look_at((0.1, 0.5, 0.1), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.2)
+    frame = paths(ls.Scene(meshes=[floor], lights=[lamp]), above, 16, 2, aovs=ALL)
+    assert not frame.direct_diffuse.any() and frame.direct_glossy.mean() > 0.1 and not frame.emission.any()
+    upwards = ls.Camera.look_at((0.0, 0.1, 0.0), (0, 1, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
+    seen = paths(ls.Scene(meshes=[floor], lights=[lamp]), upwards, 1, 2, aovs=ALL)
+    np.testing.assert_allclose(seen.emission, seen.color)
+    np.testing.assert_allclose(seen.light_total[0], seen.color)
+
+
+def test_lights_apart() -> None:
+    """Each lamp's layers are those of a frame with that lamp alone, in the mean, shadows and bounces included."""
+    room = cube_without_ceiling(diffuse(0.7))
+    screen = quad((0.4, 0.2, 0.4), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.2))
+    lamps = [
+        ls.LightPoint((0.5, 0.8, 0.5), intensity=0.4, name="top"),
+        ls.LightPoint((0.2, 0.4, 0.3), intensity=0.2, color=(1.0, 0.4, 0.2), name="side"),
+    ]
+    view = ls.Camera.look_at((0.5, 0.6, 0.1), (0.5, 0.0, 0.6), width=24, height=18, fov_y=1.2)
+    both = paths(ls.Scene(meshes=[*room, screen], lights=lamps), view, 256, 4, aovs=("lights",))
+    assert both.light_names == ("top", "side")
+    for number, lamp in enumerate(lamps):
+        alone = paths(ls.Scene(meshes=[*room, screen], lights=[lamp]), view, 256, 4, aovs=("lights",))
+        direct = both.light_direct[number] * both.light_shadow[number]
+        np.testing.assert_allclose(
+            direct.mean((0, 1)), (alone.light_direct * alone.light_shadow)[0].mean((0, 1)), rtol=0.02
+        )
+        np.testing.assert_allclose(both.light_total[number].mean((0, 1)), alone.light_total[0].mean((0, 1)), rtol=0.03)
+
+
+def test_layers_that_only_paths_have_are_refused_elsewhere() -> None:
+    """By name, with the pipeline that has them; and the reverse."""
+    with pytest.raises(ls.ConfigError, match=r"Pipeline\.HYBRID has no bounces among its aovs: Pipeline\.PATH does"):
+        ls.render(rooms(), camera(), ls.RenderConfig(pipeline="hybrid", aovs=("bounces",)), device="cpu")
+    with pytest.raises(ls.ConfigError, match=r"Pipeline\.PATH has no reflection among its aovs: Pipeline\.HYBRID does"):
+        ls.render(rooms(), camera(), ls.RenderConfig(pipeline="path", aovs=("reflection",)), device="cpu")
+
+
+def test_layers_are_resumed() -> None:
+    """Two and two samples are four, bit for bit, in all layers, and where captures only receive light."""
+    lit = rooms()
+    lit = replace(
+        lit, splats=[lit.splats[0], *(replace(one, material=None, shadow_only=True) for one in lit.splats[1:])]
+    )
+    settings = ls.RenderConfig(pipeline="path", samples=2, max_bounces=2, aovs=ALL)
+    renderer = ls.create_renderer(settings, "cpu")
+    resumed = renderer.render(lit, camera(), resume=renderer.render(lit, camera()))
+    whole = ls.render(lit, camera(), replace(settings, samples=4), device="cpu")
+    for name in ("color", *PATH_PARTS, "bounces", "light_direct", "light_shadow", "light_total"):
+        np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name), err_msg=name)
+
+
+def test_saved_layers(tmp_path: Path) -> None:
+    """Channels of an EXR, by the names of layers and lamps, and pictures beside a PNG."""
+    frame = paths(rooms(), camera(), 1, 1, aovs=ALL)
+    channels = {name.rsplit(".", 1)[0] for name in frame.layers()}
+    assert {"direct_glossy", "emission", "bounce.0", "bounce.2", "light.ball.total", "light_other"} <= channels
+    frame.save(tmp_path / "a.exr")
+    frame.save(tmp_path / "a.png", layers=("direct_diffuse", "bounces", "lights"))
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"a.direct_diffuse.png", "a.bounce.0.png", "a.bounce.2.png", "a.light.ball.total.png"} <= names
