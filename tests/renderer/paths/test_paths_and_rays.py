@@ -100,13 +100,6 @@ def test_emitters_light_by_their_area() -> None:
     np.testing.assert_allclose(means, means[0], rtol=0.01)
 
 
-def test_layers_that_paths_do_not_have_are_refused() -> None:
-    """By name."""
-    settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, aovs=("lights",))
-    with pytest.raises(ls.ConfigError, match=r"Pipeline\.PATH has no lights among its aovs"):
-        ls.render(balls("mesh"), camera(), settings, device="cpu")
-
-
 def test_the_near_plane_of_a_camera_counts() -> None:
     """Small Gaussians before it are not seen, as in traced frames."""
     speck = one_gaussian((0.0, 0.0, 0.05), 0.002, 0.99, (0.9, 0.1, 0.1))

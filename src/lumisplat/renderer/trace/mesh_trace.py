@@ -21,7 +21,7 @@ class MeshTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
-    def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool) -> MeshHits:
+    def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> MeshHits:
         """The nearest triangle between each ray's ``t_min`` and ``t_max``.
 
         Args:
