@@ -1,12 +1,11 @@
-"""What adaptive sampling brings: errors of frames of paths with even and adaptive samples, and the time to the same.
+"""What adaptive sampling brings: the noise of paths with even and with adaptive samples, and the time to the same.
 
-``python -m bench.adaptive [--device cuda] [--width 128] [--reference 1024]`` prints a table of two scenes of uneven
-noise; ``--pictures FOLDER`` keeps pictures and their numbers of samples.
+``python -m bench.adaptive [--device cuda] [--width 192]`` prints a table of two scenes of uneven noise; ``--pictures
+FOLDER`` keeps pictures and their numbers of samples, ``--reference 4096`` adds errors against so many samples.
 
-The error of a frame is what its noise estimates: the relative error that 95 % of the pixels are below, here against
-many samples of another seed. Times are CPU time on a CPU, so that other programs are of no matter, each the least of
-two. The time to equal error is that of an even frame, between and beyond those measured in proportion to their
-logarithms.
+The noise is what ends a frame, ``FrameStats.noise``: the relative error that 95 % of the pixels are estimated to be
+below. Times are CPU time on a CPU, so that other programs are of no matter. The time to equal noise is that of an even
+frame, between and beyond those measured in proportion to their logarithms.
 """
 
 from __future__ import annotations
@@ -21,9 +20,8 @@ import lumisplat as ls
 from bench.timing import parser, quiet_warp
 from lumisplat.demo.shapes import sphere
 
-EVEN = (32, 64, 128, 256)
-ADAPTIVE = (64, 128, 256)
-REPEATS = 2
+EVEN = (48, 96, 192)
+ADAPTIVE = (96, 192)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 LEAST = 0.01
 """Luminance below which errors are not relative, as of frames without exposure."""
@@ -40,9 +38,10 @@ class Row:
     """A frame."""
 
     samples: float
+    """Mean over pixels."""
     seconds: float
-    error: float
-    estimated: float
+    noise: float
+    error: float | None
 
 
 def quad(corner: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
@@ -75,64 +74,63 @@ def things() -> ls.Scene:
     return ls.Scene(meshes=[board, *balls], lights=[ls.LightSphere((0.1, 1.1, -0.1), 0.05, intensity=60.0)])
 
 
-def timed(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Frame, float]:
-    """A frame, and the least time that it takes, seconds."""
+def measured(
+    config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera, truth: np.ndarray | None, device: str
+) -> tuple[ls.Frame, Row]:
+    """A frame, and what it took."""
+    renderer = ls.create_renderer(config, device)
     clock = time.process_time if renderer.device == "cpu" else time.perf_counter
     renderer.render(scene, camera.scaled(16))  # uploads
-    taken: list[tuple[float, ls.Frame]] = []
-    for _ in range(REPEATS):
-        begun = clock()
-        frame = renderer.render(scene, camera)
-        assert frame.color.size  # downloaded
-        taken.append((clock() - begun, frame))
-    return taken[0][1], min(seconds for seconds, _ in taken)
+    begun = clock()
+    frame = renderer.render(scene, camera)
+    assert frame.variance is not None and frame.sample_count is not None  # downloaded
+    seconds = clock() - begun
+    noise = quantile(np.sqrt(frame.variance @ LUMINANCE), frame.color)
+    error = None if truth is None else quantile(np.sqrt((frame.color - truth) ** 2 @ LUMINANCE), truth)
+    return frame, Row(float(frame.sample_count.mean()), seconds, noise, error)
 
 
-def row_of(frame: ls.Frame, seconds: float, truth: np.ndarray) -> Row:
-    """A frame against the truth."""
-    assert frame.variance is not None and frame.sample_count is not None
-    luminance = np.maximum(truth @ LUMINANCE, LEAST)
-    errors = np.sqrt((frame.color - truth) ** 2 @ LUMINANCE) / luminance
-    estimated = np.sqrt(frame.variance @ LUMINANCE) / np.maximum(frame.color @ LUMINANCE, LEAST)
-    return Row(
-        frame.sample_count.mean(), seconds, float(np.quantile(errors, 0.95)), float(np.quantile(estimated, 0.95))
-    )
+def quantile(errors: np.ndarray, color: np.ndarray) -> float:
+    """The relative error that 95 % of the pixels are below."""
+    return float(np.quantile(errors / np.maximum(color @ LUMINANCE, LEAST), 0.95))
 
 
-def equal_seconds(even: list[Row], error: float) -> float:
-    """Time of an even frame of that error."""
-    slope, start = np.polyfit([np.log(row.error) for row in even], [np.log(row.seconds) for row in even], 1)
-    return float(np.exp(start + slope * np.log(error)))
+def equal_seconds(even: list[Row], noise: float) -> float:
+    """Time of an even frame of that noise."""
+    slope, start = np.polyfit([np.log(row.noise) for row in even], [np.log(row.seconds) for row in even], 1)
+    return float(np.exp(start + slope * np.log(noise)))
 
 
 def main() -> None:
     """Prints the table."""
     given = parser("adaptive", __doc__)
-    given.add_argument("--width", type=int, default=128)
-    given.add_argument("--reference", type=int, default=1024, help="samples of the truth")
+    given.add_argument("--width", type=int, default=192)
+    given.add_argument("--reference", type=int, help="samples of the truth")
     given.add_argument("--pictures", type=Path)
     options = given.parse_args()
     quiet_warp()
     base = ls.RenderConfig(pipeline=ls.Pipeline.PATH, max_bounces=6, aovs=("variance", "sample_count"))
-    views = {"room": (room(), (0.5, 0.5, -0.9)), "things": (things(), (0.5, 0.6, -0.9))}
-    print("| scene | samples | mean of them | s | error | estimated | times sooner than even |")
+    print("| scene | samples | mean of them | s | noise | times sooner than even | error |")
     print("| --- | --- | ---: | ---: | ---: | ---: | ---: |")
-    for name, (scene, eye) in views.items():
-        target = (0.5, 0.45 if name == "room" else 0.15, 0.5)
+    for name, scene, eye, target in (
+        ("room", room(), (0.5, 0.5, -0.9), (0.5, 0.45, 0.5)),
+        ("things", things(), (0.5, 0.6, -0.9), (0.5, 0.15, 0.5)),
+    ):
         camera = ls.Camera.look_at(eye, target, width=options.width, height=options.width * 3 // 4, fov_y=0.8)
-        many = replace(base, samples=options.reference, seed=1)
-        truth = ls.render(scene, camera, many, device=options.device).color.astype(np.float64)
+        truth = None
+        if options.reference is not None:
+            many = replace(base, samples=options.reference, seed=1)
+            truth = ls.render(scene, camera, many, device=options.device).color.astype(np.float64)
         even: list[Row] = []
         for samples, adapts in (*((n, False) for n in EVEN), *((n, True) for n in ADAPTIVE)):
-            renderer = ls.create_renderer(replace(base, samples=samples, adaptive=adapts), options.device)
-            frame, seconds = timed(renderer, scene, camera)
-            row = row_of(frame, seconds, truth)
-            sooner = f"{equal_seconds(even, row.error) / row.seconds:.2f}" if adapts else ""
+            config = replace(base, samples=samples, adaptive=adapts)
+            frame, row = measured(config, scene, camera, truth, options.device)
             even += [] if adapts else [row]
-            kind = "adaptive" if adapts else "even"
+            sooner = f"{equal_seconds(even, row.noise) / row.seconds:.2f}" if adapts else ""
+            error = "" if row.error is None else f"{row.error:.3f}"
             print(
-                f"| {name} | {samples}, {kind} | {row.samples:.0f} | {row.seconds:.1f} | {row.error:.3f} | "
-                f"{row.estimated:.3f} | {sooner} |",
+                f"| {name} | {samples}, {'adaptive' if adapts else 'even'} | {row.samples:.0f} | {row.seconds:.1f} | "
+                f"{row.noise:.3f} | {sooner} | {error} |",
                 flush=True,
             )
             if options.pictures is not None and adapts:

@@ -102,6 +102,19 @@ def test_a_frame_ends_when_its_noise_is_low_enough() -> None:
     assert np.mean(errors / luminance <= whole.stats.noise) == pytest.approx(0.95, abs=0.01)
 
 
+def test_a_frame_ends_when_its_time_is_over() -> None:
+    """After one sample at least; resumed, it is the frame that has as many samples at once."""
+    settings = replace(PATHS, samples=None, adaptive=None, aovs=LAYERS)
+    short = ls.create_renderer(replace(settings, time_limit=1e-6), "cpu")
+    frame = short.render(shown(), view(), resume=short.render(shown(), view()))
+    assert frame.samples == 2
+    frame = ls.create_renderer(replace(settings, time_limit=0.2), "cpu").render(shown(), view(), resume=frame)
+    assert frame.samples > 2 and frame.stats is not None
+    assert_equal(frame, ls.render(shown(), view(), replace(settings, samples=frame.samples), device="cpu"))
+    few = ls.render(shown(), view(), replace(settings, time_limit=1e3, samples=3), device="cpu")
+    assert few.samples == 3
+
+
 def veil() -> tuple[ls.Scene, ls.Camera, ls.RenderConfig]:
     """One white Gaussian: each sample of a pixel is white with the probability of its alpha, else black."""
     hit = ls.TraceConfig(strategy=ls.TraceStrategy.STOCHASTIC_HIT)
