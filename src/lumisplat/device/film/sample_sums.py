@@ -7,7 +7,8 @@ are in docs/method/samples.md.
 import warp as wp
 
 from lumisplat.constants import LUMINANCE
-from lumisplat.device.math.color import captured_color
+from lumisplat.device.math.color import captured_color, decode_srgb_color
+from lumisplat.device.math.directions import PI
 from lumisplat.device.structs.film import FilmData, PixelSample
 from lumisplat.device.structs.rays import FirstSurface
 from lumisplat.device.structs.shading import WaveData
@@ -33,21 +34,30 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
 
 
 @wp.func
-def captured_factor(share: wp.vec3, sent: wp.vec3, arrived: wp.vec3, mean_sent: wp.vec3) -> wp.vec3:
+def captured_factor(share: wp.vec3, change: wp.vec3, received: wp.vec3, radiance: wp.vec3) -> wp.vec3:
     """What is left of a captured colour, or more than that, by what its surface receives, per channel.
 
     Args:
         share: Of the colour that is the surface's.
-        sent: Irradiance as it was captured.
-        arrived: The same with all that was added.
-        mean_sent: What a change counts against.
+        change: Of the irradiance, by all that was added.
+        received: Irradiance as it was captured, as far as it was found; it is at least what the surface reflects.
+        radiance: Of the surface as it was captured, linear.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
-        if mean_sent[channel] > 0.0:
-            change = (arrived[channel] - sent[channel]) / mean_sent[channel]
-            factor[channel] = wp.max(1.0 + share[channel] * change, 0.0)
+        least = PI * radiance[channel]
+        if change[channel] != 0.0 and wp.max(received[channel], least) > 0.0:
+            ratio = change[channel] / wp.max(received[channel], least)
+            factor[channel] = wp.max(1.0 + share[channel] * ratio, 0.0)
     return factor
+
+
+@wp.func
+def straight_radiance(color: wp.vec3, weight: float) -> wp.vec3:
+    """Linear radiance of a captured colour, display-referred, premultiplied by its weight."""
+    if weight <= 0.0:
+        return wp.vec3(0.0)
+    return decode_srgb_color(color / weight)
 
 
 @wp.func
@@ -65,9 +75,9 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
         if film[0].captured_sent:
             sample.capture_factor = captured_factor(
                 wave[0].radiance.captured_share[i],
-                wave[0].radiance.sent[i],
-                wave[0].radiance.arrived[i],
+                wave[0].radiance.arrived[i] - wave[0].radiance.sent[i],
                 film[0].captured_sent[pixel],
+                straight_radiance(sample.color, sample.captured_weight),
             )
     return sample
 
@@ -159,7 +169,9 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
         return wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
     if film[0].captured_sent:
         sent = film[0].captured_sent[pixel]
-        factor = captured_factor(film[0].captured_share[pixel], sent, film[0].captured_arrived[pixel], sent)
+        change = film[0].captured_arrived[pixel] - sent
+        radiance = straight_radiance(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
+        factor = captured_factor(film[0].captured_share[pixel], change, sent, radiance)
         return wp.cw_mul(captured, factor - wp.vec3(1.0))
     return wp.vec3(0.0)
 
