@@ -189,9 +189,10 @@ def test_resume_refuses_what_does_not_fit() -> None:
     assert rasterised.samples == 0
     with pytest.raises(ls.ConfigError, match="cannot resume a rasterised frame"):
         renderer("cpu").render(scene(), view(), resume=rasterised)
+    many = replace(renderer("cpu", 2).render(scene(), view()), samples=SAMPLES_MAX - 1)
     with pytest.raises(ls.ConfigError, match="at most 16,777,216 samples: this one has 16,777,215"):
-        renderer("cpu", 3).render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))
-    last = renderer("cpu").render(scene(), view(), resume=replace(frame, samples=SAMPLES_MAX - 1))
+        renderer("cpu", 3).render(scene(), view(), resume=many)
+    last = renderer("cpu").render(scene(), view(), resume=many)
     assert last.samples == SAMPLES_MAX
 
 
