@@ -162,6 +162,10 @@ is less or negative, they start higher, up to the smooth surface (docs/adr/0019-
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
 """Share of a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
 
+GLOSSY_SHARE_FOLLOWED = 0.25
+"""Share of a ray in a highlight from which on it sends a ray on in every sample; with less of it in fewer samples,
+whose rays count for more: of a dielectric, that reflects 0.04, in one of six."""
+
 # --- Light and shadow ---
 
 KEPT_SHARE_MIN = 1.0e-6
@@ -695,9 +699,6 @@ SHADE_BANDS_PER_THREAD = 4
 
 COUNT_SUM_THREADS = 4096
 """Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
-
-PROFILE_ROWS = 2**22
-"""Hits of rays that are on the device at once where they are asked for one by one: 64 MiB, unless one ray has more."""
 
 # --- Editing captures ---
 

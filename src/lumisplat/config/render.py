@@ -135,6 +135,10 @@ class RenderConfig:
     adaptive: bool | None = None
     """Whether noisy pixels have more samples than others, ``samples`` being the most: in the trace and path pipelines,
     from the 17th sample on. None: if ``noise`` is given."""
+    glossy_reflections: bool = False
+    """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
+    pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: grainy,
+    samples average it. Paths always have it."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
@@ -168,6 +172,7 @@ class RenderConfig:
             check_between("noise", self.noise, 0.0, 1.0)
         if self.adaptive is not None:
             check_flag("adaptive", self.adaptive)
+        check_flag("glossy_reflections", self.glossy_reflections)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)
         if self.max_bounces is not None:

@@ -62,7 +62,8 @@ def _untouched(frame: FrameData) -> Flags:
 def _guides(frame: FrameData) -> dict[str, Any]:
     """Albedo and normals of the first surfaces, if these are free of noise themselves."""
     if frame.config is None or draws_surfaces(frame.config):
-        return {}
+        if not frame.has("albedo") or (frame.gaussian_index >= 0).any():
+            return {}
     check_layer(frame, "albedo")
     assert frame.albedo is not None
     albedo = np.clip(np.nan_to_num(frame.albedo), 0.0, 1.0)
@@ -70,7 +71,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
 
 
 def draws_surfaces(config: RenderConfig) -> bool:
-    """Whether the first surface of a ray is drawn at random, so that albedo and normals are as noisy as light is."""
+    """Whether the first Gaussian on a ray is drawn at random, so that albedo and normals are as noisy as light is."""
     if config.pipeline is Pipeline.PATH:
         return config.path.primary is not PathPrimary.ISO
     if config.pipeline is Pipeline.TRACE:

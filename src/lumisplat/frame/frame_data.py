@@ -92,7 +92,7 @@ class FrameData:
     emission: FloatArray | None = None
     """Linear radiance that surfaces emit, captures included, (H, W, 3)."""
     reflection: FloatArray | None = None
-    """Linear radiance that arrived by mirrors and glass, (H, W, 3)."""
+    """Linear radiance that arrived by mirrors and glass, and what rough surfaces reflect of others, (H, W, 3)."""
     hits: FloatArray | None = None
     """Gaussians that a ray, or the pixel of a raster, blends, the mean over samples, (H, W)."""
     light_direct: FloatArray | None = None

@@ -11,7 +11,6 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import RenderConfig, TraceStrategy
-from lumisplat.constants import PROFILE_ROWS
 from lumisplat.device.structs.rays import HitProfiles, RayData
 from lumisplat.math.arrays import FloatArray, IntArray, Rows
 from lumisplat.renderer.given_rays import RAY_BATCH, GivenRays, batches
@@ -22,6 +21,9 @@ from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
+
+PROFILE_ROWS = 2**22
+"""Hits of a query that are on the device at once: 64 MiB, unless one ray has more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

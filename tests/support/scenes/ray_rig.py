@@ -92,7 +92,7 @@ class RayRig:
         integrator = WhittedIntegrator(self._launcher, self.buffers, config, tracer)
         return integrator.shade(self.scene, plan, hits, 0).row.radiance.captured.numpy().copy()
 
-    def find_hits(self, scene: DeviceScene, rays: RayData, name: str) -> PrimaryHits:
+    def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:
         """Stands in for the ray tracer's: meshes, and the same Gaussians before all of them."""
         meshes = self._meshes.find(scene, rays, f"{name}.meshes")
         self._record(rays, meshes)

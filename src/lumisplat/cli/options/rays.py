@@ -40,6 +40,8 @@ class RayOptions:
     primary: Annotated[Literal["particle", "iso"] | None, setting("{particle,iso}", "particle")] = None
     """What paths meet first where the camera sees relit Gaussians. particle: one of them, drawn by opacity. iso: their
     blended surface, as in the other pipelines."""
+    glossy_reflections: Flag = False
+    """Rough metals and glossy surfaces reflect what is around them, not lights alone: grainy, --samples average it."""
     kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
     """Shape of the Gaussians: 0 linear, 2 Gaussian, 4 as NVIDIA trains for rays. Without: as each capture says."""
     min_response: Annotated[float | None, setting("0..0.97", "0.0")] = None
@@ -67,6 +69,7 @@ class RayOptions:
         hit_distance = ls.HitDistance(self.hit_distance) if self.hit_distance not in (None, "auto") else None
         frame = {
             "samples": None if self.samples == "auto" else self.samples,
+            "glossy_reflections": True if self.glossy_reflections else None,
             "jitter": False if self.no_jitter else None,
             "seed": self.seed,
             "max_bounces": None if self.max_bounces == "auto" else self.max_bounces,

@@ -17,13 +17,21 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
 @wp.func
+def sees_far(i: int, wave: wp.array[WaveData]) -> bool:
+    """Whether ray ``i`` sees the environment and the background: those within highlights do not."""
+    if wave[0].sees_far:
+        return wave[0].sees_far[i]
+    return True
+
+
+@wp.func
 def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
     """Whether a mesh, the environment or nothing is behind the Gaussians: linear light, and not the background."""
     if wave[0].meshes.face[i] >= 0:
         return True
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_BACKGROUND
-    return wave[0].traces_paths != 0 or scene[0].environment.exists != 0
+    return wave[0].traces_paths != 0 or scene[0].environment.exists != 0 or not sees_far(i, wave)
 
 
 @wp.func

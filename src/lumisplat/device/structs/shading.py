@@ -252,8 +252,13 @@ class WaveData:
     unentered: wp.array[int]
     """1 for mesh instances which a ray from the camera leaves that has not entered them; without elements in other
     waves, and in scenes without media."""
+    spawns_lobes: int
+    """1: rough surfaces send on a ray within their highlights."""
+    sees_far: wp.array[wp.bool]
+    """Whether a ray sees the environment and the background; without elements if all do."""
     branches: wp.array[int]
-    """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one."""
+    """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one, and
+    ``2 stride + ray`` that of a highlight, in frames that have such rays."""
     branch_ends: wp.array[int]
     """Inclusive sum of these: one more than the place of the branch's ray in the next wave."""
 

@@ -1,21 +1,71 @@
 """Reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
 
-A ray has two branches, numbered ``ray`` (reflected) and ``stride + ray`` (refracted); most are empty. An inclusive sum
-over how many there are in each, 0 or 1, numbers the rays of the next wave. Reflected rays come first in it, then
-refracted ones, each in the order of the wave before: neighbours stay neighbours.
+A ray has two branches, numbered ``ray`` (reflected) and ``stride + ray`` (refracted), and in frames with glossy
+reflections a third one, ``2 stride + ray`` (within a highlight); most are empty. An inclusive sum over how many there
+are in each, 0 or 1, numbers the rays of the next wave. Reflected rays come first in it, then refracted ones, then
+those within highlights, each in the order of the wave before: neighbours stay neighbours.
 """
 
 import warp as wp
 
+from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, lobe_ray
+from lumisplat.device.light.splat_surface import sees_far
 from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.material.media import media_of_ray
 from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
-from lumisplat.device.math.color import captured_color
+from lumisplat.device.math.color import captured_color, is_black
 from lumisplat.device.math.random import branch_key
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def start_ray(child: int, parent: int, branch: int, length: float, wave: wp.array[WaveData], rays_out: RayData):
+    """Starts ray ``child``, a branch of ``parent``, but for its origin, direction, least distance and footprint.
+
+    Args:
+        child: Ray of the next wave.
+        parent: Ray of this one.
+        branch: Of the parent's keys.
+        length: Of the parent, up to where it branches.
+        wave: Of the parent.
+        rays_out: Rays of the next wave.
+    """
+    rays_out.is_active[child] = True
+    rays_out.t_max[child] = wp.inf
+    rays_out.path_length[child] = wave[0].rays.path_length[parent] + length
+    rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[parent], branch)
+    rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[parent], branch)
+    rays_out.sample[child] = wave[0].rays.sample[parent]
+
+
+@wp.func
+def spawn_lobe_ray(
+    i: int,
+    child: int,
+    wave: wp.array[WaveData],
+    rays_out: RayData,
+    weights_out: wp.array[wp.vec3],
+    path_weights_out: wp.array[float],
+    media_out: wp.array[wp.vec4i],
+    sees_far_out: wp.array[wp.bool],
+):
+    """Starts the ray within a highlight on ray ``i``; below the horizon, it is of no weight."""
+    lobe = lobe_ray(i, wave)
+    start_ray(child, i, LOBE_BRANCH, lobe.length, wave, rays_out)
+    rays_out.is_active[child] = not is_black(lobe.weight)
+    rays_out.origin[child] = lobe.origin
+    rays_out.direction[child] = lobe.direction
+    rays_out.t_min[child] = lobe.t_min
+    rays_out.spread[child] = 0.0
+    weights_out[child] = lobe.weight
+    path_weights_out[child] = wave[0].path_weights[i] * wp.max(lobe.weight)
+    sees_far_out[child] = False
+    if media_out:
+        media_out[child] = media_of_ray(i, wave)
 
 
 @wp.kernel
@@ -27,14 +77,22 @@ def spawn_rays(
     weights_out: wp.array[wp.vec3],
     path_weights_out: wp.array[float],
     media_out: wp.array[wp.vec4i],
+    sees_far_out: wp.array[wp.bool],
 ):
-    """Item = branch: starts its ray at the surface, on the side to which it leaves."""
+    """Item = branch: starts its ray at the surface, on the side to which it leaves.
+
+    The last two arrays are without elements in scenes without media, and where all rays see what is infinitely far.
+    """
     j = start + wp.tid()
     if wave[0].branches[j] == 0:
         return
-    stride = wave[0].branches.shape[0] // 2
+    stride = wave[0].path_weights.shape[0]
     refracted = j // stride
     i = j % stride
+    child = wave[0].branch_ends[j] - 1
+    if refracted == 2:
+        spawn_lobe_ray(i, child, wave, rays_out, weights_out, path_weights_out, media_out, sees_far_out)
+        return
     is_lit = scene[0].settings[0].is_lit != 0
     bounce = bounce_of_ray(i, is_lit, scene, wave)
     weight = wave[0].gaussians.transmittance[i] * bounce.reflected
@@ -49,23 +107,20 @@ def spawn_rays(
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
 
-    child = wave[0].branch_ends[j] - 1
-    rays_out.is_active[child] = True
+    start_ray(child, i, refracted, wave[0].meshes.t[i], wave, rays_out)
     rays_out.origin[child] = spawn_point(
         instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side
     )
     rays_out.direction[child] = direction
     rays_out.t_min[child] = 0.0
-    rays_out.t_max[child] = wp.inf
-    rays_out.path_length[child] = wave[0].rays.path_length[i] + wave[0].meshes.t[i]
     rays_out.spread[child] = wave[0].rays.spread[i]
-    rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], refracted)
-    rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], refracted)
-    rays_out.sample[child] = wave[0].rays.sample[i]
     weights_out[child] = weight
     path_weights_out[child] = wave[0].path_weights[i] * wp.max(weight)
     if media_out:
         media_out[child] = media
+    if sees_far_out:
+        # What shadow rays pass, such as glass, hides no light of the environment that was counted before.
+        sees_far_out[child] = refracted == 0 or sees_far(i, wave)
 
 
 @wp.kernel
@@ -77,12 +132,12 @@ def gather_branches(
 ):
     """Adds the radiance of a ray's branches to its own: display-referred colours if unlit, else linear light."""
     i = start + wp.tid()
-    stride = near_inout[0].branches.shape[0] // 2
+    stride = near_inout[0].path_weights.shape[0]
     is_lit = scene[0].settings[0].is_lit != 0
     color = wp.vec3(0.0)
     if not is_lit:
         color = near_inout[0].radiance.captured[i]
-    for branch in range(2):
+    for branch in range(near_inout[0].branches.shape[0] // stride):
         j = branch * stride + i
         if near_inout[0].branches[j] == 1:
             child = near_inout[0].branch_ends[j] - 1

@@ -13,6 +13,7 @@ import warp as wp
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.integrators import specular_wave_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
@@ -42,20 +43,21 @@ class SpecularWaves:
         count = int(device_array(wave.row.branch_ends)[-1:].numpy()[0])
         return grown_capacity(count)
 
-    def spawn(self, scene: DeviceScene, wave: RayWave, capacity: int, *, has_media: bool) -> tuple[RayData, Carried]:
+    def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, Carried]:
         """The rays of the next wave, and what they bring along; also writes their path weights."""
         number = wave.number + 1
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()
         weights = self._buffers.get(f"wave.{number}.weights", wp.vec3, capacity)
         path_weights = self._buffers.get(f"wave.path_weights{number % 2}", wp.float32, capacity)
-        media = self._buffers.get(f"wave.media{number % 2}", wp.vec4i, capacity) if has_media else None
+        media = self._buffers.get(f"wave.media{number % 2}", wp.vec4i, capacity) if plan.has_media else None
+        sees_far = self._buffers.get(f"wave.{number}.sees_far", wp.bool, capacity) if plan.has_lobes else None
         self._launcher.run_banded(
             kernels.spawn_rays,
             len(wave.row.branches),
-            *(scene.shading, wave.data, rays, weights, path_weights, media),
+            *(scene.shading, wave.data, rays, weights, path_weights, media, sees_far),
         )
-        return rays, Carried(weights, media)
+        return rays, Carried(weights, media, sees_far)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
         """Adds the radiance of the ``far`` wave's rays to the rays of the ``near`` wave that they branch off."""

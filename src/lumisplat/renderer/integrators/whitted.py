@@ -77,8 +77,8 @@ class WhittedIntegrator:
         number = len(sizes) - 1
 
         def work() -> RayWave:
-            rays, carried = self._specular.spawn(scene, wave, sizes[number], has_media=plan.has_media)
-            hits = self._tracer.find_hits(scene, rays, "wave")
+            rays, carried = self._specular.spawn(scene, plan, wave, sizes[number])
+            hits = self._tracer.find_hits(scene, rays, "wave", bounced=plan.has_lobes and number == 1)
             return self._shade_wave(scene, plan, hits, number, carried)
 
         return self._launcher.replay(f"wave {number}", (scene.graph_key, list(sizes)), work)

@@ -4,6 +4,7 @@ import warp as wp
 
 from lumisplat.constants import BOUNCE_WEIGHT_MIN, LIT_WEIGHT_MIN
 from lumisplat.device.light.environment import environment_radiance
+from lumisplat.device.light.glossy_lobe import lobe_slot
 from lumisplat.device.light.interaction import SHADE_OPTIONS, store_interaction
 from lumisplat.device.light.mesh_interaction import (
     mesh_emission,
@@ -13,6 +14,7 @@ from lumisplat.device.light.mesh_interaction import (
 from lumisplat.device.light.splat_surface import (
     is_over_light,
     reflects_light,
+    sees_far,
     shadow_offset,
     shown_share,
     splat_interaction,
@@ -48,11 +50,11 @@ def far_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
 
 
 @wp.func
-def shows_environment(scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether the environment is a part of what rays see; paths add it where they go on."""
+def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
+    """Whether the environment is a part of what ray ``i`` sees; paths add it where they go on."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
-    return wave[0].traces_paths == 0
+    return wave[0].traces_paths == 0 and sees_far(i, wave)
 
 
 @wp.func
@@ -71,7 +73,15 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
     """Writes which branches of a ray go on, if the wave may branch."""
     if wave[0].may_branch != 0:
         wave[0].branches[i] = branches[0]
-        wave[0].branches[wave[0].branches.shape[0] // 2 + i] = branches[1]
+        wave[0].branches[wave[0].path_weights.shape[0] + i] = branches[1]
+
+
+@wp.func
+def store_no_lobe(i: int, wave: wp.array[WaveData]):
+    """Writes that no highlight of a ray sends one on, if the frame has such rays."""
+    place = 2 * wave[0].path_weights.shape[0] + i
+    if wave[0].may_branch != 0 and place < wave[0].branches.shape[0]:
+        wave[0].branches[place] = 0
 
 
 @wp.func
@@ -161,6 +171,8 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
     if wave[0].meshes.face[i] >= 0 and surface.transmittance >= LIT_MIN:
         mesh = mesh_interaction(i, surface.transmittance * mesh_coverage(i, scene, wave), scene, wave)
     store_interaction(j, mesh, wave)
+    if wave[0].spawns_lobes != 0 and lobe_slot(i, splats, mesh, wave) >= 0:
+        wave[0].branches[2 * wave[0].path_weights.shape[0] + i] = 1
     if wave[0].interactions.spawn_point:
         if splats.exists:
             wave[0].interactions.spawn_point[i] = splats.position
@@ -196,10 +208,10 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
             if branches[0] == 0 and not is_black(bounce.reflected):
                 seen = far_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
                 beyond += surface.transmittance * wp.cw_mul(bounce.reflected, seen)
-            if branches[1] == 0 and not is_black(bounce.refracted):
+            if branches[1] == 0 and not is_black(bounce.refracted) and sees_far(i, wave):
                 seen = far_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
                 beyond += surface.transmittance * wp.cw_mul(bounce.refracted, seen)
-    elif over_light and shows_environment(scene, wave):
+    elif over_light and shows_environment(i, scene, wave):
         light = surface.transmittance * environment_radiance(scene[0].environment, wave[0].rays.direction[i])
 
     if reflects_light(surface):
@@ -246,6 +258,7 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
     """Radiance of rays before direct light and branches are added, and, in a lit wave, their interactions."""
     i = start + wp.tid()
     store_branches(i, wp.vec2i(0, 0), wave)
+    store_no_lobe(i, wave)
     if wave[0].radiance.capture_factor:
         wave[0].radiance.capture_factor[i] = wp.vec3(1.0)
     if wave[0].radiance.captured_share:

@@ -86,8 +86,12 @@ class Surfaces:
             row.unentered = self._unentered
         if carried.media is not None:
             row.media = carried.media
-        row.branches = get(f"wave.{number}.branches", wp.int32, 2 * count)
-        row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, 2 * count)
+        if carried.sees_far is not None:
+            row.sees_far = carried.sees_far
+        row.spawns_lobes = int(plan.has_lobes and may_branch and number == 0)
+        places = (3 if plan.has_lobes else 2) * count
+        row.branches = get(f"wave.{number}.branches", wp.int32, places)
+        row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, places)
         return RayWave(number, hits, row, self._buffers.table(f"wave.{number}", WaveData, [row]))
 
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:

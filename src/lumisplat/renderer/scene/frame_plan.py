@@ -23,6 +23,7 @@ UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 
 SKY = "the environment"
 SOFT_LIGHTS = "lights that have a size"
+SURROUNDINGS = "what is around rough surfaces"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ class FramePlan:
     splat_shadows: SplatShadows
     """Which of these rays splat sets may block."""
     spawns_shadow_rays: bool
-    """Rays towards lights start at interactions: for shadows, or for images of each light."""
+    """Rays start at interactions: for shadows, for images of each light, or within highlights."""
     is_sampled: bool
     """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
     samples: int
@@ -89,6 +90,8 @@ class FramePlan:
     """How many its light needs, so that none of it is grainy."""
     grain: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
+    has_lobes: bool
+    """Rough surfaces reflect what is around them, by a ray within their highlights."""
     max_bounces: int
     """How many times a ray is reflected or refracted by meshes, or passes those that blend, at most, 0 in scenes
     without any; or how many times a path is by any surface."""
@@ -146,6 +149,9 @@ class FramePlan:
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
         grain = random_light(config, scene) if not is_path and (has_unshadowed or casts_shadows) else ()
+        follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
+        has_lobes = config.glossy_reflections and follows and is_lit and reflects
+        grain += (SURROUNDINGS,) * has_lobes
         draws_alpha = traces_paths or only_rasterises
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
         samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
@@ -161,7 +167,7 @@ class FramePlan:
             has_unshadowed=has_unshadowed,
             casts_shadows=casts_shadows,
             splat_shadows=splat_shadows,
-            spawns_shadow_rays=casts_shadows or traces_paths or "lights" in aovs,
+            spawns_shadow_rays=casts_shadows or traces_paths or has_lobes or "lights" in aovs,
             is_sampled=is_lit or is_stochastic or bool(aovs) or not only_rasterises,
             samples=config.samples or (SAMPLES_OPEN if is_open else samples_wanted),
             time_limit=config.time_limit,
@@ -170,7 +176,8 @@ class FramePlan:
             jitters=config.jitter and (is_open or config.samples is not None or not keeps),
             samples_wanted=samples_wanted,
             grain=grain,
-            max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors),
+            has_lobes=has_lobes,
+            max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors, has_lobes=has_lobes),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             has_media=not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes),
@@ -218,12 +225,12 @@ def is_visible(light: Light) -> bool:
     return isinstance(light, LightRect | LightSphere) and light.enabled and light.visible
 
 
-def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool) -> int:
+def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool, has_lobes: bool) -> int:
     """How often light bounces at most."""
     if traces_paths:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
     if not has_mirrors or config.pipeline is Pipeline.RASTER:
-        return 0
+        return int(has_lobes)
     return SPECULAR_BOUNCES if config.max_bounces is None else config.max_bounces
 
 

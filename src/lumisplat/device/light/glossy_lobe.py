@@ -1,0 +1,118 @@
+"""Rays within the highlights of rough surfaces: of which surface, how often, and where to.
+
+They see surfaces only: the light of lamps and of the environment in highlights is sampled by direct light. The
+equations are in docs/method/materials.md#glossy-reflections.
+"""
+
+import warp as wp
+
+from lumisplat.constants import GLOSSY_SHARE_FOLLOWED
+from lumisplat.device.light.interaction import load_interaction
+from lumisplat.device.light.shadow_ray import spawn_lift
+from lumisplat.device.material.bsdf import bsdf_sample, simple_scale, view_albedo
+from lumisplat.device.math.color import mean_of
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs.declare import struct
+from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
+from lumisplat.device.structs.shading import Interaction, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
+
+LOBE_BRANCH = wp.constant(-1)
+"""Branch of a ray's keys: from 0 on, they are those of mirrors, glass and lights."""
+CHOICE_BRANCH = wp.constant(-2)
+DIRECTION_BRANCH = wp.constant(-3)
+
+
+@struct
+class LobeRay:
+    """A ray within a highlight."""
+
+    slot: int
+    """0: of the surface of Gaussians, 1: of the mesh; -1: there is none."""
+    origin: wp.vec3
+    direction: wp.vec3
+    t_min: float
+    length: float
+    """Of the ray up to the surface."""
+    weight: wp.vec3
+    """Share of what it sees in the colour of the ray it branches off."""
+
+
+@wp.func
+def highlight_of(bsdf: Bsdf) -> Bsdf:
+    """The highlight of a BSDF alone."""
+    alone = bsdf
+    if bsdf.model == BSDF_SIMPLE:
+        alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
+    alone.diffuse = wp.vec3(0.0)
+    return alone
+
+
+@wp.func
+def highlight_share(interaction: Interaction) -> float:
+    """About the share of a ray that the highlight of an interaction reflects; above 0 wherever it reflects any."""
+    if not interaction.exists or interaction.shadow_only:
+        return 0.0
+    bsdf = interaction.bsdf
+    if bsdf.model == BSDF_SIMPLE:
+        return interaction.weight * mean_of(bsdf.specular)
+    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
+        return 0.0
+    cosine = wp.dot(interaction.normal, interaction.wo)
+    return interaction.weight * wp.max(mean_of(view_albedo(bsdf, cosine)), 1e-6)
+
+
+@wp.func
+def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
+    """The interaction whose highlight sends a ray on, in proportion to what it reflects; -1: none."""
+    first = highlight_share(splats)
+    total = first + highlight_share(mesh)
+    if not (u * wp.max(total, FOLLOWED) < total):
+        return -1
+    return wp.where(u * wp.max(total, FOLLOWED) < first, 0, 1)
+
+
+@wp.func
+def lobe_slot(i: int, splats: Interaction, mesh: Interaction, wave: wp.array[WaveData]) -> int:
+    """The interaction of ray ``i`` whose highlight sends a ray on; -1: none."""
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
+    return chosen_slot(u[0], splats, mesh)
+
+
+@wp.func
+def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
+    """Interaction ``j``, which need not exist."""
+    interaction = Interaction()
+    if wave[0].interactions.exists[j]:
+        interaction = load_interaction(j, wave)
+    return interaction
+
+
+@wp.func
+def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
+    """The ray within a highlight on ray ``i``, sampled by the highlight (of GGX by visible normals)."""
+    stride = wave[0].interactions.exists.shape[0] // 2
+    splats = interaction_of(i, wave)
+    mesh = interaction_of(stride + i, wave)
+    ray = LobeRay()
+    ray.slot = lobe_slot(i, splats, mesh, wave)
+    if ray.slot < 0:
+        return ray
+    interaction = splats
+    ray.length = wp.length(splats.position - wave[0].rays.origin[i])
+    if ray.slot == 1:
+        interaction = mesh
+        ray.length = wave[0].meshes.t[i]
+    probability = highlight_share(interaction) / wp.max(highlight_share(splats) + highlight_share(mesh), FOLLOWED)
+    u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
+    sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, 0.0)
+    ray.direction = sampled.direction
+    j = ray.slot * stride + i
+    ray.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
+    ray.t_min = wave[0].interactions.spawn_t_min[j]
+    if sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
+        ray.weight = (interaction.weight / probability) * sampled.weight
+    return ray

@@ -1,0 +1,160 @@
+"""Rough surfaces that reflect what is around them: as paths do with one bounce, and without counting light twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import lumisplat as ls
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.scene.materials import Material
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
+from support.scenes.path_scenes import diffuse
+
+CAMERA = ls.Camera.look_at((0.0, 1.6, 2.6), (0.0, 0.1, 0.0), width=48, height=36, fov_y=0.6)
+LAMP, DAYLIGHT = ls.LightPoint((1.0, 1.5, 2.0), intensity=12.0), ls.LightEnvironment(color=(0.3, 0.5, 0.9))
+METAL = ls.MaterialPbr(base_color=(0.9, 0.8, 0.6), metallic=1.0, roughness=0.4)
+MATERIALS: dict[str, Material] = {
+    "metal": METAL,
+    "dielectric": ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.3),
+    "phong": ls.MaterialSimple(
+        emissive=(0, 0, 0), ambient=(0, 0, 0), diffuse=(0, 0, 0), specular=(0.9, 0.5, 0.2), shininess=20.0
+    ),
+}
+"""Without a diffuse part, so that one bounce of a path is all in the highlight."""
+
+
+def floor_and_box(material: Material, *lights: ls.LightPoint | ls.LightEnvironment, splats: bool = False) -> ls.Scene:
+    """A grey box that stands on a floor, which is a mesh or a set of Gaussians."""
+    floor, box = (replace(mesh, material=of) for mesh, of in ((ls.plane(4.0), material), (ls.box(0.8), diffuse(0.6))))
+    placed = ls.MeshInstance(box, position=(0.0, 0.41, -0.4))
+    if splats:
+        ground = ls.SplatInstance(ls.gaussians_from_mesh(floor, 6000), material=ls.MaterialPbr())
+        return ls.Scene([ground], [placed], lights)
+    return ls.Scene([], [floor, placed], lights)
+
+
+def floors_mean(shown: ls.Scene, settings: ls.RenderConfig, seeds: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean light of the floor where it does not overlap the box, and its standard error, over seeds; (3,) each."""
+    frames = [ls.render(shown, CAMERA, replace(settings, seed=seed), device="cpu") for seed in range(seeds)]
+    beside = ndimage.binary_dilation(frames[0].instance_index == 1, np.ones((3, 3)))
+    floor = (frames[0].instance_index == 0) & (np.asarray(beside) == 0)
+    means = np.array([frame.color[floor].mean(axis=0, dtype=np.float64) for frame in frames])
+    return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(seeds)
+
+
+def agree(settings: ls.RenderConfig, shown: ls.Scene, bounces: int = 1) -> None:
+    """Frames show what those of paths do, within four standard errors, which are below 1 %, and more than without."""
+    first = ls.PathConfig(primary=ls.PathPrimary.ISO)
+    pathed = replace(settings, pipeline=ls.Pipeline.PATH, samples=10, max_bounces=bounces, path=first)
+    (found, error), (expected, off) = floors_mean(shown, settings, 6), floors_mean(shown, pathed, 6)
+    either = np.hypot(error, off)
+    assert (either < 0.01 * expected).all()
+    np.testing.assert_array_less(np.abs(found - expected), 4.0 * either + 1e-4 * expected)
+    without, _ = floors_mean(shown, replace(settings, glossy_reflections=False), 2)
+    assert (found - without > 10.0 * either).all()
+
+
+GLOSSY = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=6, glossy_reflections=True, jitter=False)
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_highlights_reflect_what_paths_see_with_one_bounce(name: str) -> None:
+    """In the light of a lamp, and of a sky, neither of which is counted twice."""
+    agree(GLOSSY, floor_and_box(MATERIALS[name], LAMP, DAYLIGHT))
+
+
+def test_gaussians_reflect_what_paths_see() -> None:
+    """A floor of Gaussians, which does not reflect itself."""
+    agree(GLOSSY, floor_and_box(METAL, LAMP, splats=True))
+
+
+def test_hybrid_frames_have_the_same_rays() -> None:
+    """On meshes, where the first surface is the same."""
+    shown = floor_and_box(METAL, LAMP, DAYLIGHT)
+    traced = ls.render(shown, CAMERA, replace(GLOSSY, samples=2), device="cpu")
+    hybrid = ls.render(shown, CAMERA, replace(GLOSSY, samples=2, pipeline=ls.Pipeline.HYBRID), device="cpu")
+    np.testing.assert_allclose(hybrid.color, traced.color, rtol=1e-3, atol=1e-5)
+
+
+def test_mirrors_in_highlights_show_the_sky() -> None:
+    """A mirror in place of the box: shadow rays do not reach the sky by it, rays in highlights do."""
+    shown = floor_and_box(METAL, DAYLIGHT)
+    mirror = ls.MaterialPbr(base_color=(0.9, 0.9, 0.9), metallic=1.0, roughness=0.0)
+    (floor, box) = shown.meshes
+    agree(GLOSSY, replace(shown, meshes=[floor, replace(box, mesh=replace(box.mesh, material=mirror))]), bounces=2)
+
+
+@pytest.mark.parametrize("pane", [False, True], ids=["open", "behind clear panes"])
+@pytest.mark.parametrize("light", [(DAYLIGHT,), ()], ids=["sky", "background"])
+def test_what_is_infinitely_far_is_not_counted_twice(light: tuple[ls.LightEnvironment, ...], pane: bool) -> None:
+    """Without anything that shines around them, rough metals are the same with rays in highlights, to the bit.
+
+    A pane of glass that neither reflects nor bends lets all light of the sky pass, and hides nothing else.
+    """
+    floor = replace(ls.plane(4.0), material=METAL)
+    clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
+    roof = ls.MeshInstance(replace(ls.plane(40.0), material=clear), position=(0.0, 3.0, 0.0))
+    shown = ls.Scene([], [floor, roof] if pane else [floor], light)
+    settings = replace(GLOSSY, samples=4, lighting=True, background=(1.0, 1.0, 1.0))
+    with_rays = ls.render(shown, CAMERA, settings, device="cpu")
+    without = ls.render(shown, CAMERA, replace(settings, glossy_reflections=False), device="cpu")
+    np.testing.assert_array_equal(with_rays.color, without.color)
+
+
+def test_captures_are_seen_in_highlights() -> None:
+    """A capture without a material shines as captured, and a rough floor reflects that, over no background."""
+    box = ls.gaussians_from_mesh(replace(ls.box(0.8), material=diffuse(0.6)), 3000)
+    kept = ls.SplatInstance(box, position=(0.0, 0.41, -0.4))
+    shown = ls.Scene([kept], [replace(ls.plane(4.0), material=METAL)], [replace(LAMP, intensity=0.0)])
+    seen = ls.render(shown, CAMERA, replace(GLOSSY, background=(1.0, 1.0, 1.0)), device="cpu")
+    floor = seen.instance_index == 1
+    assert seen.light is not None
+    light = seen.light[floor].max(axis=1)
+    assert light.max() > 0.1 and np.median(light) < 0.02
+    assert (seen.color[floor] > 0.0).any()
+
+
+def test_without_bounces_there_are_none() -> None:
+    """Nor in a rasterised frame, nor by default."""
+    shown = floor_and_box(METAL, LAMP)
+    plain = ls.render(shown, CAMERA, replace(GLOSSY, glossy_reflections=False), device="cpu")
+    none = ls.render(shown, CAMERA, replace(GLOSSY, max_bounces=0), device="cpu")
+    np.testing.assert_array_equal(none.color, plain.color)
+    assert not ls.RenderConfig().glossy_reflections
+    assert not FramePlan.of(replace(GLOSSY, pipeline=ls.Pipeline.RASTER), shown).has_lobes
+
+
+def test_samples_follow_the_grain() -> None:
+    """Sixteen where nobody asks for a number, of a lamp alone as well."""
+    shown = floor_and_box(METAL, LAMP)
+    assert FramePlan.of(replace(GLOSSY, samples=None), shown).samples == 16
+    assert FramePlan.of(replace(GLOSSY, samples=None, glossy_reflections=False), shown).samples == 1
+
+
+def test_the_layer_of_reflections_has_them() -> None:
+    """What rays in highlights add is in ``reflection``."""
+    shown = floor_and_box(METAL, LAMP)
+    settings = replace(GLOSSY, samples=4, aovs=("reflection",))
+    glossy = ls.render(shown, CAMERA, settings, device="cpu")
+    plain = ls.render(shown, CAMERA, replace(settings, glossy_reflections=False), device="cpu")
+    assert glossy.reflection is not None and glossy.light is not None and plain.light is not None
+    np.testing.assert_allclose(glossy.light - plain.light, glossy.reflection, atol=1e-5)
+
+
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
+def test_threads_and_schedules_change_nothing(pipeline: ls.Pipeline) -> None:
+    """The same bits on any number of threads, and nearly the same by the schedule of CUDA, with graphs."""
+    settings = config(pipeline, samples=2, glossy_reflections=True)
+    shown = scene(*LAMPS, SKY)
+    frames = [ls.create_renderer(settings, "cpu", threads=n).render(shown, camera()) for n in (1, 2, 5)]
+    for frame in frames[1:]:
+        np.testing.assert_array_equal(frame.color, frames[0].color)
+    replayed = ls.Renderer(settings, GraphLauncher())
+    replayed.render(shown, camera())
+    again = replayed.render(shown, camera())
+    assert np.abs(again.color - frames[0].color).mean() < 1e-3
