@@ -120,14 +120,32 @@ def test_form_factors_of_squares(arrangement: str, factor: float, way: str) -> N
     assert_is(found, factor)
 
 
+def shining_splats(mesh: ls.Mesh, albedo: float, count: int) -> ls.SplatInstance:
+    """A surface as Gaussians that shine with 1 and reflect ``albedo``."""
+    gaussians = as_splats(mesh, count).gaussians
+    shown = np.full((count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # which is what shines, and what reflects
+    shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
+    return ls.SplatInstance(replace(gaussians, sh=shown), material=shining)
+
+
 @pytest.mark.parametrize(("albedo", "bounces"), [(0.5, 1), (0.5, 32), (0.7, 64)])
 def test_a_closed_furnace_of_gaussians(albedo: float, bounces: int) -> None:
     """A hollow ball of them in one that is a mesh, and all of it shines and reflects: whatever shines through."""
     shell = ball(1.2, diffuse(albedo, 1.0), hollow=True, rows=24)
-    inner = as_splats(ball(1.0, diffuse(albedo), hollow=True, rows=24), 3000).gaussians
-    shown = np.full((inner.count, 1, 3), (encode_srgb(albedo) - 0.5) / SH_C0)  # which is what shines, and what reflects
-    shining = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(1.0 / albedo,) * 3)
-    scene = ls.Scene([ls.SplatInstance(replace(inner, sh=shown), material=shining)], [shell])
+    inner = ball(1.0, diffuse(albedo), hollow=True, rows=24)
+    scene = ls.Scene([shining_splats(inner, albedo, 3000)], [shell])
     camera = ls.Camera.look_at((0.1, 0.2, 0.3), (0.5, 0.4, 1.0), width=32, height=24, fov_y=1.0)
     frame = paths(scene, camera, 16, bounces)
     assert_is(frame.color[..., 1].astype(np.float64), (1.0 - albedo ** (bounces + 2)) / (1.0 - albedo), share=0.005)
+
+
+@pytest.mark.parametrize("bounces", [0, 8])
+def test_gaussians_are_lit_by_walls_that_they_touch(bounces: int) -> None:
+    """The corner of a floor of wide ones in a furnace: a wall nearer than what they pass of their own layer counts."""
+    albedo = 0.5
+    walls = [replace(wall, material=diffuse(albedo, 1.0)) for wall in crowded_room(albedo)[:6]]
+    floor = quad((0, 0.2, 0), (0, 0, 1), (1, 0, 0), diffuse(albedo))
+    scene = ls.Scene([shining_splats(floor, albedo, 300)], walls)
+    camera = ls.Camera.look_at((0.5, 0.7, 0.5), (0.97, 0.2, 0.97), width=32, height=24, fov_y=0.08)
+    seen = paths(scene, camera, 16, bounces).color[..., 1].astype(np.float64)
+    assert_is(seen, (1.0 - albedo ** (bounces + 2)) / (1.0 - albedo), share=0.005)

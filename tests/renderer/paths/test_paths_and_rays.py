@@ -59,28 +59,6 @@ def test_threads_change_nothing(threads: int) -> None:
     np.testing.assert_array_equal(frames[0].color, frames[1].color)
 
 
-def test_resumed_frames_are_those_rendered_at_once() -> None:
-    """Five samples, two and then three, and one by one are the same to the bit."""
-    shown = scene(*LAMPS, SKY)
-
-    def renderer(samples: int) -> ls.Renderer:
-        return ls.create_renderer(config(ls.Pipeline.PATH, samples=samples, max_bounces=5), "cpu")
-
-    whole = renderer(5).render(shown, camera(24, 16))
-    two = renderer(2).render(shown, camera(24, 16))
-    five = renderer(3).render(shown, camera(24, 16), resume=two)
-    steps, frame = renderer(1), None
-    for _ in range(5):
-        steps.render(ls.Scene(meshes=cube_without_ceiling(diffuse(0.5))), camera(24, 16))  # leaves no trace
-        frame = steps.render(shown, camera(24, 16), resume=frame)
-    assert frame is not None
-    assert (two.samples, five.samples, frame.samples) == (2, 5, 5)
-    assert np.abs(two.color - whole.color).max() > 1e-3
-    for other in (five, frame):
-        np.testing.assert_array_equal(other.color, whole.color)
-        np.testing.assert_array_equal(other.alpha, whole.alpha)
-
-
 def test_emitters_light_by_their_area() -> None:
     """One shining square, or the same cut into many triangles of many sizes, or as two instances: the same light."""
     room = cube_without_ceiling(diffuse(0.5))
