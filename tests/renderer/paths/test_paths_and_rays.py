@@ -110,3 +110,14 @@ def test_given_rays_see_what_emitters_light() -> None:
     frame = paths(ls.Scene(meshes=room), view, 64, 4)
     assert hits.color_space == "linear"
     np.testing.assert_allclose(hits.radiance.mean(), frame.color.mean(), rtol=0.02)
+
+
+def test_given_rays_of_an_unlit_scene_are_traced() -> None:
+    """A relit set without any light: rays see its own colours, as those of the trace pipeline do."""
+    unlit = ls.Scene(splats=[as_splats(ball(0.3, diffuse(0.7), rows=16), 500)])
+    ways = np.array([[0.0, 0.0, 1.0], [0.05, 0.02, 1.0]])
+    seen = [
+        ls.trace_rays(unlit, (0.0, 0.0, -1.0), ways, ls.RenderConfig(pipeline=pipeline), device="cpu").radiance
+        for pipeline in (ls.Pipeline.PATH, ls.Pipeline.TRACE)
+    ]
+    np.testing.assert_array_equal(*seen)
