@@ -117,11 +117,8 @@ NOISE_RADIUS_PX = 3
 """Adaptive sampling knows a pixel by those up to so many rows and columns away."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
-"""Samples of a pixel where light comes from random directions, unless they are given: what noise is left is fine
-grain."""
-
-SAMPLES_OF_ALPHA = 16
-"""The same where the rasteriser draws surfaces of which a share is there: each sample shows all of one, or none."""
+"""Samples of a pixel where light comes from random directions, or alpha is drawn, unless they are given: what noise is
+left is fine grain."""
 
 SAMPLES_OF_SKY_ON_SPLATS = 8
 """The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
@@ -262,6 +259,9 @@ PATH_BOUNCES = 8
 
 SAMPLES_OF_PATHS = 64
 """Paths a pixel, unless told."""
+
+COAT_HEAD_ON, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN = 0.04, 0.03, 0.1
+"""Of clearcoat, which is never perfectly smooth, and of sheen, whose albedo is above 1 at ever more angles below."""
 
 ROULETTE_BOUNCE = 3
 """From this bounce on, paths end at random."""

@@ -139,6 +139,9 @@ class RenderConfig:
     """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
     pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: grainy,
     samples average it. Paths always have it."""
+    energy_compensation: bool = False
+    """Whether rough metals reflect what single scattering between their microfacets loses, in lit frames. Not by
+    default, as in glTF's own viewer: white metal of roughness 1 then keeps half of its light."""
     jitter: bool = True
     """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
     pipelines, wherever ``samples`` counts."""
@@ -173,6 +176,7 @@ class RenderConfig:
         if self.adaptive is not None:
             check_flag("adaptive", self.adaptive)
         check_flag("glossy_reflections", self.glossy_reflections)
+        check_flag("energy_compensation", self.energy_compensation)
         check_flag("jitter", self.jitter)
         check_whole("seed", self.seed, 0, 2**32 - 1)
         if self.max_bounces is not None:

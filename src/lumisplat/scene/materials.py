@@ -24,6 +24,9 @@ Color = tuple[float, float, float]
 Texture = npt.NDArray[np.uint8]
 
 
+_LAYERS = ("clearcoat", "clearcoat_roughness", "sheen_roughness")
+
+
 class AlphaMode(Enum):
     """What the alpha of a mesh's material means: ``alpha`` times that of the base colour texture (glTF 3.9.4)."""
 
@@ -79,6 +82,14 @@ class MaterialPbr:
     """Scene units, above 0; inf: nothing is absorbed."""
     priority: int = 0
     """Where meshes that transmit overlap, the highest one's inside is there; of equal ones, that entered last."""
+    clearcoat: float = 0.0
+    """Strength of a clear coat over all of it, 0..1 (KHR_materials_clearcoat)."""
+    clearcoat_roughness: float = 0.0
+    """Of the coat, 0..1; below 0.03 as 0.03."""
+    sheen_color: Color = (0.0, 0.0, 0.0)
+    """Linear colour of the sheen of cloth, below the coat, 0..1; black: none (KHR_materials_sheen)."""
+    sheen_roughness: float = 0.0
+    """Of the sheen, 0..1: less of it is at grazing angles the higher; below 0.1 as 0.1."""
     emissive: Color = (0.0, 0.0, 0.0)
     """Emitted linear radiance, at least 0; on a splat set, a factor of the captured colour."""
     base_color_texture: Texture | None = None
@@ -122,6 +133,10 @@ class MaterialPbr:
             attenuation_color: npt.ArrayLike = (1.0, 1.0, 1.0),
             attenuation_distance: float = math.inf,
             priority: int = 0,
+            clearcoat: float = 0.0,
+            clearcoat_roughness: float = 0.0,
+            sheen_color: npt.ArrayLike = (0.0, 0.0, 0.0),
+            sheen_roughness: float = 0.0,
             emissive: npt.ArrayLike = (0.0, 0.0, 0.0),
             base_color_texture: Texture | None = None,
             metallic_roughness_texture: Texture | None = None,
@@ -141,7 +156,8 @@ class MaterialPbr:
     def __post_init__(self) -> None:
         object.__setattr__(self, "base_color", _color("base_color", self.base_color, 1.0))
         object.__setattr__(self, "emissive", _color("emissive", self.emissive, math.inf))
-        for name in ("metallic", "roughness", "specular", "transmission", "occlusion_strength"):
+        object.__setattr__(self, "sheen_color", _color("sheen_color", self.sheen_color, 1.0))
+        for name in ("metallic", "roughness", "specular", "transmission", "occlusion_strength", *_LAYERS):
             _check_unit(name, getattr(self, name))
         self._check_inside()
         if not is_number(self.ior) or not 1.0 <= self.ior < np.inf:

@@ -158,3 +158,21 @@ def test_wrong_materials_are_refused(tmp_path: Path, material: dict[str, Any], m
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, textured(**material))
     assert "\n" not in str(caught.value)
+
+
+def test_layers_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Clearcoat and sheen by their factors; their textures give a line."""
+    coat: dict[str, Any] = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25}
+    sheen = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.75}
+    gltf = textured(extensions={"KHR_materials_clearcoat": coat, "KHR_materials_sheen": sheen})
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = pbr_of(read(tmp_path, gltf))
+        assert not caplog.records
+        coat["clearcoatTexture"] = {"index": 1}
+        read(tmp_path, gltf)
+    assert (material.clearcoat, material.clearcoat_roughness) == (0.5, 0.25)
+    assert (material.sheen_color, material.sheen_roughness) == ((0.1, 0.2, 0.3), 0.75)
+    assert "textures of clearcoat or sheen of 1 materials are not read (first materials[0] 'painted')" in caplog.text
+    sheen["sheenRoughnessFactor"] = 2.0  # type: ignore[assignment]
+    with pytest.raises(ls.FormatError, match=r"sheen_roughness is 2\.0, expected 0\.\.1"):
+        read(tmp_path, gltf)

@@ -43,11 +43,14 @@ class LobeRay:
 
 @wp.func
 def highlight_of(bsdf: Bsdf) -> Bsdf:
-    """The highlight of a BSDF alone."""
+    """The highlight of a BSDF alone, without layers on it."""
     alone = bsdf
     if bsdf.model == BSDF_SIMPLE:
         alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
     alone.diffuse = wp.vec3(0.0)
+    alone.rescattered = wp.vec3(0.0)
+    alone.coat = 0.0
+    alone.sheen = wp.vec3(0.0)
     return alone
 
 

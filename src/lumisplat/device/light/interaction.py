@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.material.bsdf import head_on_share, mean_mirrored_share
+from lumisplat.device.material.ggx import rescattered_share
 from lumisplat.device.structs.light import BSDF_PBR, Bsdf
 from lumisplat.device.structs.shading import Interaction, MaterialData, WaveData
 
@@ -61,6 +62,13 @@ def bsdf_of(
             bsdf.metallic = metallic
             bsdf.metal = metallic * color
             smooth_alpha = 0.0
+        if materials[number].compensates != 0:
+            bsdf.rescattered = metallic * rescattered_share(color, bsdf.alpha)
+        bsdf.coat = materials[number].coat
+        bsdf.coat_alpha = materials[number].coat_alpha
+        bsdf.sheen = materials[number].sheen
+        bsdf.sheen_alpha = materials[number].sheen_alpha
+        bsdf.sheen_curve = materials[number].sheen_curve
         bsdf.mean_mirrored = mean_mirrored_share(
             bsdf.dielectric, bsdf.eta, smooth_alpha, materials[number].fresnel_mean
         )
@@ -94,6 +102,13 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
         interaction.bsdf.thin_walled = wave[0].interactions.thin_walled[j]
         interaction.bsdf.metallic = wave[0].interactions.metallic[j]
         interaction.bsdf.metal = wave[0].interactions.metal[j]
+    if wave[0].interactions.coat:
+        interaction.bsdf.rescattered = wave[0].interactions.rescattered[j]
+        interaction.bsdf.coat = wave[0].interactions.coat[j]
+        interaction.bsdf.coat_alpha = wave[0].interactions.coat_alpha[j]
+        interaction.bsdf.sheen = wave[0].interactions.sheen[j]
+        interaction.bsdf.sheen_alpha = wave[0].interactions.sheen_alpha[j]
+        interaction.bsdf.sheen_curve = wave[0].interactions.sheen_curve[j]
     interaction.weight = wave[0].interactions.weight[j]
     interaction.occlusion = wave[0].interactions.occlusion[j]
     interaction.shadow_only = wave[0].interactions.shadow_only[j]
@@ -124,6 +139,13 @@ def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]
         wave[0].interactions.thin_walled[j] = interaction.bsdf.thin_walled
         wave[0].interactions.metallic[j] = interaction.bsdf.metallic
         wave[0].interactions.metal[j] = interaction.bsdf.metal
+    if wave[0].interactions.coat:
+        wave[0].interactions.rescattered[j] = interaction.bsdf.rescattered
+        wave[0].interactions.coat[j] = interaction.bsdf.coat
+        wave[0].interactions.coat_alpha[j] = interaction.bsdf.coat_alpha
+        wave[0].interactions.sheen[j] = interaction.bsdf.sheen
+        wave[0].interactions.sheen_alpha[j] = interaction.bsdf.sheen_alpha
+        wave[0].interactions.sheen_curve[j] = interaction.bsdf.sheen_curve
     wave[0].interactions.weight[j] = interaction.weight
     wave[0].interactions.occlusion[j] = interaction.occlusion
     wave[0].interactions.shadow_only[j] = interaction.shadow_only

@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants import SPLAT_ROUGHNESS_MIN
 from lumisplat.device.light.interaction import bsdf_of, unit_or
 from lumisplat.device.light.shadow_terminator import smooth_height
+from lumisplat.device.material.layers import has_layers
 from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black
@@ -106,6 +107,7 @@ def mesh_interaction(
         scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, boundary.eta
     )
     is_dark = is_black(interaction.bsdf.diffuse) and is_black(interaction.bsdf.transmitted)
+    is_dark = is_dark and not has_layers(interaction.bsdf)
     if is_dark and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):
         return interaction
     interaction.exists = True

@@ -16,9 +16,19 @@ from lumisplat.device.material.ggx import (
     lost_share,
     mean_lost_share,
     mean_rising_share,
+    rescattered_eval,
     rising_share,
     sample_ggx_vndf,
     smith_g1,
+)
+from lumisplat.device.material.layers import (
+    coat_eval,
+    coat_pdf,
+    has_layers,
+    layer_shares,
+    left_by_coat,
+    left_by_sheen,
+    sheen_eval,
 )
 from lumisplat.device.material.rough_glass import (
     glass_direction,
@@ -143,6 +153,8 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
         return value + glass_eval(bsdf, normal, view, light)
     half = view + light
     length2 = wp.dot(half, half)
+    if not is_black(bsdf.rescattered):
+        value += rescattered_eval(bsdf.rescattered, cos_view, cos_light, bsdf.alpha)
     if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
         alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
         # Cook and Torrance's D G / (4 cos cos), of which the cosines cancel with Smith's.
@@ -160,17 +172,19 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
         return 0.0
     specular = mean_of(view_albedo(bsdf, cos_view))
     diffuse = (1.0 - mirrored_share(bsdf, cos_view)) * mean_of(bsdf.diffuse)
+    if not is_black(bsdf.rescattered):
+        diffuse += lost_share(cos_view, bsdf.alpha) * mean_of(bsdf.rescattered)
     if diffuse <= 0.0:
         return 1.0
     return specular / (specular + diffuse)
 
 
-# --- Both ---
+# --- Both, without layers ---
 
 
 @wp.func
-def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
+def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """``bsdf_eval`` without layers."""
     if wp.dot(normal, view) <= 0.0:
         return wp.vec3(0.0)
     if wp.dot(normal, light) <= 0.0:
@@ -210,11 +224,8 @@ def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float
 
 
 @wp.func
-def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
-
-    It integrates to less than 1, by the share of samples below the horizon, or above it that were meant to transmit.
-    """
+def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """``bsdf_pdf`` without layers."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     if cos_view <= 0.0:
@@ -229,6 +240,106 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 
 @wp.func
+def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
+    """Normal of a visible microfacet, unit."""
+    # In the plane of view and normal: x is the view, projected onto the surface.
+    cos_view = wp.dot(normal, view)
+    along = view - cos_view * normal
+    sine = wp.length(along)
+    if sine > 1e-6:
+        along = along / sine
+    else:
+        along = around(normal, 0.0, 1.0, 0.0)
+    facet = sample_ggx_vndf(wp.vec3(sine, 0.0, cos_view), alpha, u)
+    return facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
+
+
+@wp.func
+def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
+    """A direction sampled without layers, unit; zero: none was found."""
+    cos_view = wp.dot(normal, view)
+    share = float(0.0)
+    if bsdf.model == BSDF_SIMPLE:
+        share = simple_share(bsdf)
+    else:
+        share = pbr_share(bsdf, cos_view)
+    if choice >= share:
+        return around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    if bsdf.model == BSDF_SIMPLE:
+        mirrored = 2.0 * cos_view * normal - view
+        cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
+        sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
+        return around(wp.normalize(mirrored), cosine, sine, u[1])
+    half = facet_mirrored(normal, view, wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
+    if transmits(bsdf):
+        return glass_direction(bsdf, normal, view, half, choice / share)
+    return wp.normalize(2.0 * wp.dot(view, half) * half - view)
+
+
+@wp.func
+def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
+    """About the share of a white sky that a view gets without layers, but for what smooth surfaces mirror."""
+    if bsdf.model == BSDF_SIMPLE:
+        return mean_of(bsdf.diffuse) + mean_of(bsdf.specular)
+    albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.transmitted)
+    if bsdf.alpha > 0.0:
+        albedo += mean_of(view_albedo(bsdf, cos_view))
+    return albedo
+
+
+# --- With layers ---
+
+
+@wp.func
+def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
+    """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
+    value = base_eval(bsdf, normal, view, light)
+    cos_view = wp.dot(normal, view)
+    if not has_layers(bsdf) or cos_view <= 0.0:
+        return value
+    cos_light = wp.dot(normal, light)
+    below = left_by_coat(bsdf, cos_view, wp.abs(cos_light))
+    value = below * left_by_sheen(bsdf, cos_view, wp.abs(cos_light)) * value
+    if cos_light > 0.0:
+        value += below * sheen_eval(bsdf, normal, view, light) + wp.vec3(coat_eval(bsdf, normal, view, light))
+    return value
+
+
+@wp.func
+def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
+    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
+
+    It integrates to less than 1, by the share of samples below the horizon, or above it that were meant to transmit.
+    """
+    density = base_pdf(bsdf, normal, view, light)
+    cos_view = wp.dot(normal, view)
+    if not has_layers(bsdf) or cos_view <= 0.0:
+        return density
+    shares = layer_shares(bsdf, cos_view, base_albedo(bsdf, cos_view))
+    density *= wp.max(1.0 - shares[0] - shares[1], 0.0)
+    cos_light = wp.dot(normal, light)
+    if cos_light > 0.0:
+        density += shares[0] * coat_pdf(bsdf, normal, view, light) + shares[1] * INV_PI * cos_light
+    return density
+
+
+@wp.func
+def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
+    """The direction of ``bsdf_sample``; zero: none was found."""
+    if not has_layers(bsdf):
+        return base_direction(bsdf, normal, view, u, choice)
+    cos_view = wp.dot(normal, view)
+    shares = layer_shares(bsdf, cos_view, base_albedo(bsdf, cos_view))
+    if choice < shares[0]:
+        half = facet_mirrored(normal, view, bsdf.coat_alpha, u)
+        return wp.normalize(2.0 * wp.dot(view, half) * half - view)
+    if choice < shares[0] + shares[1]:
+        return around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    rest = 1.0 - shares[0] - shares[1]
+    return base_direction(bsdf, normal, view, u, (choice - shares[0] - shares[1]) / wp.max(rest, 1e-12))
+
+
+@wp.func
 def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
     """A direction from which light may come, sampled by how much of it the material reflects.
 
@@ -237,42 +348,16 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
         normal: Unit.
         view: Unit, away from the surface.
         u: Random, 0..1 each.
-        choice: Random, 0..1, decides between diffuse and highlight.
+        choice: Random, 0..1, decides between the parts of the material.
     """
     sample = BsdfSample()
     sample.direction = normal
-    cos_view = wp.dot(normal, view)
-    if cos_view <= 0.0:
+    if wp.dot(normal, view) <= 0.0:
         return sample
-    share = float(0.0)
-    if bsdf.model == BSDF_SIMPLE:
-        share = simple_share(bsdf)
-    else:
-        share = pbr_share(bsdf, cos_view)
-    if choice >= share:
-        sample.direction = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
-    elif bsdf.model == BSDF_SIMPLE:
-        mirrored = 2.0 * cos_view * normal - view
-        cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))
-        sine = wp.sqrt(wp.max((1.0 - cosine) * (1.0 + cosine), 0.0))
-        sample.direction = around(wp.normalize(mirrored), cosine, sine, u[1])
-    else:
-        # In the plane of view and normal: x is the view, projected onto the surface.
-        along = view - cos_view * normal
-        sine = wp.length(along)
-        if sine > 1e-6:
-            along = along / sine
-        else:
-            along = around(normal, 0.0, 1.0, 0.0)
-        facet = sample_ggx_vndf(wp.vec3(sine, 0.0, cos_view), wp.max(bsdf.alpha, ALPHA_GGX_MIN), u)
-        half = facet[0] * along + facet[1] * wp.cross(normal, along) + facet[2] * normal
-        if transmits(bsdf):
-            sample.direction = glass_direction(bsdf, normal, view, half, choice / share)
-            if is_black(sample.direction):
-                sample.direction = normal
-                return sample
-        else:
-            sample.direction = wp.normalize(2.0 * wp.dot(view, half) * half - view)
+    found = sampled_direction(bsdf, normal, view, u, choice)
+    if is_black(found):
+        return sample
+    sample.direction = found
     density = bsdf_pdf(bsdf, normal, view, sample.direction)
     if density > 0.0:
         value = bsdf_eval(bsdf, normal, view, sample.direction)

@@ -74,6 +74,31 @@ def mean_lost_share(alpha: float) -> float:
 
 
 @wp.func
+def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
+    """Of what single scattering loses in a metal, the share that is reflected after all (Kulla and Conty 2017).
+
+    Each time, light leaves with the mean albedo of white, or meets another facet.
+
+    Args:
+        head_on: Reflectance of the metal at normal incidence.
+        alpha: Of the facets; smooth ones lose nothing.
+    """
+    if alpha <= 0.0:
+        return wp.vec3(0.0)
+    lost = mean_lost_share(alpha)
+    facets = head_on + (wp.vec3(1.0) - head_on) / 21.0  # mean of Schlick's reflectance
+    leaves = wp.cw_mul(facets, facets) * (1.0 - lost)
+    return wp.cw_div(leaves, wp.vec3(1.0) - lost * facets)
+
+
+@wp.func
+def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: float) -> wp.vec3:
+    """BSDF of that share: even, but for what each direction loses."""
+    lost = lost_share(cos_view, alpha) * lost_share(cos_light, alpha)
+    return (INV_PI * lost / mean_lost_share(alpha)) * share
+
+
+@wp.func
 def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     """A normal of the microfacets visible to ``view`` (Heitz 2018, by the spherical caps of Dupuy and Benyoub 2023).
 

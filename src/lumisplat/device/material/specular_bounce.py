@@ -11,6 +11,7 @@ import warp as wp
 
 from lumisplat.constants import SPAWN_ERROR, SPAWN_SLENDER
 from lumisplat.device.material.fresnel import cosine2_beyond, dielectric_share, reflect, refract, schlick
+from lumisplat.device.material.layers import coat_share, sheen_share
 from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.math.color import encode_srgb_color, is_black
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
@@ -90,6 +91,11 @@ def bounce_of(
         bounce.reflected += material.metallic * metal
     bounce.refracted = material.transmission * transmitted
     bounce.color = (1.0 - material.transmission) * transmitted
+    if lit and (material.coat > 0.0 or material.sheen > 0.0):
+        left = 1.0 - coat_share(material.coat, material.coat_alpha, cosine)
+        left *= 1.0 - material.sheen * wp.min(sheen_share(material.sheen_curve, cosine), 1.0)
+        bounce.reflected = left * bounce.reflected
+        bounce.refracted = left * bounce.refracted
     return bounce
 
 

@@ -42,6 +42,7 @@ def scattering_share(interaction: Interaction) -> float:
         return interaction.weight
     bsdf = interaction.bsdf
     albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing + mean_of(bsdf.transmitted)
+    albedo += 0.1 * bsdf.coat + mean_of(bsdf.sheen)
     return interaction.weight * wp.max(albedo, 1e-6)
 
 

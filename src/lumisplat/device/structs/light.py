@@ -127,6 +127,18 @@ class Bsdf:
     metallic: float
     metal: wp.vec3
     """Reflectance of the metal at normal incidence, times ``metallic``."""
+    rescattered: wp.vec3
+    """Rough BSDF_PBR: of the light that single scattering loses, what further scattering brings back; zero: nothing."""
+    coat: float
+    """Strength of the clearcoat."""
+    coat_alpha: float
+    """Alpha of its GGX distribution."""
+    sheen: wp.vec3
+    """Colour of the sheen; zero: there is none."""
+    sheen_alpha: float
+    """Roughness of the sheen, squared."""
+    sheen_curve: wp.vec4
+    """Its albedo: coefficients of the logarithm by the cosine."""
 
 
 @struct

@@ -146,6 +146,12 @@ class SmoothData:
     """Of the medium inside, where several overlap."""
     absorption: wp.vec3
     """Of the medium inside, linear, per scene unit."""
+    coat: float
+    """Strength of a clearcoat on it."""
+    coat_alpha: float
+    sheen: float
+    """Largest channel of a sheen on it."""
+    sheen_curve: wp.vec4
 
 
 @struct

@@ -39,6 +39,13 @@ class MaterialData:
     """Share of even light from all around that a smooth dielectric of this ``ior`` mirrors."""
     transmission: float
     thin_walled: int
+    compensates: int
+    """1: what single scattering loses in rough metal is added."""
+    coat: float
+    coat_alpha: float
+    sheen: wp.vec3
+    sheen_alpha: float
+    sheen_curve: wp.vec4
     metallic_roughness_texture: TextureData
     normal_texture: TextureData
     normal_scale: float
@@ -173,6 +180,13 @@ class Interactions:
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
+    rescattered: wp.array[wp.vec3]
+    """Like the next five without elements unless there are layers, or rough metals are compensated."""
+    coat: wp.array[float]
+    coat_alpha: wp.array[float]
+    sheen: wp.array[wp.vec3]
+    sheen_alpha: wp.array[float]
+    sheen_curve: wp.array[wp.vec4]
     weight: wp.array[float]
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]

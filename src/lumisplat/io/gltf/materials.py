@@ -27,7 +27,8 @@ _LISTED_MAX = 4
 def warn_unread(file: GltfFile) -> None:
     """Logs the features of the file's materials that are not read, one line per feature.
 
-    These are textures of transmission, and those with other coordinates than the base colour, or that wrap otherwise.
+    These are textures of transmission and of layers, and those with other coordinates than the base colour, or that
+    wrap otherwise.
     """
     materials = file.model.materials or []
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
@@ -48,6 +49,9 @@ def warn_unread(file: GltfFile) -> None:
         "transmissionTexture of %d materials is not read (first %s)": [
             label for label, material in labelled if "transmissionTexture" in _extension(material, "transmission")
         ],
+        "textures of clearcoat or sheen of %d materials are not read (first %s)": [
+            label for label, material in labelled if _has_layer_textures(material)
+        ],
     }
     for line, labels in lines.items():
         if labels:
@@ -63,6 +67,22 @@ def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]
         "attenuation_color": tuple(volume.get("attenuationColor", (1.0, 1.0, 1.0))),
         "attenuation_distance": volume.get("attenuationDistance", math.inf),
     }
+
+
+def _layers(material: pygltflib.Material) -> dict[str, Any]:
+    """Clearcoat and sheen (KHR_materials_clearcoat, KHR_materials_sheen), without their textures."""
+    coat, sheen = _extension(material, "clearcoat"), _extension(material, "sheen")
+    return {
+        "clearcoat": coat.get("clearcoatFactor", 0.0),
+        "clearcoat_roughness": coat.get("clearcoatRoughnessFactor", 0.0),
+        "sheen_color": tuple(sheen.get("sheenColorFactor", (0.0, 0.0, 0.0))),
+        "sheen_roughness": sheen.get("sheenRoughnessFactor", 0.0),
+    }
+
+
+def _has_layer_textures(material: pygltflib.Material) -> bool:
+    keys = [*_extension(material, "clearcoat"), *_extension(material, "sheen")]
+    return any(key.endswith("Texture") for key in keys)
 
 
 def _is_unlit(material: pygltflib.Material) -> bool:
@@ -125,6 +145,7 @@ class GltfMaterials:
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
             transmission=transmission,
             **_inside(material, transmission),
+            **_layers(material),
             emissive=tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0)),
             normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),

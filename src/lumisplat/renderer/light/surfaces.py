@@ -22,6 +22,10 @@ ROUGH_GLASS_FIELDS = {"transmitted", "thin_walled", "metallic", "metal"}
 """Fields of interactions that only rough surfaces need which transmit."""
 
 
+LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sheen_curve"}
+"""Fields of interactions that only layers need, and what is scattered more than once."""
+
+
 class Surfaces:
     """Makes a wave of rays from their hits.
 
@@ -100,6 +104,8 @@ class Surfaces:
         without: set[str] = set() if plan.spawns_shadow_rays else set(SHADOW_RAY_FIELDS)
         if not plan.has_rough_glass:
             without |= ROUGH_GLASS_FIELDS
+        if not plan.has_layers:
+            without |= LAYER_FIELDS
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from lumisplat.config import PATH_PARTS, PathPrimary, Pipeline, RasterStrategy, RenderConfig, ShadowMethod, Shadows
 from lumisplat.constants import (
     PATH_BOUNCES,
-    SAMPLES_OF_ALPHA,
     SAMPLES_OF_PATHS,
     SAMPLES_OF_RANDOM_LIGHT,
     SAMPLES_OF_SKY_ON_SPLATS,
     SAMPLES_OPEN,
     SPECULAR_BOUNCES,
 )
-from lumisplat.renderer.scene.materials import emits_capture_only, is_medium, is_relit, is_rough_glass
+from lumisplat.renderer.scene.materials import emits_capture_only, has_layers, is_medium, is_relit, is_rough_glass
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect, LightSphere
+from lumisplat.scene.materials import Material
 from lumisplat.scene.scene import Scene
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
@@ -101,6 +101,8 @@ class FramePlan:
     """The scene has mesh instances."""
     has_media: bool
     """Rays are refracted into meshes, and know which they are in."""
+    has_layers: bool
+    """Interactions have clearcoat, sheen, or light that is scattered more than once."""
     has_rough_glass: bool
     """Paths are scattered through rough surfaces."""
     draws_alpha: bool
@@ -155,7 +157,7 @@ class FramePlan:
         draws_alpha = traces_paths or only_rasterises
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
         samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
-        samples_wanted = max(samples_wanted, SAMPLES_OF_ALPHA if is_dithered else 1)
+        samples_wanted = max(samples_wanted, SAMPLES_OF_RANDOM_LIGHT if is_dithered else 1)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
         is_open = config.time_limit is not None or config.noise is not None
         return cls(
@@ -181,6 +183,7 @@ class FramePlan:
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             has_media=not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes),
+            has_layers=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             draws_alpha=draws_alpha,
             keeps_captures=keeps,
@@ -236,9 +239,13 @@ def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool, h
 
 def shines(scene: Scene) -> bool:
     """Whether something in a scene shines by itself, so that paths find light without any lamp."""
-    materials = [instance.mesh.material for instance in scene.meshes]
-    materials += [instance.material for instance in scene.splats if instance.material is not None]
-    return keeps_captures(scene) or any(material.is_emissive for material in materials)
+    return keeps_captures(scene) or any(material.is_emissive for material in materials_of(scene))
+
+
+def materials_of(scene: Scene) -> list[Material]:
+    """The materials of a scene that are given."""
+    materials: list[Material] = [instance.mesh.material for instance in scene.meshes]
+    return materials + [instance.material for instance in scene.splats if instance.material is not None]
 
 
 def reflects_light(scene: Scene) -> bool:

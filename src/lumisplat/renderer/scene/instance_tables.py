@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import (
     MeshInstanceData,
     SplatInstanceData,
 )
-from lumisplat.renderer.scene.materials import is_medium, is_relit, place_texture, shading_overrides
+from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, place_texture, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
 from lumisplat.runtime.struct_tables import table_dtype
@@ -142,6 +142,8 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, 
             row["material"][name] = getattr(material, name)
         row["material"]["is_medium"] = is_medium(instance, traces_paths=traces_paths)
         row["material"]["absorption"] = absorption_of(material)
+        fill_layers(row["material"], material)
+        row["material"]["sheen"] = max(material.sheen_color)
 
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.constants import SHADOW_ONLY_AMBIENT
+from lumisplat.constants import COAT_ROUGHNESS_MIN, SHADOW_ONLY_AMBIENT, SHEEN_ROUGHNESS_MIN
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT
 from lumisplat.device.structs.shading import MaterialData
 from lumisplat.math.fresnel import mean_fresnel
+from lumisplat.math.sheen import albedo_curve
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, TextureWrap
 from lumisplat.scene.mesh import Mesh
@@ -77,15 +78,17 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     }
 
 
-def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool) -> np.ndarray:
+def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, compensates: bool = False) -> np.ndarray:
     """One row of MaterialData an instance: splats first, then meshes.
 
     Args:
         scene: The scene with the instances.
         texture_first: Returns the first texel of a texture.
         is_lit: Whether the frame is lit; if not, all splats only emit their captured colours.
+        compensates: Whether what single scattering loses in rough metals is added.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
+    table["compensates"] = compensates
     rows: list[Any] = list(table)
     for row, splats in zip(rows, scene.splats, strict=False):
         material = material_of(splats)
@@ -114,6 +117,9 @@ def _fill(row: Any, material: Material) -> None:
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular
     row["fresnel_mean"] = mean_fresnel(material.ior)
+    fill_layers(row, material)
+    row["sheen"] = material.sheen_color
+    row["sheen_alpha"] = max(material.sheen_roughness, SHEEN_ROUGHNESS_MIN) ** 2
     for name in ("metallic", "roughness", "ior", "transmission", "thin_walled", "normal_scale", "occlusion_strength"):
         row[name] = getattr(material, name)
 
@@ -125,6 +131,19 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
         texture = getattr(mesh.material, name)
         if texture is not None:
             place_texture(row[name], texture, mesh.material, texture_first)
+
+
+def fill_layers(row: Any, material: MaterialPbr) -> None:
+    """Fills what all rows of materials have of their layers."""
+    row["coat"] = material.clearcoat
+    row["coat_alpha"] = max(material.clearcoat_roughness, COAT_ROUGHNESS_MIN) ** 2
+    if any(material.sheen_color):
+        row["sheen_curve"] = albedo_curve(material.sheen_roughness)
+
+
+def has_layers(material: Material | None) -> bool:
+    """Whether a material has clearcoat or sheen."""
+    return isinstance(material, MaterialPbr) and (material.clearcoat > 0.0 or any(material.sheen_color))
 
 
 def place_texture(row: Any, texture: np.ndarray, material: Material, texture_first: TextureFirst) -> None:

@@ -1,0 +1,67 @@
+"""Directional albedo of sheen, by quadrature, as a curve that kernels can evaluate (docs/method/materials.md#sheen)."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from lumisplat.constants import SHEEN_ROUGHNESS_MIN
+from lumisplat.math.arrays import Doubles
+
+_COSINES = np.concatenate([[0.01, 0.02, 0.035], np.linspace(0.05, 1.0, 20)])
+_STEPS = 160
+_SHAPE = np.array(
+    [[21.5473, 25.3245], [3.82987, 3.32435], [0.19823, 0.16801], [-1.97760, -1.27393], [-4.32054, -4.85967]]
+)
+"""Of the fit of masking by Estevez and Kulla (2017), for a roughness of 1 and of 0."""
+
+
+def masking_curve(alpha: float) -> Doubles:
+    """The five parameters of {eq}`sheen-masking` at a roughness squared, shape (5,)."""
+    smooth = (1.0 - alpha) ** 2
+    return _SHAPE @ np.array([1.0 - smooth, smooth])
+
+
+def masking(cosine: Doubles, alpha: float) -> Doubles:
+    """Lambda of {eq}`sheen-masking`."""
+    a, b, c, d, e = masking_curve(alpha)
+
+    def exponent(x: Doubles) -> Doubles:
+        return a / (1.0 + b * x**c) + d * x + e
+
+    below, above = exponent(cosine), 2.0 * exponent(np.asarray(0.5)) - exponent(1.0 - cosine)
+    return np.exp(np.where(cosine < 0.5, below, above))
+
+
+def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
+    """Share of a white sky that white sheen reflects to a view, by the midpoint rule; above 1 at grazing angles."""
+    z, turn = np.meshgrid(*2 * [(np.arange(steps) + 0.5) / steps], indexing="ij")
+    sine, view = np.sqrt(1.0 - z**2), np.sqrt(1.0 - cosine**2)
+    half = np.stack([sine * np.cos(np.pi * turn) + view, sine * np.sin(np.pi * turn), z + cosine])
+    across2 = 1.0 - half[2] ** 2 / (half**2).sum(axis=0)
+    facets = (2.0 + 1.0 / alpha) * np.maximum(across2, 0.0) ** (0.5 / alpha) / (2.0 * np.pi)
+    masked = 1.0 + masking(np.asarray(cosine), alpha) + masking(z, alpha)
+    return float((facets / (4.0 * cosine * masked)).mean() * 2.0 * np.pi)
+
+
+@functools.lru_cache(maxsize=256)
+def albedo_curve(roughness: float) -> tuple[float, float, float, float]:
+    """Coefficients of the logarithm of the albedo as a polynomial of the cosine, not too small where that is above 0.1.
+
+    Args:
+        roughness: Of the sheen, 0..1.
+    """
+    alpha = max(roughness, SHEEN_ROUGHNESS_MIN) ** 2
+    truth = np.array([sheen_albedo(cosine, alpha) for cosine in _COSINES])
+    powers = _COSINES[:, None] ** np.arange(4)
+    weights = np.maximum(truth, 1e-3)
+    fit = np.zeros(4)
+    for _ in range(20):
+        scaled = weights[:, None]
+        fit = np.linalg.lstsq(powers * scaled, np.log(np.maximum(truth, 1e-7)) * weights, rcond=None)[0]
+        error = np.abs(np.exp(powers @ fit) - truth)
+        weights = np.maximum(truth, 1e-3) * (1.0 + 20.0 * error / max(truth.max(), 1.0))
+    seen = truth > 0.1
+    fit[0] += max(float(np.log(truth[seen] / np.exp(powers[seen] @ fit)).max()), 0.0)
+    return float(fit[0]), float(fit[1]), float(fit[2]), float(fit[3])

@@ -1,0 +1,161 @@
+"""Clearcoat, sheen, and rough metals whose lost light is brought back: energy, reciprocity, sampling."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.structs.light import Bsdf, BsdfSample
+from lumisplat.device.structs.shading import MaterialData
+from lumisplat.math.sheen import albedo_curve, sheen_albedo
+from lumisplat.renderer.scene.materials import material_table
+from lumisplat.runtime.launcher import Launcher
+from support.compare.chi_square import LIMIT, chi_square_z
+from support.probes import probe_light_kernels
+
+Doubles = npt.NDArray[np.float64]
+UP = np.array([0.0, 0.0, 1.0])
+WHITE = (1.0, 1.0, 1.0)
+PAINT = ls.MaterialPbr(base_color=WHITE, roughness=0.6)
+METAL = ls.MaterialPbr(base_color=WHITE, roughness=0.7, metallic=1.0)
+COATS = {
+    "coat on paint": {"clearcoat": 1.0, "clearcoat_roughness": 0.2},
+    "rough coat": {"clearcoat": 0.7, "clearcoat_roughness": 0.8},
+    "sheen": {"sheen_color": WHITE, "sheen_roughness": 0.4},
+    "fine sheen": {"sheen_color": (0.9, 0.5, 0.2), "sheen_roughness": 0.1},
+    "both": {"clearcoat": 1.0, "clearcoat_roughness": 0.3, "sheen_color": WHITE, "sheen_roughness": 0.7},
+}
+
+
+def bsdf_row(material: ls.MaterialPbr, *, compensates: bool = False) -> npt.NDArray[Any]:
+    """The material's BSDF, 1 row."""
+    mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
+    table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True, compensates=compensates)
+    bsdf = wp.zeros(1, dtype=Bsdf, device="cpu")
+    given = wp.array(table, dtype=MaterialData, device="cpu")
+    color = wp.vec3(*material.base_color)
+    Launcher("cpu", threads=1).run(probe_light_kernels.probe_material, 1, given, color, False, bsdf)
+    return bsdf.numpy()
+
+
+def direction(cosine: npt.ArrayLike, turn: npt.ArrayLike) -> Doubles:
+    """Unit vectors by their cosine with the normal, and their azimuth."""
+    z, turn = np.broadcast_arrays(np.asarray(cosine, np.float64), np.asarray(turn, np.float64))
+    sine = np.sqrt(1.0 - z**2)
+    return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
+
+
+def on_device(row: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[Doubles, Doubles]:
+    """Values, shape (N, 3), and densities, shape (N,)."""
+    count = len(lights)
+    inputs = [wp.array(np.repeat(row, count), dtype=Bsdf, device="cpu")]
+    for vectors in (UP, view, lights):
+        inputs.append(wp.array(np.broadcast_to(vectors, (count, 3)).astype(np.float32), dtype=wp.vec3, device="cpu"))
+    values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
+    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
+    return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
+
+
+def samples_of(row: npt.NDArray[Any], view: Doubles, count: int) -> npt.NDArray[Any]:
+    """Sampled directions, weights and densities."""
+    randoms = np.random.default_rng(3).random((count, 3), dtype=np.float32)
+    vectors = [np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (UP, view)]
+    inputs = [wp.array(np.repeat(row, count), dtype=Bsdf, device="cpu")]
+    inputs += [wp.array(v, dtype=wp.vec3, device="cpu") for v in (*vectors, randoms)]
+    found = wp.zeros(count, dtype=BsdfSample, device="cpu")
+    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf_samples, count, *inputs, found)
+    return found.numpy()
+
+
+def albedo(row: npt.NDArray[Any], cosine: float) -> tuple[float, float]:
+    """Share of a white sky that a view gets (middle channel), and its standard error."""
+    weights = samples_of(row, direction(cosine, 0.3), 60_000)["weight"][:, 1].astype(np.float64)
+    return float(weights.mean()), float(weights.std() / np.sqrt(len(weights)))
+
+
+@pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
+@pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
+def test_a_white_furnace(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
+    """No view gets more than there is, and with a coat alone hardly less of white paint."""
+    row = bsdf_row(replace(base, **layers))
+    for cosine in (1.0, 0.8, 0.5, 0.2, 0.05):
+        mean, error = albedo(row, cosine)
+        assert mean <= 1.003 + 4.0 * error, cosine
+        if base is PAINT and "sheen_color" not in layers and cosine >= 0.5:
+            assert mean > 0.9
+
+
+@pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
+def test_reciprocity(layers: dict[str, Any]) -> None:
+    """The same both ways."""
+    row = bsdf_row(replace(PAINT, **layers))
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        one, other = (direction(rng.uniform(0.02, 1.0), rng.uniform(0.0, 6.0)) for _ in range(2))
+        forth, back = on_device(row, one, other[None])[0], on_device(row, other, one[None])[0]
+        np.testing.assert_allclose(forth, back, rtol=2e-4)
+
+
+@pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
+@pytest.mark.parametrize("layers", [*COATS.values(), None], ids=[*COATS.keys(), "compensated"])
+def test_directions_are_as_dense_as_said(layers: dict[str, Any] | None, base: ls.MaterialPbr) -> None:
+    """Chi-square over the hemisphere, what fell below it included."""
+    row = bsdf_row(replace(base, **(layers or {})), compensates=layers is None)
+    view, rows, columns, fine, count = direction(0.6, 1.0), 12, 12, 24, 100_000
+    found = samples_of(row, view, count)
+    kept = found["density"] > 0.0
+    d = found["direction"][kept].astype(np.float64)
+    ring = np.clip((d[:, 2] * rows).astype(int), 0, rows - 1)
+    column = (np.arctan2(d[:, 1], d[:, 0]) % (2.0 * np.pi) / (2.0 * np.pi) * columns).astype(int) % columns
+    counts = np.bincount(ring * columns + column, minlength=rows * columns).astype(np.float64)
+    z = (np.arange(rows * fine) + 0.5) / (rows * fine)
+    turn = 2.0 * np.pi * (np.arange(columns * fine) + 0.5) / (columns * fine)
+    densities = on_device(row, view, direction(z[:, None], turn[None]).reshape(-1, 3))[1]
+    size = 2.0 * np.pi / (rows * fine * columns * fine)
+    expected = count * size * densities.reshape(rows, fine, columns, fine).sum(axis=(1, 3)).ravel()
+    counts, expected = np.append(counts, count - kept.sum()), np.append(expected, max(count - expected.sum(), 0.0))
+    assert abs(chi_square_z(counts, expected)) < LIMIT
+
+
+def test_coats_are_their_highlight_over_what_they_leave() -> None:
+    """Over black, a coat alone: what glTF's equation gives; over paint, in addition what is left of that."""
+    black = replace(PAINT, base_color=(0.0, 0.0, 0.0), specular=0.0)
+    view = direction(0.8, 0.0)
+    light = direction(0.8, np.pi)
+    alpha = 0.3**2
+    for strength in (0.5, 1.0):
+        row = bsdf_row(replace(black, clearcoat=strength, clearcoat_roughness=0.3))
+        value = on_device(row, view, light[None])[0][0, 1]
+        masks = 2.0 * 0.8 / (0.8 + np.sqrt(alpha**2 + (1.0 - alpha**2) * 0.64))
+        fresnel = 0.04 + 0.96 * 0.2**5
+        np.testing.assert_allclose(value, strength * fresnel * masks**2 / (np.pi * alpha**2) / (4.0 * 0.64), rtol=1e-4)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.3, 0.6, 1.0])
+def test_the_curve_of_sheen_is_its_albedo(roughness: float) -> None:
+    """Within a few percent, and not too small where there is much of it."""
+    curve = albedo_curve(roughness)
+    for cosine in (0.02, 0.1, 0.3, 0.5, 0.8, 1.0):
+        truth = sheen_albedo(cosine, roughness**2, steps=500)
+        found = np.exp(np.polyval(curve[::-1], cosine))
+        assert found >= truth - 0.012
+        assert found <= 1.06 * truth + 0.03
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 0.8, 1.0])
+@pytest.mark.parametrize("cosine", [1.0, 0.6, 0.3])
+def test_compensated_white_metal_loses_little(roughness: float, cosine: float) -> None:
+    """It reflects nearly all light, and never more; without, it loses up to half."""
+    metal = replace(METAL, roughness=roughness)
+    mean, error = albedo(bsdf_row(metal, compensates=True), cosine)
+    assert 0.89 < mean < 1.001 + 4.0 * error
+    assert albedo(bsdf_row(metal), cosine)[0] < mean
+    gold = replace(metal, base_color=(1.0, 0.77, 0.34))
+    brought, before = (albedo(bsdf_row(gold, compensates=on), cosine)[0] for on in (True, False))
+    assert before < brought < mean

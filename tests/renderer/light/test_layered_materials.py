@@ -1,0 +1,62 @@
+"""Materials with layers in frames: all pipelines show the same under a lamp, and paths the scene around in a coat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.path_scenes import ball, quad
+
+VIEW = ls.Camera.look_at((0, 0, -2), (0, 0, 0), width=32, height=24, fov_y=0.35)
+LAMP = ls.LightPoint((1.0, -1.5, -2.0), intensity=10.0)
+PLAIN: dict[str, Any] = {"base_color": (0.5, 0.1, 0.1), "roughness": 0.8}
+LOOKS: dict[str, dict[str, Any]] = {
+    "coat": {"clearcoat": 1.0, "clearcoat_roughness": 0.4},
+    "sheen": {"sheen_color": (0.2, 0.9, 0.9), "sheen_roughness": 0.5},
+    "metal": {"metallic": 1.0},
+}
+
+
+def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: Any) -> np.ndarray:
+    """Colour."""
+    settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, **changes)
+    return ls.render(scene, VIEW, settings, device="cpu").color
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_pipelines_agree_under_a_lamp(look: str) -> None:
+    """On a ball, without bounces; and the layer, or what is scattered more than once, makes a difference."""
+    compensated = look == "metal"
+    scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LAMP])
+    shown = [frame(scene, p, max_bounces=0, energy_compensation=compensated) for p in ls.Pipeline]
+    for other in shown[1:]:
+        np.testing.assert_allclose(other, shown[0], rtol=2e-3, atol=2e-4)
+    plain = ls.MaterialPbr(**(PLAIN | (LOOKS[look] if compensated else {})))
+    without = frame(ls.Scene(meshes=[ball(0.3, plain, rows=24)], lights=[LAMP]), ls.Pipeline.TRACE)
+    assert np.abs(without - shown[0]).max() > 0.02
+
+
+def test_layers_on_captures() -> None:
+    """Relit Gaussians have them, too."""
+    gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
+    shown = [
+        frame(ls.Scene(splats=[ls.SplatInstance(gaussians, material=material)], lights=[LAMP]), ls.Pipeline.HYBRID)
+        for material in (ls.MaterialPbr(**PLAIN), ls.MaterialPbr(**(PLAIN | LOOKS["sheen"])))
+    ]
+    assert shown[1].mean() > shown[0].mean() + 0.005
+
+
+def test_a_coat_shows_the_scene_around() -> None:
+    """In paths: head on 0.04 of a lit wall behind the camera, over black."""
+    coated = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, clearcoat=1.0)
+    dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, emissive=(1.0, 1.0, 1.0))
+    scene = ls.Scene(
+        meshes=[
+            quad((-1, -1, 0.0), (0, 2, 0), (2, 0, 0), coated),
+            quad((-9, -9, -4.0), (18, 0, 0), (0, 18, 0), dark),
+        ]
+    )
+    np.testing.assert_allclose(frame(scene, ls.Pipeline.PATH, 16, max_bounces=2).mean(), 0.04, rtol=0.02)
