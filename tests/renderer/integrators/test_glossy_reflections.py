@@ -20,6 +20,9 @@ LAMP, DAYLIGHT = ls.LightPoint((1.0, 1.5, 2.0), intensity=12.0), ls.LightEnviron
 METAL = ls.MaterialPbr(base_color=(0.9, 0.8, 0.6), metallic=1.0, roughness=0.4)
 MATERIALS: dict[str, Material] = {
     "metal": METAL,
+    "coat": ls.MaterialPbr(
+        base_color=(0.8, 0.6, 0.3), metallic=1.0, roughness=0.5, clearcoat=1.0, clearcoat_roughness=0.2
+    ),
     "dielectric": ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), roughness=0.3),
     "phong": ls.MaterialSimple(
         emissive=(0, 0, 0), ambient=(0, 0, 0), diffuse=(0, 0, 0), specular=(0.9, 0.5, 0.2), shininess=20.0

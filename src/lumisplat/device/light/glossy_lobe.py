@@ -6,7 +6,7 @@ equations are in docs/method/materials.md#glossy-reflections.
 
 import warp as wp
 
-from lumisplat.constants import GLOSSY_SHARE_FOLLOWED
+from lumisplat.constants import COAT_HEAD_ON, GLOSSY_SHARE_FOLLOWED
 from lumisplat.device.light.interaction import load_interaction
 from lumisplat.device.light.shadow_ray import spawn_lift
 from lumisplat.device.material.bsdf import bsdf_sample, simple_scale, view_albedo
@@ -26,6 +26,9 @@ CHOICE_BRANCH = wp.constant(-2)
 DIRECTION_BRANCH = wp.constant(-3)
 
 
+COAT_SHARE = wp.constant(wp.float32(COAT_HEAD_ON))
+
+
 @struct
 class LobeRay:
     """A ray within a highlight."""
@@ -43,14 +46,12 @@ class LobeRay:
 
 @wp.func
 def highlight_of(bsdf: Bsdf) -> Bsdf:
-    """The highlight of a BSDF alone, without layers on it."""
+    """The highlights of a BSDF alone, with those of layers on it, and what these leave of the others."""
     alone = bsdf
     if bsdf.model == BSDF_SIMPLE:
         alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
     alone.diffuse = wp.vec3(0.0)
     alone.rescattered = wp.vec3(0.0)
-    alone.coat = 0.0
-    alone.sheen = wp.vec3(0.0)
     return alone
 
 
@@ -62,10 +63,11 @@ def highlight_share(interaction: Interaction) -> float:
     bsdf = interaction.bsdf
     if bsdf.model == BSDF_SIMPLE:
         return interaction.weight * mean_of(bsdf.specular)
-    if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
+    layers = COAT_SHARE * bsdf.coat + mean_of(bsdf.sheen)
+    if (bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0) and layers <= 0.0:
         return 0.0
     cosine = wp.dot(interaction.normal, interaction.wo)
-    return interaction.weight * wp.max(mean_of(view_albedo(bsdf, cosine)), 1e-6)
+    return interaction.weight * wp.max(mean_of(view_albedo(bsdf, cosine)) + layers, 1e-6)
 
 
 @wp.func
@@ -111,7 +113,8 @@ def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
         ray.length = wave[0].meshes.t[i]
     probability = highlight_share(interaction) / wp.max(highlight_share(splats) + highlight_share(mesh), FOLLOWED)
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
-    sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, 0.0)
+    part = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])[1]
+    sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, part)
     ray.direction = sampled.direction
     j = ray.slot * stride + i
     ray.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
