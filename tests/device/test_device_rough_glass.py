@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from support.probes import probe_light_kernels
 
 Doubles = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
+REFERENCE = Path(__file__).resolve().parents[1] / "reference"
 ETAS = (1.0 / 1.5, 1.5, 1.0 / 1.3)
 
 
@@ -105,6 +107,22 @@ def test_values_are_walters(alpha: float, eta: float) -> None:
     expected = np.array([walter(alpha, eta, view, light) for light in lights])
     assert (expected > 0.0).mean() > 0.3
     np.testing.assert_allclose(values, expected, rtol=2e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("inside", [False, True])
+def test_values_are_mitsubas(number: int, inside: bool) -> None:
+    """As stored by tools/make_mitsuba_glass_reference.py; its radiance is not over the square of the index."""
+    with np.load(REFERENCE / "mitsuba_rough_dielectric.npz") as stored:
+        views, lights, theirs = stored["views"], stored["lights"], stored["values"][number, int(inside)]
+        alpha, ior = float(stored["alphas"][number]), float(stored["ior"])
+    eta = ior if inside else 1.0 / ior
+    ours = np.array(
+        [on_device(glass(alpha, eta), view, light[None])[0][0] for view, light in zip(views, lights, strict=True)]
+    )
+    ours *= np.abs(lights[:, 2]) * np.where(lights[:, 2] > 0.0, 1.0, eta**2)
+    assert (theirs > 1e-3).sum() > 25
+    np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("thin", [False, True])
