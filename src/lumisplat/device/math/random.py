@@ -42,6 +42,8 @@ LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
 """Dimension of the direction from it."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
 """Dimension of branch 0 of a key; those of the other branches count down from it."""
+KEPT_OR_RELIT = wp.constant(wp.uint32(0x80000000))
+"""Dimension of the choice between what kept and relit splat sets show on a ray: the first behind the Gaussians'."""
 
 
 @wp.func

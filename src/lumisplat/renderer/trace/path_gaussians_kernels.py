@@ -2,13 +2,10 @@
 
 import warp as wp
 
-from lumisplat.device.math.random import draw
+from lumisplat.device.math.random import KEPT_OR_RELIT, draw
 from lumisplat.device.structs.rays import GaussianHits, RayData
 
 wp.set_module_options({"enable_backward": False})
-
-WHICH = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Dimension of the draw between the two: other ones are the numbers of Gaussians."""
 
 
 @wp.kernel
@@ -29,7 +26,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, kept_inout: G
         return
     hidden = 1.0 - kept_inout.transmittance[i]
     kept_inout.hits[i] = kept_inout.hits[i] + surfaces.hits[i]
-    if draw(rays.sample_key[i], WHICH) < hidden:
+    if draw(rays.sample_key[i], KEPT_OR_RELIT) < hidden:
         kept_inout.color[i] = kept_inout.color[i] / hidden
         kept_inout.normal[i] = kept_inout.normal[i] / hidden
         kept_inout.transmittance[i] = 0.0
