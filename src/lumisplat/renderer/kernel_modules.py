@@ -19,11 +19,16 @@ from lumisplat.renderer.raster import (
     splat_tile_kernels,
 )
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.shadow import mesh_shadow_kernels, stochastic_bvh_kernels
+from lumisplat.renderer.shadow import mesh_shadow_kernels, parted_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
-from lumisplat.renderer.trace import camera_ray_kernels, mesh_trace_kernels, path_gaussians_kernels
+from lumisplat.renderer.trace import (
+    camera_ray_kernels,
+    mesh_trace_kernels,
+    path_gaussians_kernels,
+    stochastic_hit_kernels,
+)
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
-from lumisplat.renderer.trees import box_tree_kernels, gaussian_bvh_kernels
+from lumisplat.renderer.trees import box_tree_kernels, gaussian_bvh_kernels, ray_order_kernels
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
@@ -38,7 +43,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += gaussian_shadow_modules(launcher, config) if plan.splat_shadows.exist else []
         modules += [mesh_shadow_kernels] if plan.has_meshes else []
     if plan.traces_paths:
-        modules += [path_kernels, path_gaussians_kernels]
+        modules += [path_kernels, path_gaussians_kernels, ray_order_kernels, stochastic_hit_kernels]
+        modules += [parted_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
     elif plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     modules += [gaussian_bvh_kernels] if plan.follows_rays else []

@@ -21,8 +21,8 @@ from lumisplat.scene.scene import Scene
 from support.oracles.random_oracle import sample_keys
 from support.scenes.raster_scenes import front_camera
 
-SCHEDULES = ["cpu", "cpu as cuda", *(device.alias for device in wp.get_cuda_devices())]
-"""With the CPU's packets and trees, with those of CUDA, and on every GPU there is."""
+SCHEDULES = ["cpu", "cpu as cuda", "cpu ray by ray", *(device.alias for device in wp.get_cuda_devices())]
+"""With the CPU's packets and trees, with those of CUDA, each ray alone as in paths, and on every GPU there is."""
 
 
 class ShadowRig:
@@ -34,7 +34,8 @@ class ShadowRig:
     """
 
     def __init__(self, schedule: str = "cpu", threads: int | None = None) -> None:
-        device = schedule.partition(" as ")[0]
+        device = schedule.partition(" ")[0]
+        self._part = schedule.endswith("ray by ray")
         self._launcher = Launcher(device, threads, parallel=True if " as " in schedule else None)
         self._device = device
         self._buffers = Buffers(device)
@@ -73,7 +74,7 @@ class ShadowRig:
         rays.sample.fill_(sample)
         shadows.begin_sample(sample)
         blocked = wp.full(len(rays.pixel_key), opaque, dtype=wp.bool, device=self._device)
-        light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked)
+        light = shadows.trace(on_device, rays, skipping, "light", opaque=blocked, part=self._part)
         return light.numpy()[: len(origins)].astype(float)
 
     def _rays(

@@ -15,10 +15,15 @@ def spread_bits(x: int) -> int:
 
 
 @wp.func
+def code_of_cell(cell: wp.vec3i) -> int:
+    """Number of a cell of a grid of 1024^3."""
+    return spread_bits(cell[0]) | (spread_bits(cell[1]) << 1) | (spread_bits(cell[2]) << 2)
+
+
+@wp.func
 def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
-    """Number of a point's cell on a grid of 1024^3, along the Morton curve; points outside take the nearest cell."""
+    """Number of a point's cell on a grid of 1024^3; points outside take the nearest cell."""
     cell = wp.cw_mul(point - low, per_cell)
-    code = int(0)
-    for k in range(3):
-        code = code | (spread_bits(int(wp.clamp(cell[k], 0.0, 1023.0))) << k)
-    return code
+    x = int(wp.clamp(cell[0], 0.0, 1023.0))
+    y = int(wp.clamp(cell[1], 0.0, 1023.0))
+    return code_of_cell(wp.vec3i(x, y, int(wp.clamp(cell[2], 0.0, 1023.0))))

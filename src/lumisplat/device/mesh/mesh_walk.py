@@ -6,9 +6,9 @@ does not matter.
 
 import warp as wp
 
-from lumisplat.device.bvh.ray_nodes import enter_boxes, load_node, push_entered, push_link
+from lumisplat.device.bvh.ray_nodes import enter_boxes, inverse_or_large, load_node, push_entered, push_link
 from lumisplat.device.mesh.mesh_surface import hit_weights, meets_alpha
-from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
+from lumisplat.device.mesh.ray_mesh import box_span, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
 from lumisplat.device.structs.packet import WaitingLink

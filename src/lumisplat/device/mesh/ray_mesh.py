@@ -21,16 +21,6 @@ def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> 
 
 
 @wp.func
-def inverse_or_large(v: wp.vec3) -> wp.vec3:
-    """``1 / x`` of each component, finite."""
-    return wp.vec3(
-        wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
-        wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
-        wp.where(wp.abs(v[2]) > 1.0e-30, 1.0 / v[2], 1.0e30),
-    )
-
-
-@wp.func
 def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
     """The ray in object space, begun at ``t_min`` or shortly before it enters the instance's box.
 

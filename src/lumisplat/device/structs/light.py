@@ -85,6 +85,18 @@ class EmitterData:
 
 
 @struct
+class RayAbsorption:
+    """What a shadow ray has passed so far."""
+
+    transmittance: float
+    """0: it is blocked."""
+    floor: float
+    """It is blocked as soon as its transmittance falls to this."""
+    tint: wp.vec3
+    """Sum of linear colours, weighted by alpha."""
+
+
+@struct
 class LightSample:
     """A direction from a surface towards a light, and the light that comes from there."""
 

@@ -79,6 +79,21 @@ class WaitingNode:
 
 
 @struct
+class TreeRay:
+    """A single ray in the space of a tree."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    inverse: wp.vec3
+    """Of its components, finite."""
+    footprint: float
+    """Standard deviation by which Gaussians are widened over the length of the path."""
+    path_length: float
+    slabs: Slabs
+    """Its bound; for rays that have a footprint, and for Gaussians that are hit at their means."""
+
+
+@struct
 class WaitingLink:
     """A child of a node that a single ray still has to visit."""
 
@@ -97,6 +112,16 @@ class Hit:
     alpha: float
     index: int
     """Among all Gaussians of the scene."""
+
+
+@struct
+class ParticleHit:
+    """Where a single ray hits a Gaussian."""
+
+    t: float
+    """The distance by which hits are ordered; FAR: it does not."""
+    distance2: float
+    """Squared canonical distance at the peak of the response."""
 
 
 @struct

@@ -122,6 +122,7 @@ class PathIntegrator:
                     "path.visibility",
                     opaque=shadows.opaque,
                     of_splats=plan.splat_shadows,
+                    part=True,
                 )
         run(kernels.add_sampled_light, count, number, scene.shading, wave.data, paths, shadows, visibility, images)
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)

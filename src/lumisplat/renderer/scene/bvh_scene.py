@@ -75,6 +75,8 @@ class BvhScene:
         """That of the instances; HIT_MEAN if it is that of any."""
         self.stack = TRAVERSE_STACK_SMALL
         """Entries of the stack with which CUDA's kernels traverse the trees: enough, and one of two numbers."""
+        self.extent = 0.0
+        """Size of the largest instance, world space."""
         self.packet_radius = 0.0
         """Rays of a packet that start farther apart than this are not traced together, world space."""
 
@@ -150,7 +152,8 @@ class BvhScene:
             return  # nothing has moved
         self._placed = None  # until all of it is there
         extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
-        self.packet_radius = COHERENT_RADIUS * max(extents, default=0.0)
+        self.extent = max(extents, default=0.0)
+        self.packet_radius = COHERENT_RADIUS * self.extent
         boxes = self._world_boxes(scene, places)
         trees = {kind: tree_of_boxes(*boxes_among(boxes, among)) for kind, among in members.items()}
         waiting = max(waiting_in_tree(nodes) for nodes in trees.values())

@@ -6,6 +6,7 @@ from lumisplat.constants import EDGE_WEIGHT_MAX
 from lumisplat.device.bvh.ray_nodes import (
     LinkStackStorage,
     enter_boxes,
+    inverse_or_large,
     link_stack,
     load_node,
     push_entered,
@@ -14,7 +15,7 @@ from lumisplat.device.bvh.ray_nodes import (
 from lumisplat.device.light.shadow import pass_straight
 from lumisplat.device.material.media import passed
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
-from lumisplat.device.mesh.ray_mesh import box_span, inverse_or_large, ray_in_mesh
+from lumisplat.device.mesh.ray_mesh import box_span, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
 from lumisplat.device.structs.packet import WaitingLink

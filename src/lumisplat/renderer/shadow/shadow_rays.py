@@ -13,8 +13,9 @@ from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
-from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels
+from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels, parted_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
+from lumisplat.renderer.trees.ray_order import ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
@@ -56,6 +57,7 @@ class ShadowRays:
         *,
         opaque: wp.array[wp.bool] | None = None,
         of_splats: SplatShadows = ON_ALL,
+        part: bool = False,
     ) -> DeviceArray:
         """How much of the light from ``t_max`` arrives at each ray's origin: linear, per channel, 0..1, as wp.vec3.
 
@@ -67,6 +69,7 @@ class ShadowRays:
             skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
             name: Of the buffer that holds the result.
             opaque: Array of bool: rays that glass blocks. None: it blocks none.
+            part: Neighbouring rays go to different lights or start far apart: each goes through Gaussians alone.
             of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
@@ -82,12 +85,14 @@ class ShadowRays:
             assets := self._stochastic_bvh.assets(scene, self._settings, ray_count=count)
         ):
             bvh.assets = assets
-        run(
-            shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack),
-            count // self._lanes,
-            *(self._settings, bvh, rays, limits, skips, light),
-            bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
-        )
+        bands = RAY_BANDS_PER_THREAD * self._launcher.threads
+        if part and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS:
+            order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
+            kernel = parted_shadow_kernels.shadow_ray_by_ray
+            run(kernel, count, *(order, self._settings, bvh, rays, limits, skips, light), bands=bands)
+            return light
+        kernel = shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack)
+        run(kernel, count // self._lanes, *(self._settings, bvh, rays, limits, skips, light), bands=bands)
         return light
 
     def _past_meshes(

@@ -14,7 +14,8 @@ from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRAT
 from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace import gaussian_trace_kernels
+from lumisplat.renderer.trace import gaussian_trace_kernels, stochastic_hit_kernels
+from lumisplat.renderer.trees.ray_order import ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
@@ -41,6 +42,7 @@ class GaussianTracer:
         self._lanes = 1 if launcher.is_parallel else PACKET_RAYS
         stacks = (TRAVERSE_STACK_SMALL, TRAVERSE_STACK)
         self._kernels = {stack: trace_kernel_of(launcher, stack=stack) for stack in stacks}
+        self._is_stochastic_hit = config.trace.strategy is TraceStrategy.STOCHASTIC_HIT
         self._settings = buffers.get(f"{name}.settings", TraceData, 1)
         table = trace_table(launcher, config.trace)
         assign_table(self._settings, table)
@@ -77,11 +79,17 @@ class GaussianTracer:
         hits = self._buffers.struct(name, GaussianHits, count, () if tells_relit else RELIT_FIELDS)
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)
-        self._launcher.run_banded(
+        run, bands = self._launcher.run_banded, RAY_BANDS_PER_THREAD * self._launcher.threads
+        bvh = scene.bvh.data(scene.splat_instances, sets)
+        if bounced and self._is_stochastic_hit:
+            order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
+            run(stochastic_hit_kernels.meet_gaussians, count, order, settings, bvh, rays, limits, hits, bands=bands)
+            return hits
+        run(
             self._kernels[scene.bvh.stack],
             count // self._lanes,
-            *(settings, scene.bvh.data(scene.splat_instances, sets), rays, limits, hits, profiles),
-            bands=RAY_BANDS_PER_THREAD * self._launcher.threads,
+            *(settings, bvh, rays, limits, hits, profiles),
+            bands=bands,
         )
         return hits
 

@@ -1,1 +1,1 @@
-"""Bounding volume hierarchies over boxes, Gaussians, triangles and instances: their build and refit."""
+"""Bounding volume hierarchies over boxes, Gaussians, triangles and instances, and the order in which rays walk them."""

@@ -1,0 +1,118 @@
+"""Stochastic hits of rays that part: one item is one ray, which walks the trees alone.
+
+Which Gaussian a ray meets is what ``gaussian_trace_kernels`` finds with ``STRATEGY_HIT``: the nearest of those that are
+accepted with their alpha. The equations are in docs/method/ray_tracing.md.
+"""
+
+import warp as wp
+
+from lumisplat.device.bvh.node_test import lesser
+from lumisplat.device.bvh.ray_nodes import (
+    LinkStackStorage,
+    enter_tree,
+    link_stack,
+    load_node,
+    push_entered,
+    push_link,
+)
+from lumisplat.device.bvh.ray_packet import PACKET_OPTIONS
+from lumisplat.device.gaussian.aligned import load_particle
+from lumisplat.device.gaussian.compositing import empty_pixel
+from lumisplat.device.gaussian.packet_tracing import ray_of, surface_distance
+from lumisplat.device.gaussian.ray_compositing import add_relit, begin_relit, blend_hit, store_pixel
+from lumisplat.device.gaussian.ray_hit import alpha_at, begin_past, hit_particle, ray_in_instance, world_ray
+from lumisplat.device.math.random import draw
+from lumisplat.device.structs.bvh import FAR, HIT_HULL, HIT_MEAN, Node, Particle, SceneBvh, TraceData
+from lumisplat.device.structs.packet import Hit, WaitingLink
+from lumisplat.device.structs.rays import GaussianHits, RayData
+
+wp.set_module_options(PACKET_OPTIONS)
+
+
+@wp.func
+def meet_in_instance(
+    stack: wp.array[WaitingLink],
+    top: int,
+    i: int,
+    number: int,
+    end: float,
+    config: TraceData,
+    scene: SceneBvh,
+    rays: RayData,
+    met: wp.ref[Hit],
+):
+    """Replaces what ray ``i`` meets by a nearer Gaussian of instance ``number``, on the stack above ``top``."""
+    instance = scene.instances[number]
+    ray = ray_in_instance(i, instance, instance.hit_distance, rays)
+    t_min = rays.t_min[i]
+    key = rays.sample_key[i]
+    node = Node()
+    particle = Particle()
+    height = int(top)
+    push_link(stack, height, 0)
+    while height > top:
+        height -= 1
+        if stack[height].entry <= met.t:
+            link = stack[height].link
+            if link >= 0:
+                load_node(scene.assets[instance.asset].nodes, link, node)
+                reach = lesser(met.t, wp.where(instance.hit_distance == HIT_MEAN, FAR, end))
+                push_entered(stack, height, node, enter_tree(node, ray, instance.hit_distance, end), reach)
+            else:
+                load_particle(scene.assets[instance.asset].particles, ~link, particle)
+                begin = begin_past(t_min, config.offset, config.offset_absolute, particle, instance.scale)
+                hit = hit_particle(particle, ray, instance.scale, instance.hit_distance, begin, end)
+                index = instance.first + particle.index
+                if hit.t < met.t or (hit.t == met.t and index < met.index):
+                    alpha = alpha_at(instance.kernel, particle, hit.distance2)
+                    if draw(key, wp.uint32(index)) * config.acceptance_scale < alpha:
+                        met.t = hit.t
+                        met.index = index
+
+
+@wp.kernel
+def meet_gaussians(
+    start: int,
+    order: wp.array[int],
+    settings: wp.array[TraceData],
+    scene: SceneBvh,
+    rays: RayData,
+    limits: wp.array[float],
+    hits_out: GaussianHits,
+):
+    """The Gaussian that a ray meets before its limit; rays are taken in this order."""
+    i = order[start + wp.tid()]
+    config = settings[0]
+    pixel = empty_pixel()
+    store_pixel(hits_out, i, pixel)
+    hits_out.depth[i] = wp.inf
+    begin_relit(hits_out, i)
+    if not rays.is_active[i] or not limits[i] > 0.0:
+        return
+    end = wp.min(limits[i], FAR)
+    met = Hit()
+    met.t = FAR
+    met.index = -1
+    storage = LinkStackStorage()
+    stack = link_stack(storage)
+    node = Node()
+    world = world_ray(i, scene.footprint, rays)
+    top = int(0)
+    push_link(stack, top, 0)
+    while top > 0:
+        top -= 1
+        link = stack[top].link
+        if link >= 0:
+            load_node(scene.tlas_nodes, link, node)
+            push_entered(stack, top, node, enter_tree(node, world, HIT_HULL, end), end)
+        elif stack[top].entry <= met.t or scene.instances[~link].hit_distance == HIT_MEAN:
+            meet_in_instance(stack, top, i, ~link, end, config, scene, rays, met)
+    if met.index >= 0:
+        ray = ray_of(rays, i)
+        if config.offset < FAR:
+            ray.t_min = 0.0  # small Gaussians count before it
+        shown = blend_hit(pixel, config, scene.instances, scene.assets, ray, met.index, 1.0)
+        store_pixel(hits_out, i, shown)
+        hits_out.depth[i] = surface_distance(scene, ray, end, met.index, met.t)
+        if hits_out.relit_weight:
+            add_relit(hits_out, i, scene.instances, pixel, shown, met.index)

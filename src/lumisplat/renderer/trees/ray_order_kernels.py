@@ -1,0 +1,25 @@
+"""Keys by which rays that part are sorted. One item is one ray."""
+
+import warp as wp
+
+from lumisplat.device.bvh.morton import code_of_cell
+from lumisplat.device.structs.rays import RayData
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def key_rays(start: int, per_cell: float, last: int, rays: RayData, keys_out: wp.array[int], order_out: wp.array[int]):
+    """Morton code of the cell where a ray starts, then the octant of its direction; ``last`` where there is none.
+
+    The grid of 16^3 cells is repeated in all directions: it needs no bounds.
+    """
+    i = start + wp.tid()
+    order_out[i] = i
+    keys_out[i] = last
+    if rays.is_active[i]:
+        place = per_cell * rays.origin[i]
+        direction = rays.direction[i]
+        octant = int(direction[0] > 0.0) + 2 * int(direction[1] > 0.0) + 4 * int(direction[2] > 0.0)
+        cells = wp.vec3i(int(wp.floor(place[0])), int(wp.floor(place[1])), int(wp.floor(place[2])))
+        keys_out[i] = 8 * code_of_cell(wp.vec3i(cells[0] & 15, cells[1] & 15, cells[2] & 15)) + octant
