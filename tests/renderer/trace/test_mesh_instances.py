@@ -9,6 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
+from lumisplat.runtime.buffers import device_array
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.raster_scenes import similarity
 from support.scenes.ray_rig import RayRig
@@ -78,7 +79,7 @@ def test_instances_that_move_are_hit_where_they_are(parallel: bool) -> None:
     for instances in (start, nudged, crowd(300, 4, meshes), start[:250]):
         kept.sync(ls.Scene([], instances))
         builds.append(kept.graph_key)
-        nodes, order = kept.data.tlas_nodes.numpy(), kept.data.tlas_order.numpy()
+        nodes, order = (device_array(array).numpy() for array in (kept.data.tlas_nodes, kept.data.tlas_order))
         leaves = nodes["link"] < 0
         instance = order[~nodes["link"][leaves]]
         low, high = (np.stack([nodes[f"{side}_{k}"] for k in "xyz"], axis=-1)[leaves] for side in ("low", "high"))

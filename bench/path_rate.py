@@ -1,0 +1,227 @@
+"""Samples a second of paths, and what their rays cost: ``python -m bench.path_rate [--device cuda]``.
+
+A mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), frames taking turns, and the same room with relit Gaussians,
+which has no counterpart there. Then, for meshes and Gaussians, what finding the hits of a camera's ray and of a bounced
+one takes. Times are CPU time of the process, all threads together, the least of some frames: other work on the machine
+counts little. On a GPU they are wall time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lumisplat as ls
+from bench.mitsuba_peer import load_mitsuba
+from bench.presets import BIKER, load_capture, synthetic
+from bench.timing import parser, quiet_warp
+from lumisplat.demo import shapes
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+
+SIZE, SAMPLES, REPEATS = 256, 8, 6
+BOUNCES = 8
+WHITE, RED, GREEN = (0.73, 0.73, 0.73), (0.63, 0.065, 0.05), (0.14, 0.45, 0.09)
+
+
+def main() -> None:
+    """Prints two tables."""
+    options = parser("path_rate", __doc__).parse_args()
+    quiet_warp()
+    clock = time.process_time if options.device == "cpu" else time.perf_counter
+    view = ls.Camera.look_at((0.5, 0.5, -1.3), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.7)
+    mesh_room = ls.Scene(meshes=room())
+    print("| scene | million samples a second | Mitsuba | ratio |\n| --- | ---: | ---: | ---: |")
+    ours = frames_of(mesh_room, view, options.device)
+    try:
+        peer = mitsuba_frames(mesh_room, view)
+    except ImportError as error:
+        peer = None
+        print(f"no peer: {error}")
+    rates = [1e-6 * SIZE * SIZE * SAMPLES / least for least in least_times(clock, ours, peer)]
+    beside = f"{rates[1]:.2f} | **{rates[0] / rates[1]:.2f}**" if peer else " | "
+    print(
+        f"| {sum(one.mesh.face_count for one in mesh_room.meshes):,} triangles | {rates[0]:.3f} | {beside} |",
+        flush=True,
+    )
+    for count in (100_000, 1_000_000):
+        (least,) = least_times(clock, frames_of(with_gaussians(count), view, options.device), None)
+        print(f"| {count:,} Gaussians | {1e-6 * SIZE * SIZE * SAMPLES / least:.3f} | | |", flush=True)
+
+    print("\n| hits of a ray, nanoseconds | camera | bounced | ratio |\n| --- | ---: | ---: | ---: |")
+    scenes = {"mesh room": (mesh_room, view), "room, 100,000 Gaussians": (with_gaussians(100_000), view)}
+    scenes["demo"] = ls.demo_scene_lit(), ls.demo_cameras(640, 360, count=1)[0]
+    if BIKER.is_file():
+        scenes["biker, relit, on a floor"] = biker_on_floor()
+    for name, (scene, camera) in scenes.items():
+        camera_ns, bounced_ns = ray_costs(scene, camera, options.device, clock)
+        print(f"| {name} | {camera_ns:.0f} | {bounced_ns:.0f} | **{bounced_ns / camera_ns:.2f}** |", flush=True)
+
+
+def config(samples: int) -> ls.RenderConfig:
+    """Settings of paths."""
+    return ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=BOUNCES)
+
+
+def matte(color: tuple[float, float, float], emissive: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ls.MaterialPbr:
+    """A diffuse material."""
+    return ls.MaterialPbr(base_color=color, emissive=emissive, roughness=1.0, specular=0.0)
+
+
+def grid(corner: Any, u: Any, v: Any, cells: int, material: ls.MaterialPbr) -> ls.Mesh:
+    """A rectangle of ``cells`` by ``cells`` squares."""
+    steps = np.linspace(0.0, 1.0, cells + 1)
+    points = np.array(corner) + steps[:, None, None] * np.array(u) + steps[None, :, None] * np.array(v)
+    first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    corners = np.stack([first, first + cells + 1, first + 1], axis=1)
+    others = np.stack([first + 1, first + cells + 1, first + cells + 2], axis=1)
+    return ls.Mesh(points.reshape(-1, 3), np.concatenate([corners, others]), material=material)
+
+
+def room() -> list[ls.Mesh]:
+    """A Cornell-like room of 2,560 triangles with two balls of 1,280 each, lit by 32 that shine."""
+    balls = [((0.3, 0.2, 0.6), 0.2, (0.7, 0.6, 0.3)), ((0.7, 0.18, 0.35), 0.18, (0.4, 0.5, 0.8))]
+    walls = [
+        grid((0, 0, 0), (0, 0, 1), (1, 0, 0), 16, matte(WHITE)),
+        grid((0, 1, 0), (1, 0, 0), (0, 0, 1), 16, matte(WHITE)),
+        grid((0, 0, 1), (0, 1, 0), (1, 0, 0), 16, matte(WHITE)),
+        grid((0, 0, 0), (0, 1, 0), (0, 0, 1), 16, matte(RED)),
+        grid((1, 0, 0), (0, 0, 1), (0, 1, 0), 16, matte(GREEN)),
+    ]
+    ball = shapes.icosphere()
+    round_ones = [
+        ls.Mesh(np.array(place) + radius * ball.positions, ball.indices, material=matte(color))
+        for place, radius, color in balls
+    ]
+    lamp = grid((0.35, 0.99, 0.35), (0.3, 0, 0), (0, 0, 0.3), 4, matte((0.0, 0.0, 0.0), (15.0, 12.0, 9.0)))
+    return [*walls, *round_ones, lamp]
+
+
+def with_gaussians(count: int) -> ls.Scene:
+    """The room with relit Gaussians in place of one of the balls."""
+    ball = ls.SplatInstance(
+        synthetic(count), np.diag([0.18, 0.18, 0.18, 1.0]) + _shift(0.7, 0.25, 0.35), material=matte((0.4, 0.5, 0.8))
+    )
+    meshes = room()
+    return ls.Scene(splats=[ball], meshes=[*meshes[:6], meshes[-1]])
+
+
+def _shift(x: float, y: float, z: float) -> np.ndarray:
+    matrix = np.zeros((4, 4))
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def biker_on_floor() -> tuple[ls.Scene, ls.Camera]:
+    """The capture, relit by a sky and a sun."""
+    floor = grid((-6.0, 0.02, -6.0), (0.0, 0.0, 12.0), (12.0, 0.0, 0.0), 4, matte((0.6, 0.6, 0.6)))
+    lights = (ls.LightEnvironment(), ls.LightDirectional((0.4, 1.0, 0.6), intensity=2.0))
+    capture = ls.SplatInstance(load_capture(BIKER), material=ls.MaterialPbr(roughness=0.9))
+    eye, target = (0.9, -2.2, -3.6), (-0.1, -1.6, 0.0)
+    camera = ls.Camera.look_at(eye, target, (0.0, -1.0, 0.0), width=640, height=360, fov_y=0.85)
+    return ls.Scene(splats=[capture], meshes=[floor], lights=lights), camera
+
+
+def frames_of(scene: ls.Scene, view: ls.Camera, device: str) -> Callable[[], None]:
+    """What renders one frame."""
+    renderer = ls.create_renderer(config(SAMPLES), device)
+
+    def render() -> None:
+        assert renderer.render(scene, view).color.size
+
+    return render
+
+
+def least_times(clock: Callable[[], float], ours: Callable[[], None], peer: Callable[[], None] | None) -> list[float]:
+    """Seconds of a frame of each, taking turns after a first one."""
+    turns = [ours] + ([peer] if peer else [])
+    least = [float("inf")] * len(turns)
+    for render in turns:
+        render()
+    for _ in range(REPEATS):
+        for number, render in enumerate(turns):
+            begun = clock()
+            render()
+            least[number] = min(least[number], clock() - begun)
+    return least
+
+
+def mitsuba_frames(scene: ls.Scene, view: ls.Camera) -> Callable[[], None]:
+    """What renders one frame of the same meshes with Mitsuba."""
+    mi = load_mitsuba()
+    to_world = view.world_from_camera.copy()
+    to_world[:, :2] *= -1.0
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
+    sensor = {"type": "perspective", "fov": float(np.degrees(view.fov_y)), "fov_axis": "y", "film": film}
+    described = {"type": "scene", "sensor": sensor | {"to_world": mi.ScalarTransform4f(to_world)}}
+    # As many segments, and Russian roulette from the same bounce on.
+    described["integrator"] = {"type": "path", "max_depth": BOUNCES + 2, "rr_depth": 4}
+    with tempfile.TemporaryDirectory() as folder:
+        for number, instance in enumerate(scene.meshes):
+            described[f"mesh{number}"] = mitsuba_mesh(mi, instance.mesh, Path(folder) / f"{number}.ply")
+        loaded = mi.load_dict(described)
+    seeds = iter(range(1, 1_000_000))
+
+    def render() -> None:
+        mi.render(loaded, spp=SAMPLES, seed=mi.UInt32(next(seeds))).numpy()
+
+    return render
+
+
+def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
+    """A mesh as an entry of Mitsuba's scene."""
+    material: Any = mesh.material
+    written = mi.Mesh("mesh", mesh.vertex_count, mesh.face_count)
+    parameters = mi.traverse(written)
+    parameters["vertex_positions"], parameters["faces"] = mesh.positions.ravel(), mesh.indices.ravel().astype(np.uint32)
+    parameters.update()
+    written.write_ply(str(path))
+    reflectance = {"type": "rgb", "value": list(material.base_color)}
+    bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+    described: dict[str, Any] = {"type": "ply", "filename": str(path), "face_normals": True, "bsdf": bsdf}
+    if max(material.emissive) > 0.0:
+        described["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": list(material.emissive)}}
+    return described
+
+
+def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[], float]) -> tuple[float, float]:
+    """Nanoseconds that finding the hits of a ray takes: of the camera's, and of those that have bounced."""
+    renderer = ls.create_renderer(config(1), device)
+    renderer.render(scene, view)
+    least = (float("inf"), float("inf"))
+    for _ in range(REPEATS):
+        with timed_rays(clock) as rows:
+            renderer.render(scene, view)
+        camera, bounced = ([row for row in rows if row[0] == is_bounced] for is_bounced in (False, True))
+        costs = [1e9 * sum(row[1] for row in part) / sum(row[2] for row in part) for part in (camera, bounced)]
+        least = min(least[0], costs[0]), min(least[1], costs[1])
+    return least
+
+
+@contextlib.contextmanager
+def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, int]]]:
+    """Receives whether the rays of a wave have bounced, seconds that finding their hits took, and their number."""
+    rows: list[tuple[bool, float, int]] = []
+    find_hits = RayTracer.find_hits
+
+    def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False) -> Any:
+        begun = clock()
+        hits = find_hits(tracer, scene, rays, name, bounced=bounced)
+        count = int(np.count_nonzero(rays.is_active.numpy()))  # waits for a GPU
+        rows.append((bounced, clock() - begun, max(count, 1)))
+        return hits
+
+    RayTracer.find_hits = timed
+    try:
+        yield rows
+    finally:
+        RayTracer.find_hits = find_hits
+
+
+if __name__ == "__main__":
+    main()
