@@ -153,7 +153,7 @@ def least_times(clock: Callable[[], float], ours: Callable[[], None], peer: Call
 
 def mitsuba_frames(scene: ls.Scene, view: ls.Camera) -> Callable[[], None]:
     """What renders one frame of the same meshes with Mitsuba."""
-    mi = load_mitsuba()
+    mi: Any = load_mitsuba()
     to_world = view.world_from_camera.copy()
     to_world[:, :2] *= -1.0
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
@@ -207,6 +207,7 @@ def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[],
 def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, int]]]:
     """Receives whether the rays of a wave have bounced, seconds that finding their hits took, and their number."""
     rows: list[tuple[bool, float, int]] = []
+    patched: Any = RayTracer
     find_hits = RayTracer.find_hits
 
     def timed(tracer: RayTracer, scene: Any, rays: Any, name: str, *, bounced: bool = False) -> Any:
@@ -216,11 +217,11 @@ def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, 
         rows.append((bounced, clock() - begun, max(count, 1)))
         return hits
 
-    RayTracer.find_hits = timed
+    patched.find_hits = timed
     try:
         yield rows
     finally:
-        RayTracer.find_hits = find_hits
+        patched.find_hits = find_hits
 
 
 if __name__ == "__main__":
