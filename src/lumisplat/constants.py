@@ -69,9 +69,6 @@ COHERENT_SPREAD = 0.15
 COHERENT_RADIUS = 0.03
 """Nor are they if their origins differ from that one's by more than this share of the scene's largest capture."""
 
-RAY_ORDER_CELLS = 8.0
-"""Cells along the size of the largest capture, by which rays that part are sorted."""
-
 TREE_SURFACE_LEVELS = 10
 """Levels of a hierarchy that are split by surface area; below, in the middle, which bounds the depth of any input."""
 

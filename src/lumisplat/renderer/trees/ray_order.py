@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from lumisplat.constants import RAY_ORDER_CELLS
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.trees import ray_order_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import sort_pairs
+
+_CELLS = 8.0
+"""Along the size of what rays go through."""
 
 _LAST = 8 * 16**3
 """Greater than the keys of all rays."""
@@ -29,6 +31,6 @@ def ray_order(launcher: Launcher, buffers: Buffers, rays: RayData, extent: float
     """
     count = len(rays.t_max)
     keys, order = (buffers.get(f"ray_order.{name}", wp.int32, 2 * count) for name in ("keys", "order"))
-    launcher.run_banded(kernels.key_rays, count, RAY_ORDER_CELLS / max(extent, 1e-30), _LAST, rays, keys, order)
+    launcher.run_banded(kernels.key_rays, count, _CELLS / max(extent, 1e-30), _LAST, rays, keys, order)
     sort_pairs(keys, order, count, bits=_LAST.bit_length())
     return order
