@@ -122,3 +122,20 @@ def test_saved_layers(tmp_path: Path) -> None:
     frame.save(tmp_path / "a.png", layers=("direct_diffuse", "bounces", "lights"))
     names = {path.name for path in tmp_path.iterdir()}
     assert {"a.direct_diffuse.png", "a.bounce.0.png", "a.bounce.2.png", "a.light.ball.total.png"} <= names
+
+
+def test_a_coat_is_glossy_and_what_is_below_it_diffuse() -> None:
+    """The coat takes its share of the diffuse light and adds its own highlight; both parts are as without the other."""
+    lamp = ls.LightPoint((0.3, 0.8, 0.0), intensity=2.0)
+    above = ls.Camera.look_at((-0.3, 0.8, 0.0), (0, 0, 0), (0, 0, 1), width=8, height=8, fov_y=0.1)
+    parts: dict[str, np.ndarray] = {}
+    for name, albedo in (("red", 0.6), ("black", 0.0)):
+        coated = replace(diffuse(albedo), clearcoat=1.0, clearcoat_roughness=0.5)
+        floor = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), coated)
+        frame = paths(ls.Scene(meshes=[floor], lights=[lamp]), above, 1, 0, aovs=ALL)
+        parts[name] = np.stack([frame.direct_diffuse, frame.direct_glossy])
+    assert not parts["black"][0].any() and parts["black"][1].min() > 0.0
+    np.testing.assert_allclose(parts["red"][1], parts["black"][1], rtol=1e-3)
+    bare = quad((-1, 0, -1), (0, 0, 2), (2, 0, 0), diffuse(0.6))
+    whole = paths(ls.Scene(meshes=[bare], lights=[lamp]), above, 1, 0, aovs=ALL).direct_diffuse
+    assert 0.8 < (parts["red"][0] / whole).min() <= (parts["red"][0] / whole).max() < 0.97

@@ -380,6 +380,9 @@ def diffuse_share(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) ->
         diffuse = wp.cw_mul(INV_PI * bsdf.diffuse, simple_scale(bsdf))
     else:
         diffuse = pbr_diffuse(bsdf, cos_view, cos_light)
+    if has_layers(bsdf):
+        below = left_by_coat(bsdf, cos_view, cos_light) * left_by_sheen(bsdf, cos_view, cos_light)
+        diffuse = below * diffuse
     for channel in range(3):
         if value[channel] > 0.0:
             share[channel] = wp.min(diffuse[channel] / value[channel], 1.0)
