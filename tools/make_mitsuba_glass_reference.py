@@ -25,7 +25,7 @@ def directions(rng: np.random.Generator, lowest: float) -> np.ndarray:
 
 def values(alpha: float, views: np.ndarray, lights: np.ndarray, *, inside: bool) -> np.ndarray:
     """BSDF times cosine of the light, shape (COUNT,); from inside, both directions are mirrored across the surface."""
-    import mitsuba
+    import mitsuba  # pyright: ignore[reportMissingImports]
 
     mi: Any = mitsuba
     settings: dict[str, Any] = {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha, "int_ior": IOR}
@@ -42,7 +42,7 @@ def values(alpha: float, views: np.ndarray, lights: np.ndarray, *, inside: bool)
 
 def main() -> None:
     """Writes the file."""
-    import mitsuba
+    import mitsuba  # pyright: ignore[reportMissingImports]
 
     mitsuba.set_variant("scalar_rgb")
     rng = np.random.default_rng(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def test_a_capture_that_is_alone_is_blended_as_traced() -> None:
     """To the bit, with one sample: what is a picture has no grain."""
     capture = ls.Scene(splats=[random_gaussians(3)])
     settings = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
-    traced = ls.render(capture, front_camera(32, 24), replace(settings, pipeline="trace"), device="cpu")
+    traced = ls.render(capture, front_camera(32, 24), replace(settings, pipeline=ls.Pipeline.TRACE), device="cpu")
     frame = ls.render(capture, front_camera(32, 24), settings, device="cpu")
     np.testing.assert_array_equal(frame.captured, traced.color)
     np.testing.assert_array_equal(frame.light, 0.0)
@@ -58,7 +59,7 @@ def test_haze_that_is_kept_before_what_is_lit() -> None:
         splats=[picture(0.0, 0.3, (0.8, 0.8, 0.8)), wide_sheet(1.0, 0.8, 0.5)],
         lights=[ls.LightDirectional((0, 0, 1), intensity=2.0, casts_shadow=False)],
     )
-    frame = paths(scene, view(), SAMPLES, 0)
+    frame: Any = paths(scene, view(), SAMPLES, 0)
     lit = 0.5 * 2.0 / np.pi
     assert_is(frame.light[..., 1], 0.7 * 0.8 * lit)
     captured = frame.captured[..., 1]
@@ -72,8 +73,8 @@ def test_a_lamp_behind_haze_is_as_bright_as_what_gets_through() -> None:
             splats=[picture(0.0, opacity, (0.0, 0.0, 0.0)), picture(3.0, 0.5, (0.0, 0.0, 0.0))],
             lights=[ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)],
         )
-        frame = paths(scene, view(), 16, 0)
-        alone = paths(replace(scene, splats=()), view(), 16, 0)
+        frame: Any = paths(scene, view(), 16, 0)
+        alone: Any = paths(replace(scene, splats=()), view(), 16, 0)
         assert alone.light.max() > 0.0
         np.testing.assert_allclose(frame.light, (1.0 - opacity) * alone.light, rtol=2e-3)
 
@@ -87,13 +88,13 @@ def test_a_panel_behind_a_panel_lights_by_what_gets_through() -> None:
         for z, opacity, color in ((1.0, 0.5, (1.0, 1.0, 1.0)), (2.0, 0.999, (0.0, 0.0, 0.0)))
     ]
     above = ls.Camera.look_at((0, 0.5, 0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.05)
-    frame = paths(ls.Scene(meshes=[floor], splats=lids), above, 32, 1)
+    frame: Any = paths(ls.Scene(meshes=[floor], splats=lids), above, 32, 1)
     # Sideways, the sheets are as opaque: they are far wider than they are far away.
     np.testing.assert_allclose(frame.color, 0.6 * linear(0.5), rtol=0.01)
 
 
-@pytest.mark.parametrize("primary", ["particle", "iso"])
-def test_what_paths_meet_first(primary: str) -> None:
+@pytest.mark.parametrize("primary", list(ls.PathPrimary))
+def test_what_paths_meet_first(primary: ls.PathPrimary) -> None:
     """Two lit sheets of unlike albedo: the iso surface blends them and lights the blend, particles are lit one by one.
 
     Their display-referred means differ, as light does not.
@@ -102,9 +103,9 @@ def test_what_paths_meet_first(primary: str) -> None:
         splats=[wide_sheet(0.0, 0.6, 0.1), wide_sheet(1.0, 0.9, 0.9)],
         lights=[ls.LightDirectional((0, 0, 1), intensity=np.pi, casts_shadow=False)],
     )
-    frame = paths(scene, view(), SAMPLES, 0, path=ls.PathConfig(primary=primary))
-    if primary == "particle":
+    frame: Any = paths(scene, view(), SAMPLES, 0, path=ls.PathConfig(primary=primary))
+    if primary is ls.PathPrimary.PARTICLE:
         assert_is(frame.color[..., 1], 0.6 * 0.1 + 0.4 * 0.9 * 0.9)
     else:
-        traced = ls.render(scene, view(), ls.RenderConfig(pipeline="trace"), device="cpu")
+        traced = ls.render(scene, view(), ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
         np.testing.assert_allclose(frame.color, traced.color, rtol=1e-4)

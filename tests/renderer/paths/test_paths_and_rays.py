@@ -120,4 +120,4 @@ def test_given_rays_of_an_unlit_scene_are_traced() -> None:
         ls.trace_rays(unlit, (0.0, 0.0, -1.0), ways, ls.RenderConfig(pipeline=pipeline), device="cpu").radiance
         for pipeline in (ls.Pipeline.PATH, ls.Pipeline.TRACE)
     ]
-    np.testing.assert_array_equal(*seen)
+    np.testing.assert_array_equal(seen[0], seen[1])
