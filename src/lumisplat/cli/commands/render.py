@@ -47,8 +47,9 @@ class Render(FrameCommand):
     """PNG is 8-bit sRGB; EXR and NPZ hold floats. auto follows the name of the output, else png."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Also write some of depth, normal, gaussian_index, instance_index, position and, of lit frames, albedo, emission,
-    reflection, lights, hits, variance, sample_count (with commas): into the EXR, or beside the PNG as NAME.depth.png,
-    depth also as 16-bit NAME.depth16.png, whose range is printed. An NPZ has them all."""
+    reflection, lights, hits, variance, sample_count, or of frames of paths direct_diffuse, indirect_diffuse,
+    direct_glossy, indirect_glossy, bounces (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also
+    as 16-bit NAME.depth16.png, whose range is printed. An NPZ has them all."""
     view: Annotated[
         ViewName | None,
         arg(metavar="{normal,depth,index,shadow,hits,transmittance}", help_behavior_hint=""),

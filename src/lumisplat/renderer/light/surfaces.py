@@ -104,7 +104,7 @@ class Surfaces:
         without: set[str] = set() if plan.spawns_shadow_rays else set(SHADOW_RAY_FIELDS)
         if not plan.has_rough_glass:
             without |= ROUGH_GLASS_FIELDS
-        if not plan.has_layers:
+        if not plan.has_coatings:
             without |= LAYER_FIELDS
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 

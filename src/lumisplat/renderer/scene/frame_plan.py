@@ -101,7 +101,7 @@ class FramePlan:
     """The scene has mesh instances."""
     has_media: bool
     """Rays are refracted into meshes, and know which they are in."""
-    has_layers: bool
+    has_coatings: bool
     """Interactions have clearcoat, sheen, or light that is scattered more than once."""
     has_rough_glass: bool
     """Paths are scattered through rough surfaces."""
@@ -183,7 +183,7 @@ class FramePlan:
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             has_media=not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes),
-            has_layers=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
+            has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             draws_alpha=draws_alpha,
             keeps_captures=keeps,
