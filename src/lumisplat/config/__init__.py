@@ -16,11 +16,12 @@ from lumisplat.config.rays import (
     TraceStrategy,
 )
 from lumisplat.config.relighting import NormalEstimate, RelightConfig
-from lumisplat.config.render import AOVS, PATH_PARTS, Pipeline, RenderConfig, Shadows, ToneMap
+from lumisplat.config.render import AOVS, PATH_AOVS, PATH_PARTS, Pipeline, RenderConfig, Shadows, ToneMap
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 
 __all__ = [
     "AOVS",
+    "PATH_AOVS",
     "PATH_PARTS",
     "Absorption",
     "Antialiasing",

@@ -62,9 +62,12 @@ class ToneMap(Enum):
 PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 """Images whose sum is a frame of paths; the other pipelines have the last one."""
 
+PATH_AOVS = (*PATH_PARTS[:4], "bounces")
+"""Images that only frames of paths have."""
+
 AOVS = (
     *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count"),
-    *(*PATH_PARTS[:4], "bounces"),
+    *PATH_AOVS,
 )
 """Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
 

@@ -61,6 +61,8 @@ def _untouched(frame: FrameData) -> Flags:
 
 def _guides(frame: FrameData) -> dict[str, Any]:
     """Albedo and normals of the first surfaces, if these are free of noise themselves."""
+    if frame.camera.aperture > 0.0:
+        return {}  # each sample has surfaces of its own
     if frame.config is None or draws_surfaces(frame.config):
         if not frame.has("albedo") or (frame.gaussian_index >= 0).any():
             return {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lumisplat.config import PATH_PARTS, Pipeline, RenderConfig
+from lumisplat.config import PATH_AOVS, Pipeline, RenderConfig
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
@@ -204,8 +204,7 @@ class Renderer:
         check_samples(self.config, plan, resume)
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
-        of_paths = {"bounces", *PATH_PARTS[:4]}
-        if missing := plan.aovs & ({"reflection"} if plan.traces_paths else of_paths):
+        if missing := plan.aovs & ({"reflection"} if plan.traces_paths else {*PATH_AOVS}):
             others = "Pipeline.HYBRID does" if plan.traces_paths else "Pipeline.PATH does"
             names = ", ".join(sorted(missing))
             raise ConfigError(f"Pipeline.{self.config.pipeline.name} has no {names} among its aovs: {others}")

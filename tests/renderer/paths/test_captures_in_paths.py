@@ -109,3 +109,31 @@ def test_what_paths_meet_first(primary: ls.PathPrimary) -> None:
     else:
         traced = ls.render(scene, view(), ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
         np.testing.assert_allclose(frame.color, traced.color, rtol=1e-4)
+
+
+@pytest.mark.parametrize("opacity", [0.3, 0.6])
+def test_a_lamp_behind_a_lit_sheet_is_as_bright_for_either_primary(opacity: float) -> None:
+    """Where the sheet is blended, too: by what gets through, whether or not it has an iso-opacity surface."""
+    lamp = ls.LightRect((0, 0, 2), (0, 3, 0), (3, 0, 0), intensity=1.0)
+    scene = ls.Scene(splats=[wide_sheet(0.0, opacity, 0.0)], lights=[lamp])
+    for primary in ls.PathPrimary:
+        frame = paths(scene, view(), 256, 0, path=ls.PathConfig(primary=primary))
+        np.testing.assert_allclose(frame.color.mean(), 1.0 - opacity, rtol=0.02)
+
+
+def test_stochastic_shadows_are_as_bright_as_exact_ones() -> None:
+    """Through haze, off the middle of a lamp: what hides a point of the lamp is no matter of which point it is."""
+    floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), diffuse(0.8))
+    turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    haze = ls.SplatInstance(
+        wide_sheet(1.0, 0.5, 0.0).gaussians, turn, material=ls.MaterialPbr(specular=0.0, roughness=1.0)
+    )
+    lamp = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0, visible=False)
+    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[lamp])
+    down = ls.Camera.look_at((1.5, 0.5, 0.7), (1.5, 0, 0.7), (0, 0, 1), width=16, height=16, fov_y=0.02)
+    means = [
+        paths(scene, down, 128, 0, shadow_rays=ls.ShadowConfig(method=method)).color.mean()
+        for method in (ls.ShadowMethod.EXACT, ls.ShadowMethod.STOCHASTIC)
+    ]
+    assert means[0] > 0.01
+    np.testing.assert_allclose(means[1], means[0], rtol=0.02)

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.config import PATH_PARTS
 from support.scenes.lit_scene import LAMPS, SKY, camera, scene
-from support.scenes.path_scenes import cube_without_ceiling, diffuse, paths, quad
+from support.scenes.path_scenes import cube_without_ceiling, diffuse, paths, quad, wide_sheet
 
 ALL = (*PATH_PARTS, "bounces", "lights", "albedo")
 
@@ -140,3 +140,14 @@ def test_a_coat_is_glossy_and_what_is_below_it_diffuse() -> None:
     plain: Any = paths(ls.Scene(meshes=[bare], lights=[lamp]), above, 1, 0, aovs=ALL)
     whole = plain.direct_diffuse
     assert 0.8 < (parts["red"][0] / whole).min() <= (parts["red"][0] / whole).max() < 0.97
+
+
+def test_what_gaussians_shine_is_no_light_of_the_sky() -> None:
+    """A sheet that is emissive, before a dim sky: its light is that of what is no light."""
+    material = ls.MaterialPbr(specular=0.0, roughness=1.0, emissive=(3.0, 3.0, 3.0))
+    sheet = replace(wide_sheet(0.0, 0.9, 0.5), material=material)
+    sky = ls.LightEnvironment(color=(1e-3, 1e-3, 1e-3))
+    ahead = ls.Camera.look_at((0, 0, -1), (0, 0, 1), width=8, height=8, fov_y=0.01)
+    frame: Any = paths(ls.Scene(splats=[sheet], lights=[sky]), ahead, 64, 0, aovs=ALL)
+    assert frame.light_total[0].mean() < 2e-3
+    assert frame.light_total[1].mean() > 0.3

@@ -121,3 +121,24 @@ def test_given_rays_of_an_unlit_scene_are_traced() -> None:
         for pipeline in (ls.Pipeline.PATH, ls.Pipeline.TRACE)
     ]
     np.testing.assert_array_equal(seen[0], seen[1])
+
+
+@pytest.mark.parametrize("kind", ["rect", "emitter"])
+def test_light_is_absorbed_on_its_way_inside_a_body(kind: str) -> None:
+    """A floor, a lamp a unit above it and the camera's way down are in a body that absorbs half of the light a unit."""
+    water = ls.MaterialPbr(
+        base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0, attenuation_color=(0.5,) * 3
+    )
+    lamp = ls.LightRect((0, 1, 0), (0.2, 0, 0), (0, 0, 0.2), intensity=20.0)
+    shine = quad((-0.1, 1, -0.1), (0.2, 0, 0), (0, 0, 0.2), diffuse(0.0, 20.0))
+    floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(0.5))
+    above = ls.Camera.look_at((0.9, 5.0, 0.0), (0.9, 0.0, 0.0), (0, 0, 1), width=16, height=16, fov_y=0.004)
+    means: list[float] = []
+    for distance in (np.inf, 1.0):
+        body = ls.MeshInstance(replace(ls.box((8, 4, 8)), material=replace(water, attenuation_distance=distance)))
+        things = [body, floor] if kind == "rect" else [body, floor, shine]
+        lights = [lamp] if kind == "rect" else []
+        means.append(float(paths(ls.Scene(meshes=things, lights=lights), above, 64, 3).color.mean()))
+    ways = 2.0 + np.hypot(1.0, 0.9)
+    assert means[0] > 0.0
+    np.testing.assert_allclose(means[1] / means[0], 0.5**ways, rtol=0.04)

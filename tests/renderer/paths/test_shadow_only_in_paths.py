@@ -105,3 +105,45 @@ def test_a_capture_that_is_added_takes_light_too() -> None:
     scene = ls.Scene([place(0.0, 0.5, size=0.5), place(3.0, 0.8), place(2.5, 0.0, shadow_only=False)])
     left = factor(scene)
     assert left.max() < 0.02
+
+
+def test_a_disc_that_shines_needs_no_sky() -> None:
+    """Its light counts against the least that the floor must have received: pi times what it shines."""
+    scene = ls.Scene([place(0.0, 0.5)], meshes=[disc(diffuse(0.0, 2.0))])
+    least = np.pi * paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
+    assert_is(factor(scene), 1.0 + 2.0 * np.pi * SHARE / least, share=0.02)
+
+
+@pytest.mark.parametrize("visible", [True, False])
+def test_clear_glass_changes_nothing(visible: bool) -> None:
+    """A pane of index 1 between a lamp and the floor: its light counts once, whether or not rays meet the lamp."""
+    clear = ls.MaterialPbr(base_color=(1, 1, 1), transmission=1.0, roughness=0.0, ior=1.0, specular=0.0)
+    lamp = ls.LightRect((0, 2, 0), (1, 0, 0), (0, 0, 1), intensity=20.0, visible=visible)
+    scene = ls.Scene([place(0.0, 0.5)], meshes=[disc(clear)], lights=[lamp])
+    assert_is(factor(scene, 128), 1.0, share=0.02)
+
+
+def test_a_silhouette_before_a_dark_floor() -> None:
+    """Pixels of which an object covers a part show that part, and of the floor no more than their neighbours do."""
+    black = diffuse(0.0)
+    lid = replace(disc(black), positions=disc(black).positions * np.array([200.0, 1.0, 200.0]))
+    edge = disc(black).positions * np.array([0.2, 0.0, 0.2]) + np.array([0.12, 0.05, 0.0])
+    scene = ls.Scene(
+        [place(0.0, 0.5)],
+        meshes=[lid, replace(disc(black), positions=edge)],
+        lights=[ls.LightEnvironment(color=(0.1, 0.1, 0.1), visible=False)],
+    )
+    view = ls.Camera.look_at((0.0, 0.3, 0.0), (0, 0, 0), (0, 0, 1), width=16, height=16, fov_y=0.3)
+    frame = paths(scene, view, 64, 0)
+    # As little sky as that is less than what the floor must have received: all of it is lost, and not more.
+    captured = paths(ls.Scene(scene.splats), below(), 1, 0).color.mean()
+    left = 1.0 - np.pi * 0.1 / (np.pi * captured)
+    floor = paths(scene, below(), 64, 0).color.mean()
+    np.testing.assert_allclose(floor, left * captured, rtol=0.02)
+    assert frame.captured_weight is not None
+    share = frame.captured_weight[..., None]
+    mixed = (share > 0.2) & (share < 0.8)
+    assert mixed.sum() > 5
+    np.testing.assert_allclose(
+        (frame.color / np.maximum(share, 0.2))[np.broadcast_to(mixed, frame.color.shape)], floor, rtol=0.05
+    )

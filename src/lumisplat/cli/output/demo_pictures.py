@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import lumisplat as ls
 from lumisplat.cli.output.console import Report
-from lumisplat.cli.output.demo_sheet import write_sheet
+from lumisplat.cli.output.demo_sheet import SHEET_AOVS, write_sheet
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +57,7 @@ def lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: Start,
     """
     view = camera.scaled(max(1, camera.width // 2))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID):
-        aovs = tuple(ls.Frame.NEEDS.values()) if pipeline is ls.Pipeline.HYBRID else ()
+        aovs = SHEET_AOVS if pipeline is ls.Pipeline.HYBRID else ()
         renderer = start(replace(_CONFIG, pipeline=pipeline, aovs=aovs))
         frame = renderer.render(scene, view, progress=_labelled(report, f"lighting, {pipeline.value}"))
         path = folder / f"lit-{pipeline.value}.png"

@@ -15,6 +15,9 @@ _COLUMNS = 4
 _LAYERS = ("albedo", "normal", "depth", "position", "gaussian_index", "instance_index", "emission", "reflection")
 """The first rows; two of the lights follow, which end with Gaussians a ray and the picture itself."""
 
+SHEET_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+"""What a frame needs for it."""
+
 
 def write_sheet(frame: ls.Frame, path: Path) -> None:
     """Writes the sheet of a frame that has every layer and three lights, twice as wide as the frame."""
@@ -37,7 +40,7 @@ def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:
-        frame.save(Path(folder) / "picture.png", layers=frame.LAYERS)
+        frame.save(Path(folder) / "picture.png", layers=(*_LAYERS, "lights", "hits"))
         pictures = {
             file.name.removeprefix("picture.").removesuffix("png").strip("."): Image.open(file).convert("RGB")
             for file in Path(folder).iterdir()

@@ -30,25 +30,28 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
     finite = is_finite(wave[0].radiance.captured[i]) and wp.isfinite(wave[0].radiance.alpha[i])
     if finite and film[0].lit.light:
         finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
+    if finite and film[0].captured_sent:
+        finite = is_finite(wave[0].radiance.sent[i]) and is_finite(wave[0].radiance.arrived[i])
     return finite
 
 
 @wp.func
-def captured_factor(share: wp.vec3, change: wp.vec3, received: wp.vec3, radiance: wp.vec3) -> wp.vec3:
+def captured_factor(part: wp.vec3, whole: wp.vec3, change: wp.vec3, sent: wp.vec3, least: wp.vec3) -> wp.vec3:
     """What is left of a captured colour, or more than that, by what its surface receives, per channel.
 
     Args:
-        share: Of the colour that is the surface's.
+        part: Of the colour, linear, what is the surface's.
+        whole: All of it.
         change: Of the irradiance, by all that was added.
-        received: Irradiance as it was captured, as far as it was found; it is at least what the surface reflects.
-        radiance: Of the surface as it was captured, linear.
+        sent: Irradiance as it was captured, as far as it was found.
+        least: What it is at least.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
-        least = PI * radiance[channel]
-        if change[channel] != 0.0 and wp.max(received[channel], least) > 0.0:
-            ratio = change[channel] / wp.max(received[channel], least)
-            factor[channel] = wp.max(1.0 + share[channel] * ratio, 0.0)
+        received = wp.max(sent[channel], least[channel])
+        if change[channel] != 0.0 and received > 0.0 and whole[channel] > 0.0:
+            share = wp.clamp(part[channel] / whole[channel], 0.0, 1.0)
+            factor[channel] = wp.max(1.0 + share * change[channel] / received, 0.0)
     return factor
 
 
@@ -73,11 +76,13 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
         if film[0].capture_factor:
             sample.capture_factor = wave[0].radiance.capture_factor[i]
         if film[0].captured_sent:
+            radiance = straight_radiance(sample.color, sample.captured_weight)
             sample.capture_factor = captured_factor(
-                wave[0].radiance.captured_share[i],
+                wave[0].radiance.captured_part[i],
+                wave[0].radiance.captured_all[i],
                 wave[0].radiance.arrived[i] - wave[0].radiance.sent[i],
                 film[0].captured_sent[pixel],
-                straight_radiance(sample.color, sample.captured_weight),
+                PI * wp.cw_mul(film[0].captured_received[pixel], radiance),
             )
     return sample
 
@@ -169,9 +174,14 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
         return wp.cw_mul(captured, film[0].capture_factor[pixel] - wp.vec3(1.0))
     if film[0].captured_sent:
         sent = film[0].captured_sent[pixel]
-        change = film[0].captured_arrived[pixel] - sent
         radiance = straight_radiance(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
-        factor = captured_factor(film[0].captured_share[pixel], change, sent, radiance)
+        factor = captured_factor(
+            film[0].captured_part[pixel],
+            film[0].captured_all[pixel],
+            film[0].captured_arrived[pixel] - sent,
+            sent,
+            PI * wp.cw_mul(film[0].captured_received[pixel], radiance),
+        )
         return wp.cw_mul(captured, factor - wp.vec3(1.0))
     return wp.vec3(0.0)
 

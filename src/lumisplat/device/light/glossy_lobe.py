@@ -20,10 +20,10 @@ wp.set_module_options({"enable_backward": False})
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 
-LOBE_BRANCH = wp.constant(-1)
-"""Branch of a ray's keys: from 0 on, they are those of mirrors, glass and lights."""
-CHOICE_BRANCH = wp.constant(-2)
-DIRECTION_BRANCH = wp.constant(-3)
+LOBE_BRANCH = wp.constant(1 << 20)
+"""Branch of a ray's keys, behind those of mirrors, glass and any number of lights."""
+CHOICE_BRANCH = wp.constant((1 << 20) + 1)
+DIRECTION_BRANCH = wp.constant((1 << 20) + 2)
 
 
 COAT_SHARE = wp.constant(wp.float32(COAT_HEAD_ON))

@@ -53,7 +53,7 @@ def far_light(i: int, direction: wp.vec3, no_shadows: bool, paths: PathData, sce
     if paths.is_specular[i]:
         return radiance
     number = environment_number(scene)
-    if number < scene[0].settings[0].light_count:
+    if number >= 0:
         if not meets_rays(number, no_shadows, scene):
             return wp.vec3(0.0)
         if paths.density[i] > 0.0:
@@ -122,8 +122,8 @@ def own_light(
 
 @wp.func
 def environment_number(scene: wp.array[ShadingScene]) -> int:
-    """Number of the light that is the environment; that of all lights: there is none."""
+    """Number of the light that is the environment; -1: there is none."""
     for number in range(scene[0].settings[0].light_count):
         if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
             return number
-    return scene[0].settings[0].light_count
+    return -1

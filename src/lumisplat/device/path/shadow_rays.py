@@ -8,6 +8,7 @@ import warp as wp
 from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
+from lumisplat.device.material.media import absorption_on_ray, passed
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, draw, sobol_2d
 from lumisplat.device.path.images import add_light, add_sent_light, add_unshadowed
@@ -25,6 +26,8 @@ LIGHT_BRANCH = wp.constant(3)
 """Which light."""
 SHOWN_BRANCH = wp.constant(4)
 """How Gaussians hide a light that the ray itself shows."""
+SHADOW_BRANCH = wp.constant(5)
+"""How they hide the sampled one: not by the numbers that chose its point."""
 
 
 @wp.func
@@ -81,6 +84,7 @@ def add_shown_lights(
     """
     is_hazy = shadows.contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    key = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
     met = int(0)
     for light in range(scene[0].settings[0].light_count):
         crossing = shown_light(i, light, no_shadows, paths, scene, wave)
@@ -89,7 +93,7 @@ def add_shown_lights(
             wave[0].radiance.alpha[i] = 1.0
         if is_hazy and crossing.t < wp.inf:
             met += 1
-            if draw(wave[0].rays.sample_key[i], wp.uint32(light)) * float(met) < 1.0:
+            if draw(key, wp.uint32(light)) * float(met) < 1.0:
                 start_shown_ray(i, light, crossing.t, value, wave, paths, shadows)
         elif crossing.t < end:
             add_light(paths.root[i], paths.receives[i], value, number, light, diffuse_of(i, number, paths), images)
@@ -131,6 +135,7 @@ def light_surface(
     if choice.number < 0:
         return
     is_met = meets_rays(choice.number, no_shadows, scene)
+    shadows.opaque[i] = is_met
     if interaction.shadow_only:
         # Rays that leave it show of all lights only the environment, which they alone find.
         if is_met and choice.number == environment_number(scene):
@@ -139,7 +144,11 @@ def light_surface(
         is_met = False
     light = sampled_light(choice, interaction, u, which[1], is_met, scene)
     shadows.contributions[i] = wp.cw_mul(factor, light.contribution.color)
-    shadows.opaque[i] = is_met
+    if is_met and scene[0].settings[0].absorbs != 0:
+        # Glass blocks this way, so that all of it is in the medium on the side of the ray.
+        if wp.dot(light.contribution.direction, interaction.normal) > 0.0:
+            share = passed(absorption_on_ray(i, scene, wave), light.contribution.distance)
+            shadows.contributions[i] = wp.cw_mul(shadows.contributions[i], share)
     shadows.lights[i] = choice.number
     if shadows.diffuse:
         direction = light.contribution.direction
@@ -150,8 +159,8 @@ def light_surface(
         return
     count = wave[0].rays.is_active.shape[0]
     start_shadow_ray(i, slot * count + i, choice.number, light.contribution, scene, wave, shadows.rays)
-    shadows.rays.pixel_key[i] = branch_key(key, LIGHT_POINT_BRANCH)
-    shadows.rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], LIGHT_POINT_BRANCH)
+    shadows.rays.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
+    shadows.rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
     shadows.rays.sample[i] = sample
 
 

@@ -80,11 +80,15 @@ class FilmData:
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
     """Share of the captured colour that shadows leave; without elements if no splat set is shadow-only."""
-    captured_share: wp.array[wp.vec3]
-    """Share of it that is a shadow-only surface's, the mean over samples; like the next two without elements unless
-    paths find what such surfaces receive."""
+    captured_all: wp.array[wp.vec3]
+    """It, linear, the mean over samples; like the next four without elements unless paths find what shadow-only
+    surfaces receive."""
+    captured_part: wp.array[wp.vec3]
+    """The part of it that is a shadow-only surface's."""
+    captured_received: wp.array[wp.vec3]
+    """Share of the samples that found the next two."""
     captured_sent: wp.array[wp.vec3]
-    """The mean irradiance of that surface as it was captured."""
+    """Irradiance of the surface as it was captured, a mean in which the other samples count as 0."""
     captured_arrived: wp.array[wp.vec3]
     """The same with all that was added."""
     count: wp.array[int]

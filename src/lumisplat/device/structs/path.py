@@ -110,6 +110,8 @@ class PathImages:
     """What arrives of that."""
     lights_total: wp.array[wp.vec3]
     """All of each light; the last row is what shines and is no light."""
+    received: wp.array[wp.vec3]
+    """1 where a path finds the next two, else 0."""
     sent: wp.array[wp.vec3]
     """Irradiance of shadow-only surfaces as they were captured; without elements in frames without such sets."""
     arrived: wp.array[wp.vec3]

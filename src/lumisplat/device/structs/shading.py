@@ -222,9 +222,13 @@ class RayRadiance:
     """1 - share of the background."""
     capture_factor: wp.array[wp.vec3]
     """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
-    captured_share: wp.array[wp.vec3]
-    """Share of the captured colour, decoded, that is a shadow-only surface's; like the next two without elements unless
-    paths find what such surfaces receive."""
+    captured_all: wp.array[wp.vec3]
+    """The captured colour, linear; like the next four without elements unless paths find what shadow-only surfaces
+    receive."""
+    captured_part: wp.array[wp.vec3]
+    """The part of it that is a shadow-only surface's."""
+    received: wp.array[wp.vec3]
+    """1 where the next two were found, else 0."""
     sent: wp.array[wp.vec3]
     """Irradiance of the shadow-only surface as it was captured."""
     arrived: wp.array[wp.vec3]

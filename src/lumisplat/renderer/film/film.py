@@ -30,7 +30,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_o
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
 
-RECEIVED = ("captured_share", "captured_sent", "captured_arrived")
+RECEIVED = ("captured_all", "captured_part", "captured_received", "captured_sent", "captured_arrived")
 """What shadow-only surfaces receive: fields of the film, and images."""
 
 
@@ -67,7 +67,8 @@ class Film:
         if plan.has_shadow_only:
             row.capture_factor = self._image("capture_factor")
         if plan.has_receivers:
-            row.captured_share, row.captured_sent, row.captured_arrived = map(self._image, RECEIVED)
+            for name in RECEIVED:
+                setattr(row, name, self._image(name))
         if self._has_sums:
             row.sums = self._sums[0]
             self._sums[1].zero_()
@@ -207,8 +208,8 @@ class Film:
         }
         if self._plan.has_receivers:
             radiance = wave.row.radiance
-            received = map(device_array, (radiance.captured_share, radiance.sent, radiance.arrived))
-            images |= dict(zip(RECEIVED, received, strict=True))
+            received = radiance.captured_all, radiance.captured_part, radiance.received, radiance.sent, radiance.arrived
+            images |= dict(zip(RECEIVED, map(device_array, received), strict=True))
         if self._plan.has_shadow_only:
             images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:

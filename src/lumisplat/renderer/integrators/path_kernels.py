@@ -7,6 +7,7 @@ The equations are in docs/method/paths.md.
 
 import warp as wp
 
+from lumisplat.device.light.environment import environment_radiance
 from lumisplat.device.light.interaction import SHADE_OPTIONS
 from lumisplat.device.light.light_choice import vertex_at
 from lumisplat.device.material.media import passed_by_ray
@@ -41,7 +42,7 @@ from lumisplat.device.structs.path import (
     PathVertex,
 )
 from lumisplat.device.structs.rays import GaussianHits, RayData
-from lumisplat.device.structs.shading import ShadingScene, WaveData
+from lumisplat.device.structs.shading import SEES_ENVIRONMENT, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -142,15 +143,16 @@ def add_seen_light(
         return
     lights = scene[0].settings[0].light_count
     far_number = lights
-    if wave_inout[0].meshes.face[i] < 0:
+    if environment_number(scene) >= 0:
         far_number = environment_number(scene)
     own = wave_inout[0].radiance.light[i]
     far = wp.vec3(0.0)
     if number == 0:
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
-        if wave_inout[0].meshes.face[i] < 0:
-            far = own
-            own = wp.vec3(0.0)
+        if wave_inout[0].meshes.face[i] < 0 and scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
+            far = environment_radiance(scene[0].environment, wave_inout[0].rays.direction[i])
+            far = wave_inout[0].gaussians.transmittance[i] * far
+            own = own - far
     else:
         own = own_light(i, no_shadows, paths, scene, wave_inout)
         if wave_inout[0].meshes.face[i] < 0:
@@ -216,6 +218,7 @@ def continue_paths(
         if interaction.shadow_only:
             receives = True
             factor = wp.vec3(1.0)
+            images.received[paths.root[i]] = wp.vec3(1.0)
         vertex = vertex_at(interaction, scene)
         light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)

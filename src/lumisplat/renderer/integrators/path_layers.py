@@ -43,7 +43,8 @@ class PathLayers:
             images.lights_arrived = self._rows("lights_arrived", lights, count)
             images.lights_total = self._rows("lights_total", lights + 1, count)
         if plan.has_receivers:
-            images.sent, images.arrived = first.row.radiance.sent, first.row.radiance.arrived
+            radiance = first.row.radiance
+            images.received, images.sent, images.arrived = radiance.received, radiance.sent, radiance.arrived
         return images
 
     def images(self, plan: FramePlan) -> LightImages:

@@ -229,9 +229,10 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     wave[0].radiance.alpha[i] = wp.where(
         wave[0].meshes.face[i] >= 0 or sees_environment, 1.0, 1.0 - surface.transmittance
     )
-    if wave[0].radiance.captured_share:
+    if wave[0].radiance.captured_part:
         if reflects_light(surface) and scene[0].materials[surface.instance].shadow_only != 0:
-            wave[0].radiance.captured_share[i] = shown_share(surface, over_light, scene)
+            shown = captured_color(surface.captured, surface.weight)
+            wave[0].radiance.captured_part[i] = wp.cw_mul(shown_share(surface, over_light, scene), shown)
     if wave[0].radiance.albedo:
         store_layers(i, surface, over_light, scene, wave)
     store_interactions(i, surface, scene, wave)
@@ -261,8 +262,9 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
     store_no_lobe(i, wave)
     if wave[0].radiance.capture_factor:
         wave[0].radiance.capture_factor[i] = wp.vec3(1.0)
-    if wave[0].radiance.captured_share:
-        wave[0].radiance.captured_share[i] = wp.vec3(0.0)
+    if wave[0].radiance.captured_part:
+        wave[0].radiance.captured_part[i] = wp.vec3(0.0)
+        wave[0].radiance.received[i] = wp.vec3(0.0)
         wave[0].radiance.sent[i] = wp.vec3(0.0)
         wave[0].radiance.arrived[i] = wp.vec3(0.0)
     if wave[0].radiance.albedo:
@@ -279,3 +281,6 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
         shade_unlit(i, scene, wave)
     else:
         shade_lit(i, scene, wave)
+    if wave[0].radiance.captured_all:
+        weight = wave[0].radiance.captured_weight[i]
+        wave[0].radiance.captured_all[i] = captured_color(wave[0].radiance.captured[i], weight)

@@ -112,7 +112,7 @@ class Surfaces:
         """The arrays that the frame needs: layers in the primary wave only."""
         without: set[str] = set() if plan.has_shadow_only else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
-            without |= {"captured_share", "sent", "arrived"}
+            without |= {"captured_all", "captured_part", "received", "sent", "arrived"}
         if number > 0 or "reflection" not in plan.aovs:
             without |= {"reflection"}
         if number > 0 or not {"albedo", "emission"} & plan.aovs:

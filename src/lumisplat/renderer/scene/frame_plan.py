@@ -119,7 +119,7 @@ class FramePlan:
     has_receivers: bool
     """Paths find what shadow-only surfaces receive, as there is something that takes or adds light."""
     shows_lights_in_haze: bool
-    """Rays of paths may show lights behind captures that are kept."""
+    """Rays of paths may show lights behind Gaussians that are blended, such as captures that are kept."""
     aovs: frozenset[str]
     """Further images of the frame."""
     for_camera: bool
@@ -142,7 +142,8 @@ class FramePlan:
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         has_shadows = is_lit and config.shadows is not Shadows.OFF
-        in_haze = has_shadows and is_path and keeps and any(map(is_visible, scene.lights))
+        blends = keeps or config.path.primary is PathPrimary.ISO
+        in_haze = has_shadows and is_path and blends and any(map(is_visible, scene.lights))
         if in_haze:
             splat_shadows = replace(splat_shadows, on_reflecting=True)
         casts_shadows = has_shadows and ((casts and (splat_shadows.exist or bool(scene.meshes))) or in_haze)
@@ -207,7 +208,7 @@ class FramePlan:
         samples_only = replace(config, time_limit=None, noise=None, adaptive=False)
         plan = cls.of(replace(samples_only, pipeline=pipeline, aovs=(), lighting=lighting), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
-        return replace(plan, for_camera=False, has_headlight=has_headlight)
+        return replace(plan, for_camera=False, has_headlight=has_headlight, has_receivers=False)
 
 
 def may_adapt(config: RenderConfig) -> bool:
