@@ -19,7 +19,7 @@ from lumisplat.renderer.raster import (
     splat_tile_kernels,
 )
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.shadow import mesh_shadow_kernels, parted_shadow_kernels, stochastic_bvh_kernels
+from lumisplat.renderer.shadow import incoherent_shadow_kernels, mesh_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
 from lumisplat.renderer.trace import (
     camera_ray_kernels,
@@ -44,7 +44,7 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [mesh_shadow_kernels] if plan.has_meshes else []
     if plan.traces_paths:
         modules += [path_kernels, path_gaussians_kernels, ray_order_kernels, stochastic_hit_kernels]
-        modules += [parted_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
+        modules += [incoherent_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
     elif plan.spawns_shadow_rays:
         modules += [direct_light_kernels]
     modules += [gaussian_bvh_kernels] if plan.follows_rays else []

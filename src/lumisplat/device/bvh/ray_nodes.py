@@ -1,6 +1,6 @@
 """How a single ray visits nodes, with one lane for each of their children.
 
-Rays that part share no nodes: a packet of them visits what any of its rays does. The children of a node fill the lanes
+Incoherent rays share no nodes: a packet of them visits what any of its rays does. The children of a node fill the lanes
 of a vector register as well as rays do (Wald, Benthin and Boulos 2008).
 """
 

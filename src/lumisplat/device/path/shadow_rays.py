@@ -1,4 +1,4 @@
-"""Light that paths sample, and lights that their rays show behind captures: contributions, and their shadow rays.
+"""Shadow rays of paths: to the lights that they sample, and to those that their rays show behind blended Gaussians.
 
 The equations are in docs/method/paths.md#lights.
 """
@@ -48,9 +48,7 @@ def clear_shadow_ray(j: int, shadows: PathShadowRays):
 
 
 @wp.func
-def start_shown_ray(
-    i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], paths: PathData, shadows: PathShadowRays
-):
+def start_shown_ray(i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: PathShadowRays):
     """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
     j = wave[0].rays.is_active.shape[0] + i
     shadows.contributions[j] = value
@@ -80,7 +78,7 @@ def add_shown_lights(
 ):
     """Adds the visible lights that the ray of path ``i`` passes before its surface.
 
-    Behind captures that are kept, a shadow ray says how much of one of them there is.
+    Behind Gaussians that are blended, a shadow ray says how much of one of them there is.
     """
     is_hazy = shadows.contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -94,7 +92,7 @@ def add_shown_lights(
         if is_hazy and crossing.t < wp.inf:
             met += 1
             if draw(key, wp.uint32(light)) * float(met) < 1.0:
-                start_shown_ray(i, light, crossing.t, value, wave, paths, shadows)
+                start_shown_ray(i, light, crossing.t, value, wave, shadows)
         elif crossing.t < end:
             add_light(paths.root[i], paths.receives[i], value, number, light, diffuse_of(i, number, paths), images)
     if met > 1:

@@ -111,6 +111,21 @@ def add_captured_light(
     add_sent_light(paths.root[i], wp.cw_mul(throughput, far), images_inout)
 
 
+@wp.func
+def far_behind(
+    i: int, number: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+) -> wp.vec3:
+    """Linear radiance that ray ``i`` of wave ``number`` sees infinitely far away; none behind meshes."""
+    if wave[0].meshes.face[i] >= 0:
+        return wp.vec3(0.0)
+    direction = wave[0].rays.direction[i]
+    if number > 0:
+        return far_light(i, direction, no_shadows, paths, scene)
+    if scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
+        return environment_radiance(scene[0].environment, direction)
+    return wp.vec3(0.0)
+
+
 @wp.kernel
 def add_seen_light(
     start: int,
@@ -142,27 +157,41 @@ def add_seen_light(
     if not wave_inout[0].rays.is_active[i]:
         return
     lights = scene[0].settings[0].light_count
-    far_number = lights
-    if environment_number(scene) >= 0:
-        far_number = environment_number(scene)
-    own = wave_inout[0].radiance.light[i]
-    far = wp.vec3(0.0)
+    far_number = environment_number(scene)
+    if far_number < 0:
+        far_number = lights
+    far = wave_inout[0].gaussians.transmittance[i] * far_behind(i, number, no_shadows, paths, scene, wave_inout)
+    own = wp.vec3(0.0)
     if number == 0:
+        # The first wave's light is that of its surfaces and of the sky: all of it is added below.
+        own = wave_inout[0].radiance.light[i] - far
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
-        if wave_inout[0].meshes.face[i] < 0 and scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
-            far = environment_radiance(scene[0].environment, wave_inout[0].rays.direction[i])
-            far = wave_inout[0].gaussians.transmittance[i] * far
-            own = own - far
     else:
         own = own_light(i, no_shadows, paths, scene, wave_inout)
-        if wave_inout[0].meshes.face[i] < 0:
-            far = far_light(i, wave_inout[0].rays.direction[i], no_shadows, paths, scene)
-            far = wave_inout[0].gaussians.transmittance[i] * far
     throughput = wp.cw_mul(paths.throughput[i], passed_by_ray(i, scene, wave_inout))
     diffuse = diffuse_of(i, number, paths)
     add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, own), number, lights, diffuse, images_inout)
     add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, far), number, far_number, diffuse, images_inout)
     add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
+
+
+@wp.func
+def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: PathSteps):
+    """Writes where path ``i`` goes on, but for what its past decides as well."""
+    steps.goes_on[i] = 1
+    steps.origin[i] = step.origin
+    steps.direction[i] = step.direction
+    steps.t_min[i] = step.t_min
+    steps.path_length[i] = wave[0].rays.path_length[i] + step.length
+    steps.spread[i] = step.spread
+    steps.density[i] = step.density
+    steps.position[i] = vertex.position
+    steps.normal[i] = vertex.normal
+    steps.importance[i] = vertex.importance
+    if steps.media:
+        steps.media[i] = step.media
+    if steps.diffuse:
+        steps.diffuse[i] = step.diffuse
 
 
 @wp.kernel
@@ -196,7 +225,7 @@ def continue_paths(
         return
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
-    receives_light = bool(False)
+    receives_light = bool(False)  # only where the camera sees it
     if images.sent:
         receives_light = number == 0
     splats = loaded_interaction(i, receives_light, wave)
@@ -229,25 +258,12 @@ def continue_paths(
     chance = survival(number, throughput, sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0])
     if chance <= 0.0:
         return
-    steps_out.goes_on[i] = 1
-    steps_out.origin[i] = step.origin
-    steps_out.direction[i] = step.direction
-    steps_out.t_min[i] = step.t_min
-    steps_out.path_length[i] = wave[0].rays.path_length[i] + step.length
-    steps_out.spread[i] = step.spread
+    store_step(i, step, vertex, wave, steps_out)
     steps_out.throughput[i] = throughput / chance
-    steps_out.density[i] = step.density
-    steps_out.position[i] = vertex.position
-    steps_out.normal[i] = vertex.normal
-    steps_out.importance[i] = vertex.importance
     steps_out.is_specular[i] = paths.is_specular[i] and not is_scattering(branch)
     steps_out.receives[i] = receives
-    if steps_out.media:
-        steps_out.media[i] = step.media
-    if steps_out.diffuse:
-        steps_out.diffuse[i] = step.diffuse
-        if number > 0:
-            steps_out.diffuse[i] = paths.diffuse[i]
+    if steps_out.diffuse and number > 0:
+        steps_out.diffuse[i] = paths.diffuse[i]
 
 
 @wp.kernel

@@ -148,9 +148,19 @@ class BvhScene:
         self.footprint = max((footprint_of(instance.gaussians, config) for instance in scene.splats), default=0.0)
         hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
         self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
-        if placed == self._placed:
-            return  # nothing has moved
-        self._placed = None  # until all of it is there
+        if placed != self._placed:
+            self._placed = None  # until all of it is there
+            self._place(scene, places, members)
+            self._placed = placed
+
+    def _place(self, scene: Scene, places: list[int], members: dict[SplatSets, list[bool]]) -> None:
+        """Builds the top levels.
+
+        Args:
+            scene: With the instances.
+            places: The asset of each.
+            members: Which of them each top level is of.
+        """
         extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
         self.extent = max(extents, default=0.0)
         self.packet_radius = COHERENT_RADIUS * self.extent
@@ -164,7 +174,6 @@ class BvhScene:
         }
         for kind, nodes in trees.items():
             assign_table(self._tlas_nodes[kind], nodes)
-        self._placed = placed
 
     def _bvh_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
         """The BVH that is held; that of the asset whose place this one took, refitted; or a new one."""

@@ -138,15 +138,13 @@ class FramePlan:
         traces_paths = is_path and is_lit
         rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
         only_rasterises = config.pipeline is Pipeline.RASTER
-        casts = any(light.enabled and light.casts_shadow for light in scene.lights) or (is_path and shines(scene))
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
-        has_shadows = is_lit and config.shadows is not Shadows.OFF
-        blends = keeps or config.path.primary is PathPrimary.ISO
-        in_haze = has_shadows and is_path and blends and any(map(is_visible, scene.lights))
+        in_haze = is_lit and shows_lights_in_haze(config, scene)
         if in_haze:
             splat_shadows = replace(splat_shadows, on_reflecting=True)
-        casts_shadows = has_shadows and ((casts and (splat_shadows.exist or bool(scene.meshes))) or in_haze)
+        has_blockers = splat_shadows.exist or bool(scene.meshes)
+        casts_shadows = in_haze or (is_lit and has_blockers and lights_cast_shadows(config, scene))
         aovs = frozenset(config.aovs) if is_lit else UNLIT_AOVS & frozenset(config.aovs)
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
@@ -216,6 +214,23 @@ def may_adapt(config: RenderConfig) -> bool:
     rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
     shadows = config.shadow_rays
     return not rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
+
+
+def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
+    """Whether anything casts shadows: a light, or in paths what shines by itself."""
+    if config.shadows is Shadows.OFF:
+        return False
+    return any(light.enabled and light.casts_shadow for light in scene.lights) or (
+        config.pipeline is Pipeline.PATH and shines(scene)
+    )
+
+
+def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
+    """Whether rays of paths may show lights behind Gaussians that are blended, so that shadow rays say how much."""
+    if config.pipeline is not Pipeline.PATH or config.shadows is Shadows.OFF:
+        return False
+    blends = keeps_captures(scene) or config.path.primary is PathPrimary.ISO
+    return blends and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:

@@ -13,7 +13,7 @@ from lumisplat.device.structs.bvh import DRAWS_NONE, DRAWS_PER_RAY, DRAWS_SHARED
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import ON_ALL, SplatShadows
-from lumisplat.renderer.shadow import gaussian_shadow_kernels, mesh_shadow_kernels, parted_shadow_kernels
+from lumisplat.renderer.shadow import gaussian_shadow_kernels, incoherent_shadow_kernels, mesh_shadow_kernels
 from lumisplat.renderer.shadow.stochastic_bvh import StochasticBvh
 from lumisplat.renderer.trees.ray_order import ray_order
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
@@ -88,7 +88,7 @@ class ShadowRays:
         bands = RAY_BANDS_PER_THREAD * self._launcher.threads
         if part and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS:
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
-            kernel = parted_shadow_kernels.shadow_ray_by_ray
+            kernel = incoherent_shadow_kernels.shadow_ray_by_ray
             run(kernel, count, *(order, self._settings, bvh, rays, limits, skips, light), bands=bands)
             return light
         kernel = shadow_kernel_of(self._launcher, self._config, stack=scene.bvh.stack)

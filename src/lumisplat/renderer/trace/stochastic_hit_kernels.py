@@ -1,4 +1,4 @@
-"""Stochastic hits of rays that part: one item is one ray, which walks the trees alone.
+"""Stochastic hits of incoherent rays: one item is one ray, which walks the trees alone.
 
 Which Gaussian a ray meets is what ``gaussian_trace_kernels`` finds with ``STRATEGY_HIT``: the nearest of those that are
 accepted with their alpha. The equations are in docs/method/ray_tracing.md.

@@ -1,4 +1,4 @@
-"""Host pass: an order of rays that part, in which neighbours start near each other and point alike.
+"""Host pass: an order of incoherent rays, in which neighbours start near each other and point alike.
 
 Each of them walks alone, but finds in the caches what the ones before it have read of the trees.
 """

@@ -1,4 +1,4 @@
-"""Keys by which rays that part are sorted. One item is one ray."""
+"""Keys by which incoherent rays are sorted. One item is one ray."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""How much of a light passes Gaussians, on rays that part: one item is one ray, which walks the trees alone.
+"""How much of a light passes Gaussians, on incoherent rays: one item is one ray, which walks the trees alone.
 
 The result is that of ``shadow_by_all`` in ``gaussian_shadow_kernels`` but for rounding: transmittances multiply in
 another order. The equations are in docs/method/shadows.md.
