@@ -345,7 +345,7 @@ def test_options_without_effect_are_said(work, caplog):
     assert animate(work, "frames", "--frames", "0:2", "--kernel-degree", "2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
-        "not used by --pipeline raster: --kernel-degree (they are of --pipeline trace and hybrid)",
+        "not used by --pipeline raster: --kernel-degree (it is of --pipeline trace and hybrid)",
         "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
     ]
 

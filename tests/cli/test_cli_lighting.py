@@ -283,7 +283,7 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
             {"shadows": ls.Shadows.OFF, "pipeline": ls.Pipeline.TRACE, "lighting": True},
             ls.Scene(),
             [
-                "not used by --pipeline trace: --antialiasing (they are of --pipeline raster and hybrid)",
+                "not used by --pipeline trace: --antialiasing (it is of --pipeline raster and hybrid)",
                 "not used without shadows: --shadow-offset (--shadows hard or soft has some)",
             ],
         ),
@@ -295,7 +295,7 @@ LIGHT = LightOptions(lighting="auto", shadow_offset=2.0, exposure=1.0)
         (
             {"pipeline": ls.Pipeline.PATH},
             ls.Scene(),
-            ["not used by --pipeline path: --antialiasing (they are of --pipeline raster and hybrid)"],
+            ["not used by --pipeline path: --antialiasing (it is of --pipeline raster and hybrid)"],
         ),
     ],
     ids=[
@@ -324,7 +324,37 @@ def test_what_shadow_rays_use_of_the_options_of_rays(method: ls.ShadowMethod, un
     config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=method))
     rays = RayOptions(hit_distance="hull", hits_per_pass=8)
     (line,) = unused_options(config, LAMP, [], rays, LightOptions())
-    assert line == f"not used by --pipeline raster: {unused} (they are of --pipeline trace and hybrid)"
+    are = "they are" if "," in unused else "it is"
+    assert line == f"not used by --pipeline raster: {unused} ({are} of --pipeline trace and hybrid)"
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "lines"),
+    [
+        (
+            "raster",
+            [
+                "not used by --pipeline raster: --strategy, --glossy-reflections (they are of --pipeline trace and "
+                "hybrid)",
+                "not used by --pipeline raster: --primary (it is of --pipeline path)",
+            ],
+        ),
+        ("trace", ["not used by --pipeline trace: --primary (it is of --pipeline path)"]),
+        ("hybrid", ["not used by --pipeline hybrid: --primary (it is of --pipeline path)"]),
+        (
+            "path",
+            [
+                "not used by --pipeline path: --strategy, --glossy-reflections (its rays meet one relit Gaussian, by "
+                "chance, blend captures that are kept, and reflect what is around)"
+            ],
+        ),
+    ],
+)
+def test_what_paths_and_others_do_not_share(pipeline: str, lines: list[str]) -> None:
+    """Each option is listed where nothing reads it; --adaptive on is refused where it has no effect, and not listed."""
+    rays = RayOptions(strategy="stochastic-hit", glossy_reflections=True, primary="iso", adaptive="on")
+    config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline))
+    assert list(unused_options(config, LAMP, [], rays, LightOptions())) == lines
 
 
 def test_lit_pictures_come_out(work):

@@ -35,7 +35,8 @@ class FrameStats:
     memory_bytes: int
     """Device memory of assets and frame buffers."""
     noise: float | None = None
-    """Relative error that 95 % of the pixels are estimated to be below (docs/method/samples.md); None: nobody asked."""
+    """Relative error that 95 % of the pixels are estimated to be below (docs/method/samples.md), of fewer than 16
+    samples roughly; None: nobody asked, or one sample does not tell."""
 
 
 class LitParts(NamedTuple):

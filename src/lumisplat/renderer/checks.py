@@ -88,6 +88,16 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         raise ConfigError(f"a frame has at most {SAMPLES_MAX:,} samples: this one has {frame.samples:,} already")
 
 
+def check_resumed_scene(frame: Frame, scene: Scene) -> None:
+    """Raises ConfigError if a frame to resume has other numbers of things than a scene: it shows another one."""
+    before, now = frame.stats, (scene.gaussian_count, scene.face_count)
+    if before is not None and (before.gaussian_count, before.triangle_count) != now:
+        raise ConfigError(
+            f"cannot resume a frame of another scene: it has {before.gaussian_count:,} Gaussians and "
+            f"{before.triangle_count:,} triangles, this one {now[0]:,} and {now[1]:,}"
+        )
+
+
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
     """Names of the fields in which two dataclasses of one type differ; of nested ones as ``trace.strategy``."""
     names: list[str] = []

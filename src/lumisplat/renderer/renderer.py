@@ -16,7 +16,13 @@ from lumisplat.frame.frame import Frame
 from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.checks import check_resumable, check_samples, check_scene, checked_config
+from lumisplat.renderer.checks import (
+    check_resumable,
+    check_resumed_scene,
+    check_samples,
+    check_scene,
+    checked_config,
+)
 from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
@@ -97,8 +103,8 @@ class Renderer:
                 samples and, once they are enough to tell, their noise, after commas.
 
         Raises:
-            ConfigError: ``resume`` is no frame, has another camera or other settings, is not ray traced, or has too
-                many samples.
+            ConfigError: ``resume`` is no frame, has another camera, other settings or another number of Gaussians or
+                triangles, is not ray traced, or has too many samples.
             DeviceError: The device is out of memory.
             SceneError: The scene or the camera is none, it or the image is larger than 32-bit indices reach, or the
                 rasteriser is to draw a camera that is not a pinhole, or whose lens distorts too much.
@@ -139,8 +145,8 @@ class Renderer:
             budget.add()
             if progress:
                 progress(budget.label, budget.fraction)
+        budget.close()
         self._film.finish(self._scene)
-        budget.warn_of_noise()
         with self._launcher.stage("download"):
             images = self._film.images(exposure, self.config)
             if "lights" in plan.aovs:
@@ -204,6 +210,7 @@ class Renderer:
         check_samples(self.config, plan, resume)
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
+            check_resumed_scene(resume, scene)
         if missing := plan.aovs & ({"reflection"} if plan.traces_paths else {*PATH_AOVS}):
             others = "Pipeline.HYBRID does" if plan.traces_paths else "Pipeline.PATH does"
             names = ", ".join(sorted(missing))

@@ -54,11 +54,14 @@ class SampleBudget:
         parts = ["tracing", f"{self.done:,} {'sample' if self.done == 1 else 'samples'}"]
         return ", ".join(parts if self.noise is None else [*parts, f"noise {self.noise:.3f}"])
 
-    def warn_of_noise(self) -> None:
-        """Logs that the frame ended before its noise was as low as it should be."""
+    def close(self) -> None:
+        """Estimates the noise of a frame of few samples, roughly, and logs that it is not as low as it should be."""
+        is_rough = self.done < NOISE_SAMPLES_MIN
+        if self._estimate is not None and is_rough and self.done > 1:
+            self.noise = self._estimate()
         wanted = self._plan.noise
-        if wanted is not None and (self.noise is None or self.noise > wanted):
-            found = "too few to tell the noise" if self.noise is None else f"the noise is {self.noise:.3f}"
+        if wanted is not None and (is_rough or self.noise is None or self.noise > wanted):
+            found = "too few to tell the noise" if is_rough else f"the noise is {self.noise:.3f}"
             _log.warning("%s after %s samples a pixel, where RenderConfig.noise is %g", found, f"{self.done:,}", wanted)
 
     def _update(self) -> None:

@@ -183,6 +183,13 @@ def test_resume_refuses_what_does_not_fit() -> None:
     for background in (None, (0.1, 0.2, 0.4)):
         with pytest.raises(ls.ConfigError, match=r"over \(0.1, 0.2, 0.3\): this one is .* over "):
             renderer("cpu", background=background).render(scene(), view(), resume=frame)
+    other = replace(scene(), splats=scene().splats[:1], meshes=())
+    count = scene().gaussian_count, other.gaussian_count
+    assert scene().meshes
+    with pytest.raises(
+        ls.ConfigError, match=rf"another scene: it has {count[0]} .* triangles, this one {count[1]} and 0$"
+    ):
+        renderer("cpu").render(other, view(), resume=frame)
     with pytest.raises(ls.ConfigError, match=r"sorted rasteriser cannot be resumed"):
         ls.create_renderer(device="cpu").render(scene(), view(), resume=frame)
     rasterised = ls.render(scene(), view(), ls.RenderConfig(background=frame.background), device="cpu")

@@ -67,7 +67,7 @@ class Animate(FrameCommand):
     gamma: Annotated[float | None, setting("FACTOR", "1")] = None
     """Brightness of relit actors: above 1 where a place is much darker than display white."""
     rays: RayGroup = field(default_factory=RayOptions)
-    """Of --pipeline trace and hybrid; --samples and --seed also of lit frames."""
+    """Of --pipeline trace, hybrid and path; --samples, --time, --noise and --seed also of lit frames."""
     light: LightGroup = field(default_factory=LightOptions)
     """Of what is lit by lights; captures are shown as captured, with the shadows of actors."""
 

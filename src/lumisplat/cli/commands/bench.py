@@ -17,6 +17,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, LoadingCommand
 from lumisplat.cli.options.rays import PipelineName, StrategyName
 from lumisplat.cli.options.settings import changed_config, setting, without_none
+from lumisplat.cli.options.unused import not_used
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
 from lumisplat.cli.output.console import Report, byte_size, print_table, progress_bars
 from lumisplat.cli.output.stats import count_rows, stage_rows, stage_times
@@ -125,7 +126,7 @@ class Bench(LoadingCommand, DeviceCommand):
         strategy = without_none({"strategy": self.strategy and ls.TraceStrategy(self.strategy)})
         config = changed_config(base, pipeline, {"trace": strategy})
         if strategy and config.pipeline is ls.Pipeline.RASTER:
-            _log.warning("not used by --pipeline raster: --strategy (it is of --pipeline trace and hybrid)")
+            _log.warning("%s", not_used(config, ["--strategy"], "trace and hybrid"))
         return config
 
     def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:

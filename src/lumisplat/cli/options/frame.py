@@ -47,8 +47,8 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     """Of --pipeline trace and path, with --samples: lumisplat render garden.ply --pipeline trace --samples 32
     --aperture 0.05 --focus 640,360 -o view.png"""
     rays: RayGroup = field(default_factory=RayOptions)
-    """Of --pipeline trace and hybrid; --samples and --seed also of lit frames. With mirrors and glass, smooth edges and
-    little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
+    """Of --pipeline trace, hybrid and path; --samples, --time, --noise and --seed also of lit frames. With mirrors and
+    glass, smooth edges and little noise: lumisplat render scene.toml --pipeline trace --samples 16 -o view.png"""
     light: LightGroup = field(default_factory=LightOptions)
     """Lights are those of a scene.toml and of glTF files. Soft shadows and an environment, filmic:
     lumisplat render scene.toml --environment sky.hdr --shadows soft --samples 32 --tone-map agx -o view.png"""

@@ -11,6 +11,9 @@ from lumisplat.cli.options.settings import given_options
 
 _OF_SAMPLES = ("samples", "time", "noise", "seed", "no_jitter")
 _OF_SHADOW_RAYS = ("kernel_degree", "min_response", "no_adaptive_clamping")
+_OF_PATHS = ("primary",)
+_REFUSED = ("adaptive",)  # where it is on and has no effect
+_NOT_OF_PATHS = ("strategy", "glossy_reflections")
 _OF_SHADOWS = (
     *("shadow_method", "shadow_hits", "shadow_offset", "shadow_offset_absolute", "shadow_threshold", "shadow_color"),
 )
@@ -32,13 +35,19 @@ def unused_options(
     lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
     shadowed = lit and config.shadows is not ls.Shadows.OFF
     if config.pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH) and raster:
-        name = config.pipeline.value
-        yield f"not used by --pipeline {name}: {', '.join(raster)} (they are of --pipeline raster and hybrid)"
+        yield not_used(config, raster, "raster and hybrid")
     if config.pipeline is ls.Pipeline.RASTER:
-        used = given_options(rays, _used_by_raster(config, lit=lit, shadowed=shadowed))
+        used = given_options(rays, [*_used_by_raster(config, lit=lit, shadowed=shadowed), *_OF_PATHS, *_REFUSED])
         unused = [option for option in given_options(rays) if option not in used]
         if unused:
-            yield f"not used by --pipeline raster: {', '.join(unused)} (they are of --pipeline trace and hybrid)"
+            yield not_used(config, unused, "trace and hybrid")
+    if not is_path and (unused := given_options(rays, _OF_PATHS)):
+        yield not_used(config, unused, "path")
+    if is_path and (unused := given_options(rays, _NOT_OF_PATHS)):
+        yield (
+            f"not used by --pipeline path: {', '.join(unused)} (its rays meet one relit Gaussian, by chance, blend "
+            "captures that are kept, and reflect what is around)"
+        )
     if not lit:
         unused = [option for option in given_options(light) if option != "--lighting"]
         if unused:
@@ -48,6 +57,12 @@ def unused_options(
         unused = given_options(light, _OF_SHADOWS)
         if unused:
             yield f"not used without shadows: {', '.join(unused)} (--shadows hard or soft has some)"
+
+
+def not_used(config: ls.RenderConfig, options: list[str], others: str) -> str:
+    """That a pipeline does not use options, and which others do."""
+    are = "it is" if len(options) == 1 else "they are"
+    return f"not used by --pipeline {config.pipeline.value}: {', '.join(options)} ({are} of --pipeline {others})"
 
 
 def _used_by_raster(config: ls.RenderConfig, *, lit: bool, shadowed: bool) -> list[str]:

@@ -1,0 +1,101 @@
+"""The line that says that a frame of paths is grainy, and what helps."""
+
+from __future__ import annotations
+
+import logging
+import re
+
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from support.files.cli_files import Workplace
+
+LAMP = '[[lights]]\ntype = "rect"\nposition = [0, 2, 1]\ntarget = [0, 0, 0]\nsize = [0.3, 0.3]\nintensity = 30\n'
+SKY = "[environment]\ncolor = [1, 1, 1]\n"
+FLOOR = '[[meshes]]\nshape = "plane"\nsize = 6\n'
+BOX = '[[meshes]]\nshape = "box"\nsize = 0.8\nposition = [0, 0.6, 0]\n'
+VIEW = 'up = "y-up"\n[[cameras]]\neye = [0, 2, 3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n'
+
+
+@pytest.fixture
+def lines(tmp_path, capsys, monkeypatch, caplog):
+    """Runs a command on a scene file, and returns what it says about grain."""
+    monkeypatch.setattr(wp.config, "log_level", wp.config.log_level)
+    work = Workplace(tmp_path, capsys)
+
+    def run(scene: str, *options: str, pipeline: str = "path") -> list[str]:
+        work.path("scene.toml").write_text(VIEW + scene)
+        caplog.clear()
+        with caplog.at_level(logging.WARNING, "lumisplat"):
+            outcome = work.run(
+                "render", "@scene.toml", "-o", "@out", "--pipeline", pipeline, "--device", "cpu", *options
+            )
+        assert outcome.status == 0, outcome.err
+        return [record.getMessage() for record in caplog.records if "grainy" in record.getMessage()]
+
+    return run
+
+
+def noise_of(line: str, samples: str) -> float:
+    """The noise that a line has, which names the samples and what helps."""
+    found = re.fullmatch(
+        rf"light that bounces is grainy with {samples} a pixel \(about ([\d.]+) of noise\): more --samples, a longer "
+        "--time or --noise 0.02 make it smooth, and --denoise does so at once",
+        line,
+    )
+    assert found, line
+    return float(found[1])
+
+
+def test_few_samples_are_grainy(lines) -> None:
+    """Once for all frames, with the noise, which falls with the root of the number of samples."""
+    other = "[[cameras]]\neye = [0, 2, -3]\ntarget = [0, 0, 0]\nwidth = 24\nheight = 16\n"
+    (two,) = lines(FLOOR + BOX + LAMP + other, "--samples", "2")
+    (eight,) = lines(FLOOR + BOX + LAMP + other, "--samples", "8")
+    assert 0.2 < noise_of(eight, "8 samples") < 0.8 * noise_of(two, "2 samples")
+
+
+def test_one_sample_tells_no_noise(lines) -> None:
+    """It is grainy all the same, where there is light."""
+    (line,) = lines(FLOOR + BOX + LAMP, "--samples", "1")
+    assert line.startswith("light that bounces is grainy with 1 sample a pixel: more --samples")
+    assert lines('[[splats]]\npath = "capture.ply"\n', "--samples", "1") == []
+
+
+@pytest.mark.parametrize(
+    ("scene", "options"),
+    [
+        (FLOOR + SKY, ("--samples", "32")),
+        ('[[splats]]\npath = "capture.ply"\n', ("--samples", "4")),
+        (FLOOR + BOX + LAMP, ("--samples", "4", "--noise", "0.02")),
+        (FLOOR + BOX + LAMP, ("--samples", "4", "--lighting", "off")),
+    ],
+    ids=["smooth", "kept capture", "noise given", "unlit"],
+)
+def test_nothing_is_said_without_grain(lines, scene: str, options: tuple[str, ...]) -> None:
+    """Nor where --noise says what is left."""
+    assert lines(scene, *options) == []
+
+
+def test_nothing_is_said_of_what_is_denoised_or_no_path(lines) -> None:
+    """What is denoised is smooth; other pipelines have a line of their own, for other light."""
+    assert lines(FLOOR + BOX + LAMP, "--samples", "2", pipeline="trace") == []
+    pytest.importorskip("mitsuba_oidn")
+    assert lines(FLOOR + BOX + LAMP, "--samples", "2", "--denoise") == []
+
+
+def test_the_noise_of_few_samples_is_that_of_the_variance_layer() -> None:
+    """95 % of the pixels have a smaller relative error; without progress, nobody asks."""
+    floor, lamp = ls.plane(6.0, 6.0), ls.LightSphere((0.0, 2.0, 0.0), 0.4, intensity=9.0)
+    camera = ls.Camera.look_at((0, 2, 3), (0, 0, 0), (0, 1, 0), width=24, height=16)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=4, aovs=("variance",))
+    renderer = ls.create_renderer(config, "cpu")
+    frame = renderer.render(ls.Scene(meshes=[floor], lights=[lamp]), camera, progress=lambda label, share: None)
+    assert frame.variance is not None and frame.stats is not None and frame.stats.noise is not None
+    weights = (0.2126, 0.7152, 0.0722)
+    errors = (frame.variance @ weights) ** 0.5 / (frame.color @ weights).clip(0.01)
+    below = float((errors <= frame.stats.noise * 1.0001).mean())
+    assert 0.95 <= below < 0.96
+    stats = renderer.render(ls.Scene(meshes=[floor], lights=[lamp]), camera).stats
+    assert stats is not None and stats.noise is None
