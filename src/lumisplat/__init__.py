@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.editing.transform import transform
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.lights import LightDirectional, LightEnvironment, LightPoint, LightRect, LightSphere, LightSpot
-    from lumisplat.scene.materials import AlphaMode, MaterialPbr, MaterialSimple, TextureWrap
+    from lumisplat.scene.materials import AlphaMode, MaterialPbr, MaterialSimple
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.ops.estimate_normals import estimate_normals
     from lumisplat.scene.ops.framing import frame_camera
@@ -101,6 +101,7 @@ if TYPE_CHECKING:
     from lumisplat.scene.primitives import box, plane, sphere
     from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
     from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+    from lumisplat.scene.textures import TextureWrap
     from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 
 __version__ = "0.1.0"
@@ -168,7 +169,7 @@ _MODULE_OF = {
     "Shadows": "config",
     "SplatInstance": "scene.scene",
     "SunEstimate": "relighting.sun_estimation",
-    "TextureWrap": "scene.materials",
+    "TextureWrap": "scene.textures",
     "ToneMap": "config",
     "TraceConfig": "config",
     "TraceStrategy": "config",

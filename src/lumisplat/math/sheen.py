@@ -11,6 +11,11 @@ from lumisplat.math.arrays import Doubles
 
 _COSINES = np.concatenate([[0.01, 0.02, 0.035], np.linspace(0.05, 1.0, 20)])
 _STEPS = 160
+SHEEN_CURVES = 16
+"""Intervals of the table of albedos by roughness."""
+_TABLE_STEPS = 64
+_TABLE_MARGIN = 0.015
+"""By how much the logarithms of a table's curves are raised: between its entries the mean of two is too small."""
 _SHAPE = np.array(
     [[21.5473, 25.3245], [3.82987, 3.32435], [0.19823, 0.16801], [-1.97760, -1.27393], [-4.32054, -4.85967]]
 )
@@ -46,14 +51,15 @@ def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
 
 
 @functools.lru_cache(maxsize=256)
-def albedo_curve(roughness: float) -> tuple[float, float, float, float]:
+def albedo_curve(roughness: float, steps: int = _STEPS) -> tuple[float, float, float, float]:
     """Coefficients of the logarithm of the albedo as a polynomial of the cosine, not too small where that is above 0.1.
 
     Args:
         roughness: Of the sheen, 0..1.
+        steps: Of the quadrature, along each of two axes.
     """
     alpha = max(roughness, SHEEN_ROUGHNESS_MIN) ** 2
-    truth = np.array([sheen_albedo(cosine, alpha) for cosine in _COSINES])
+    truth = np.array([sheen_albedo(cosine, alpha, steps) for cosine in _COSINES])
     powers = _COSINES[:, None] ** np.arange(4)
     weights = np.maximum(truth, 1e-3)
     fit = np.zeros(4)
@@ -65,3 +71,16 @@ def albedo_curve(roughness: float) -> tuple[float, float, float, float]:
     seen = truth > 0.1
     fit[0] += max(float(np.log(truth[seen] / np.exp(powers[seen] @ fit)).max()), 0.0)
     return float(fit[0]), float(fit[1]), float(fit[2]), float(fit[3])
+
+
+@functools.cache
+def albedo_curves() -> Doubles:
+    """``albedo_curve`` of all roughnesses, shape (SHEEN_CURVES + 1, 4), for kernels to interpolate linearly.
+
+    Entry k is of the roughness ``r + (1 - r) (k / SHEEN_CURVES)^2``, with r the least one.
+    """
+    places = np.linspace(0.0, 1.0, SHEEN_CURVES + 1) ** 2
+    roughness = SHEEN_ROUGHNESS_MIN + (1.0 - SHEEN_ROUGHNESS_MIN) * places
+    curves = np.array([albedo_curve(float(one), _TABLE_STEPS) for one in roughness])
+    curves[:, 0] += _TABLE_MARGIN
+    return curves

@@ -29,3 +29,10 @@ def upload_structs(rows: Sequence[object], struct: type[object], device: str) ->
     assign_table(table, rows_of(instances))
     table.kept = instances
     return table
+
+
+def upload_table(table: np.ndarray, struct: type[object], device: str) -> DeviceArray:
+    """An array of structs from the rows of ``table_dtype``, of which there is at least one."""
+    array = DeviceArray(shape=len(table), dtype=struct, device=device)
+    assign_table(array, table)
+    return array

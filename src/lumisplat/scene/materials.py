@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import TYPE_CHECKING, TypeGuard
 
@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_flag, is_number, is_whole, take_enum
 from lumisplat.errors import ConfigError, SceneError
-from lumisplat.math.arrays import FLOAT32_MAX, read_only_array
+from lumisplat.math.arrays import FLOAT32_MAX
+from lumisplat.scene.textures import Texture, TextureWrap, WrapPair, Wraps, WrapsLike, checked_texture, checked_wraps
 
 Color = tuple[float, float, float]
-Texture = npt.NDArray[np.uint8]
 
 
 _LAYERS = ("clearcoat", "clearcoat_roughness", "sheen_roughness")
@@ -36,17 +36,6 @@ class AlphaMode(Enum):
     """There is a surface where it is at least ``alpha_cutoff``, and none elsewhere."""
     BLEND = "blend"
     """It is the share of the surface that is there; what is behind shows through the rest."""
-
-
-class TextureWrap(Enum):
-    """What a texture shows beyond its edges."""
-
-    REPEAT = "repeat"
-    """The texture again."""
-    MIRROR = "mirror"
-    """The texture again, every second time mirrored."""
-    CLAMP = "clamp"
-    """The texels of its edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -106,10 +95,22 @@ class MaterialPbr:
     """Strength of the occlusion, 0..1."""
     emissive_texture: Texture | None = None
     """sRGB-encoded factor of ``emissive``."""
+    transmission_texture: Texture | None = None
+    """Factor of ``transmission`` (red), linear."""
+    clearcoat_texture: Texture | None = None
+    """Factor of ``clearcoat`` (red), linear."""
+    clearcoat_roughness_texture: Texture | None = None
+    """Factor of ``clearcoat_roughness`` (green), linear."""
+    sheen_color_texture: Texture | None = None
+    """sRGB-encoded factor of ``sheen_color``."""
+    sheen_roughness_texture: Texture | None = None
+    """Factor of ``sheen_roughness`` (alpha), linear."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """What all textures show beyond their left and right edges; also by its value, ``"clamp"``."""
+    """What textures show beyond their left and right edges; also by its value, ``"clamp"``."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
     """The same beyond their upper and lower edges."""
+    texture_wraps: Wraps | None = None
+    """What single textures show there instead, along u and v: ``{"normal_texture": ("clamp", "repeat")}``."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
     """What alpha means, on meshes; also by its value, ``"mask"``."""
     alpha: float = 1.0
@@ -145,8 +146,14 @@ class MaterialPbr:
             occlusion_texture: Texture | None = None,
             occlusion_strength: float = 1.0,
             emissive_texture: Texture | None = None,
+            transmission_texture: Texture | None = None,
+            clearcoat_texture: Texture | None = None,
+            clearcoat_roughness_texture: Texture | None = None,
+            sheen_color_texture: Texture | None = None,
+            sheen_roughness_texture: Texture | None = None,
             wrap_u: TextureWrap = TextureWrap.REPEAT,
             wrap_v: TextureWrap = TextureWrap.REPEAT,
+            texture_wraps: WrapsLike | None = None,
             alpha_mode: AlphaMode = AlphaMode.OPAQUE,
             alpha: float = 1.0,
             alpha_cutoff: float = 0.5,
@@ -164,10 +171,10 @@ class MaterialPbr:
             raise SceneError(f"ior is {self.ior}, expected at least 1")
         if not is_number(self.normal_scale) or not math.isfinite(self.normal_scale):
             raise SceneError(f"normal_scale is {self.normal_scale}, expected a finite number")
-        for kind in ("base_color", "metallic_roughness", "normal", "occlusion", "emissive"):
-            name = f"{kind}_texture"
-            object.__setattr__(self, name, _texture(name, getattr(self, name)))
+        for name in texture_names(self):
+            object.__setattr__(self, name, checked_texture(name, getattr(self, name)))
         _check_alpha_and_wrap(self)
+        object.__setattr__(self, "texture_wraps", checked_wraps(self.texture_wraps, texture_names(self)))
 
     def _check_inside(self) -> None:
         object.__setattr__(self, "attenuation_color", _color("attenuation_color", self.attenuation_color, 1.0))
@@ -268,7 +275,7 @@ class MaterialSimple:
             object.__setattr__(self, name, _color(name, getattr(self, name), high))
         if not is_number(self.shininess) or not 0.0 <= self.shininess <= 1e4:
             raise SceneError(f"shininess is {self.shininess}, expected 0 to 10,000")
-        object.__setattr__(self, "base_color_texture", _texture("base_color_texture", self.base_color_texture))
+        object.__setattr__(self, "base_color_texture", checked_texture("base_color_texture", self.base_color_texture))
         _check_alpha_and_wrap(self)
 
     @property
@@ -294,6 +301,17 @@ class MaterialSimple:
 
 Material = MaterialPbr | MaterialSimple
 """Any material."""
+
+
+def texture_names(material: Material) -> list[str]:
+    """The fields that hold textures, whether there are any or not."""
+    return [field.name for field in fields(material) if field.name.endswith("_texture")]
+
+
+def wraps_of(material: Material, name: str) -> WrapPair:
+    """How the texture in field ``name`` wraps along u and v."""
+    own = material.texture_wraps if isinstance(material, MaterialPbr) else None
+    return (own or {}).get(name, (material.wrap_u, material.wrap_v))
 
 
 def _color(name: str, value: object, high: float) -> Color:
@@ -330,12 +348,3 @@ def _check_alpha_and_wrap(material: MaterialPbr | MaterialSimple) -> None:
     _check_unit("alpha", material.alpha)
     if not is_number(material.alpha_cutoff) or not 0.0 <= material.alpha_cutoff <= FLOAT32_MAX:
         raise SceneError(f"alpha_cutoff is {material.alpha_cutoff}, expected at least 0")
-
-
-def _texture(name: str, value: npt.ArrayLike | None) -> Texture | None:
-    if value is None:
-        return None
-    texture = np.asarray(value)
-    if texture.dtype != np.uint8 or texture.ndim != 3 or texture.shape[2] not in (3, 4) or texture.size == 0:
-        raise SceneError(f"{name} is {texture.dtype} {texture.shape}, expected uint8 (H, W, 3 or 4)")
-    return read_only_array(texture, np.uint8)

@@ -210,17 +210,6 @@ def test_the_inside_of_glass(tmp_path: Path) -> None:
         read(tmp_path, gltf)
 
 
-def test_transmission_that_varies_is_announced(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Its texture is not read, which gives a line."""
-    gltf = quad_gltf(textured=False)
-    textured = {"transmissionFactor": 1.0, "transmissionTexture": {"index": 0}}
-    gltf.json["materials"][0]["extensions"] = GLASS | {"KHR_materials_transmission": textured}
-    with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert pbr_of(one(read(tmp_path, gltf)).mesh).ior == 1.45
-    (record,) = caplog.records
-    assert "transmissionTexture of 1 materials is not read (first materials[0] 'painted')" in record.message
-
-
 def with_alpha(gltf: Gltf, alpha: int = 7) -> Gltf:
     """The same, its texture with an alpha channel."""
     rgba = np.dstack([TEXELS, np.full((2, 2), alpha, np.uint8)])
@@ -253,18 +242,22 @@ def test_an_unknown_alpha_mode_is_refused(tmp_path: Path) -> None:
 
 
 def test_samplers_say_how_textures_wrap(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Along each axis; those of the first texture hold for all, and another number is an error."""
+    """Along each axis, and each texture in its own way; another number is an error."""
     gltf = quad_gltf()
     assert one(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
     gltf.add("samplers", wrapS=33071, wrapT=33648)
     gltf.json["textures"][0]["sampler"] = 0
-    material = one(read(tmp_path, gltf)).mesh.material
+    material = pbr_of(one(read(tmp_path, gltf)).mesh)
     assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
+    assert material.texture_wraps is None
     gltf.add("textures", source=0)
     gltf.json["materials"][0]["emissiveTexture"] = {"index": 1}
+    gltf.json["materials"][0]["normalTexture"] = {"index": 0}
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        read(tmp_path, gltf)
-    assert "textures of 1 materials wrap in different ways, all as the first of them" in caplog.text
+        material = pbr_of(one(read(tmp_path, gltf)).mesh)
+    assert not caplog.records
+    assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
+    assert material.texture_wraps == {"emissive_texture": (ls.TextureWrap.REPEAT, ls.TextureWrap.REPEAT)}
     gltf.json["samplers"][0]["wrapS"] = 9
     with pytest.raises(ls.FormatError, match=r"samplers\[0\] wraps by 9, expected one of 10497, 33071, 33648"):
         read(tmp_path, gltf)

@@ -161,18 +161,51 @@ def test_wrong_materials_are_refused(tmp_path: Path, material: dict[str, Any], m
 
 
 def test_layers_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Clearcoat and sheen by their factors; their textures give a line."""
+    """Transmission, clearcoat and sheen by their factors and textures, without a line."""
+    glass = {"transmissionFactor": 0.75, "transmissionTexture": {"index": 4}}
     coat: dict[str, Any] = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25}
-    sheen = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.75}
-    gltf = textured(extensions={"KHR_materials_clearcoat": coat, "KHR_materials_sheen": sheen})
+    sheen: dict[str, Any] = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.75}
+    coat |= {"clearcoatTexture": {"index": 1}, "clearcoatRoughnessTexture": {"index": 2}}
+    sheen |= {"sheenColorTexture": {"index": 3}, "sheenRoughnessTexture": {"index": 5, "texCoord": 0}}
+    extensions: dict[str, Any] = {"transmission": glass, "clearcoat": coat, "sheen": sheen}
+    gltf = textured(extensions={f"KHR_materials_{name}": values for name, values in extensions.items()})
+    with_alpha = np.dstack([TEXELS, TEXELS[..., 0]])
+    gltf.add("images", bufferView=gltf.view(png_bytes(with_alpha)), mimeType="image/png")
+    gltf.add("textures", source=5)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         material = pbr_of(read(tmp_path, gltf))
-        assert not caplog.records
-        coat["clearcoatTexture"] = {"index": 1}
-        read(tmp_path, gltf)
-    assert (material.clearcoat, material.clearcoat_roughness) == (0.5, 0.25)
+    assert not caplog.records
+    assert (material.clearcoat, material.clearcoat_roughness, material.transmission) == (0.5, 0.25, 0.75)
     assert (material.sheen_color, material.sheen_roughness) == ((0.1, 0.2, 0.3), 0.75)
-    assert "textures of clearcoat or sheen of 1 materials are not read (first materials[0] 'painted')" in caplog.text
-    sheen["sheenRoughnessFactor"] = 2.0  # type: ignore[assignment]
+    np.testing.assert_array_equal(material.clearcoat_texture, texels(1))
+    np.testing.assert_array_equal(material.clearcoat_roughness_texture, texels(2))
+    np.testing.assert_array_equal(material.sheen_color_texture, texels(3))
+    np.testing.assert_array_equal(material.sheen_roughness_texture, with_alpha)
+    np.testing.assert_array_equal(material.transmission_texture, texels(4))
+    sheen["sheenRoughnessFactor"] = 2.0
     with pytest.raises(ls.FormatError, match=r"sheen_roughness is 2\.0, expected 0\.\.1"):
         read(tmp_path, gltf)
+
+
+def test_textures_of_layers_have_the_coordinates_of_the_first(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Else they are left out with a line, like the others."""
+    coat = {"clearcoatTexture": {"index": 1, "texCoord": 1}, "clearcoatRoughnessTexture": {"index": 2}}
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        material = pbr_of(read(tmp_path, textured(extensions={"KHR_materials_clearcoat": coat})))
+    assert material.clearcoat_texture is None and material.clearcoat_roughness_texture is not None
+    assert "coordinates are not those of the base colour: clearcoatTexture of materials[0] 'painted'" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("extension", "texture"), [("clearcoat", "clearcoatNormalTexture"), ("volume", "thicknessTexture")]
+)
+def test_textures_without_use_are_told_of(
+    extension: str, texture: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """In one line, with the reason: the coat has one normal with the rest, and rays measure the thickness."""
+    gltf = textured(extensions={f"KHR_materials_{extension}": {texture: {"index": 1}}})
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        read(tmp_path, gltf)
+    (record,) = caplog.records
+    assert f"{texture} of 1 materials is not used, " in record.message
+    assert "(first materials[0] 'painted')" in record.message

@@ -76,6 +76,20 @@ def test_textures(tmp_path: Path) -> None:
     assert material.metallic == 0.25  # of the file
 
 
+def test_wraps_of_single_textures(tmp_path: Path) -> None:
+    """A table of them, by the names of the keys; a wrong one is an error at its line."""
+    (tmp_path / "quad.glb").write_bytes(quad_gltf(textured=False).glb())
+    text = '[[meshes]]\npath = "quad.glb"\nmaterial = "wood"\n[materials.wood]\nwrap_u = "mirror"\n'
+    text += 'texture_wraps = { normal_texture = "clamp", sheen_color_texture = ["clamp", "mirror"] }\n'
+    material = load_scene(tmp_path, text).meshes[0].mesh.material
+    assert isinstance(material, ls.MaterialPbr)
+    repeat, mirror, clamp = ls.TextureWrap
+    assert material.texture_wraps == {"normal_texture": (clamp, clamp), "sheen_color_texture": (clamp, mirror)}
+    assert (material.wrap_u, material.wrap_v) == (mirror, repeat)
+    with pytest.raises(ls.FormatError, match=r"line 6, materials\.wood: texture_wraps of normal_texture is .clip."):
+        load_scene(tmp_path, text.replace('"clamp",', '"clip",', 1))
+
+
 def test_textures_need_coordinates(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A mesh without coordinates loads without the texture, and one log line says so."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

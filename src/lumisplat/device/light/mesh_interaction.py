@@ -11,6 +11,7 @@ from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.texture import sample_texture
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_uv, hit_weights, surface_color, surface_normal
+from lumisplat.device.mesh.varied_layers import Layers, layers_at, with_layers
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.scene import MeshData, TextureData
 from lumisplat.device.structs.shading import Interaction, MaterialData, ShadingScene, WaveData
@@ -97,6 +98,10 @@ def mesh_interaction(
     # Light comes through rough surfaces by paths only: else what they do not reflect specularly is scattered back.
     lets_through = material.roughness == 0.0 or wave[0].traces_paths != 0
     transmission = wp.where(lets_through, material.transmission, 0.0)
+    layers = Layers()
+    if instance.material.varied > 0:
+        layers = layers_at(instance.material.varied, meshes, corners, weights)
+        transmission = wp.where(lets_through, layers.transmission, 0.0)
     interaction.wo = -wave[0].rays.direction[i]
     interaction.geometric_normal = face_normal(instance, meshes, corners)
     inside = wp.dot(interaction.geometric_normal, interaction.wo) < 0.0
@@ -106,6 +111,8 @@ def mesh_interaction(
     interaction.bsdf = bsdf_of(
         scene[0].materials, scene[0].splats.shape[0] + number, color, roughness, metallic, transmission, boundary.eta
     )
+    if instance.material.varied > 0:
+        interaction.bsdf = with_layers(interaction.bsdf, layers)
     is_dark = is_black(interaction.bsdf.diffuse) and is_black(interaction.bsdf.transmitted)
     is_dark = is_dark and not has_layers(interaction.bsdf)
     if is_dark and (is_black(interaction.bsdf.specular) or material.roughness == 0.0):

@@ -15,6 +15,7 @@ from lumisplat.device.material.layers import coat_share, sheen_share
 from lumisplat.device.material.media import boundary_of_ray
 from lumisplat.device.math.color import encode_srgb_color, is_black
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
+from lumisplat.device.mesh.varied_layers import material_at
 from lumisplat.device.structs.rays import Bounce
 from lumisplat.device.structs.scene import ALPHA_BLEND, MeshData, MeshInstanceData, SmoothData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
@@ -154,7 +155,7 @@ def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.arr
     bounce = straight(face_normal(instance, meshes, corners), wave[0].rays.direction[i])
     if boundary.exists:
         bounce = bounce_of(
-            instance.material,
+            material_at(instance, meshes, corners, weights),
             surface_color(instance, meshes, corners, weights),
             face_normal(instance, meshes, corners),
             surface_normal(instance, meshes, corners, weights),

@@ -85,6 +85,36 @@ class SplatInstanceData:
 
 
 @struct
+class TextureData:
+    """Where a texture lies in the texels of MeshData."""
+
+    first: int
+    width: int
+    """0: there is no texture."""
+    height: int
+    wrap_u: int
+    """WRAP_REPEAT and so on."""
+    wrap_v: int
+
+
+@struct
+class VariedData:
+    """Transmission and layers of a material in which textures vary them: their factors, and the textures."""
+
+    transmission: float
+    transmission_texture: TextureData
+    coat: float
+    coat_texture: TextureData
+    coat_roughness: float
+    coat_roughness_texture: TextureData
+    sheen: wp.vec3
+    sheen_texture: TextureData
+    sheen_roughness: float
+    sheen_roughness_texture: TextureData
+    sheen_curve: wp.vec4
+
+
+@struct
 class MeshData:
     """All meshes of a scene, end to end, each in its own space."""
 
@@ -101,19 +131,10 @@ class MeshData:
     """sRGB decoding table, 256 entries."""
     unit_from_byte: wp.array[float]
     """Bytes over 255."""
-
-
-@struct
-class TextureData:
-    """Where a texture lies in the texels of MeshData."""
-
-    first: int
-    width: int
-    """0: there is no texture."""
-    height: int
-    wrap_u: int
-    """WRAP_REPEAT and so on."""
-    wrap_v: int
+    varied: wp.array[VariedData]
+    """Of the materials that have such textures; element 0 has none."""
+    sheen_curves: wp.array[wp.vec4]
+    """Coefficients of the albedo of sheen, by its roughness; without elements: no texture has a roughness of sheen."""
 
 
 @struct
@@ -152,6 +173,8 @@ class SmoothData:
     sheen: float
     """Largest channel of a sheen on it."""
     sheen_curve: wp.vec4
+    varied: int
+    """Index into MeshData.varied; 0: no textures vary transmission or layers."""
 
 
 @struct

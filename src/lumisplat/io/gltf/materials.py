@@ -14,6 +14,7 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.primitive import GltfPrimitive
 from lumisplat.io.gltf.textures import GltfTexels, Placement, Textures, material_textures
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
+from lumisplat.scene.textures import WrapPair
 
 if TYPE_CHECKING:
     import pygltflib
@@ -27,8 +28,7 @@ _LISTED_MAX = 4
 def warn_unread(file: GltfFile) -> None:
     """Logs the features of the file's materials that are not read, one line per feature.
 
-    These are textures of transmission and of layers, and those with other coordinates than the base colour, or that
-    wrap otherwise.
+    These are normals of the clearcoat, thickness, and textures with other coordinates than the base colour.
     """
     materials = file.model.materials or []
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
@@ -43,15 +43,13 @@ def warn_unread(file: GltfFile) -> None:
         )
     labelled = [(_label(index, material), material) for index, material in enumerate(materials)]
     lines = {
-        "textures of %d materials wrap in different ways, all as the first of them (first %s)": [
-            label for label, material in labelled if len(set(_textures(material).wraps(file, label))) > 1
-        ],
-        "transmissionTexture of %d materials is not read (first %s)": [
-            label for label, material in labelled if "transmissionTexture" in _extension(material, "transmission")
-        ],
-        "textures of clearcoat or sheen of %d materials are not read (first %s)": [
-            label for label, material in labelled if _has_layer_textures(material)
-        ],
+        f"{texture} of %d materials is not used{why} (first %s)": [
+            label for label, material in labelled if texture in _extension(material, extension)
+        ]
+        for texture, extension, why in (
+            ("clearcoatNormalTexture", "clearcoat", ", the coat has the normals of what is below"),
+            ("thicknessTexture", "volume", ", rays go through the mesh itself"),
+        )
     }
     for line, labels in lines.items():
         if labels:
@@ -70,7 +68,7 @@ def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]
 
 
 def _layers(material: pygltflib.Material) -> dict[str, Any]:
-    """Clearcoat and sheen (KHR_materials_clearcoat, KHR_materials_sheen), without their textures."""
+    """The factors of clearcoat and sheen (KHR_materials_clearcoat, KHR_materials_sheen)."""
     coat, sheen = _extension(material, "clearcoat"), _extension(material, "sheen")
     return {
         "clearcoat": coat.get("clearcoatFactor", 0.0),
@@ -78,11 +76,6 @@ def _layers(material: pygltflib.Material) -> dict[str, Any]:
         "sheen_color": tuple(sheen.get("sheenColorFactor", (0.0, 0.0, 0.0))),
         "sheen_roughness": sheen.get("sheenRoughnessFactor", 0.0),
     }
-
-
-def _has_layer_textures(material: pygltflib.Material) -> bool:
-    keys = [*_extension(material, "clearcoat"), *_extension(material, "sheen")]
-    return any(key.endswith("Texture") for key in keys)
 
 
 def _is_unlit(material: pygltflib.Material) -> bool:
@@ -159,11 +152,12 @@ class GltfMaterials:
         """What all kinds of materials have: texels, how they wrap, and alpha."""
         textures = _textures(material)
         values: dict[str, Any] = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
-        for name in values:
-            if name != "base_color_texture" or material.alphaMode in (None, "OPAQUE"):
-                values[name] = values[name][:, :, :3]
-        for wrap_u, wrap_v in textures.wraps(self._file, label)[:1]:
-            values |= {"wrap_u": wrap_u, "wrap_v": wrap_v}
+        with_alpha = {"sheen_roughness_texture"}
+        if material.alphaMode not in {None, "OPAQUE"}:
+            with_alpha.add("base_color_texture")
+        for name in values.keys() - with_alpha:
+            values[name] = values[name][:, :, :3]
+        values |= _wrap_values(textures.wraps(self._file, label))
         values["alpha_mode"] = str(_or(material.alphaMode, "OPAQUE")).lower()
         values["alpha_cutoff"] = _or(material.alphaCutoff, 0.5)
         values["alpha"] = factors[3] if len(factors) > 3 else 1.0
@@ -183,6 +177,16 @@ def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
         placement = _textures(primitive.file.item("materials", index, primitive.where)).placement
     uvs = primitive.floats(f"TEXCOORD_{placement.uv_set}", "VEC2")
     return None if uvs is None else placement.transform(uvs)
+
+
+def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
+    """How a material's textures wrap: as the first of them, but for those that are named."""
+    if not wraps:
+        return {}
+    first = next(iter(wraps.values()))
+    others = {name: wrap for name, wrap in wraps.items() if wrap != first}
+    values: dict[str, Any] = {"wrap_u": first[0], "wrap_v": first[1]}
+    return values | ({"texture_wraps": others} if others else {})
 
 
 def _or(value: Any, default: Any) -> Any:

@@ -12,7 +12,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.limits import TextureBytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.images.texture import decode_texture
-from lumisplat.scene.materials import TextureWrap
+from lumisplat.scene.textures import TextureWrap, WrapPair
 
 if TYPE_CHECKING:
     import pygltflib
@@ -23,6 +23,11 @@ _NAMES = {
     "normal_texture": "normalTexture",
     "occlusion_texture": "occlusionTexture",
     "emissive_texture": "emissiveTexture",
+    "transmission_texture": "transmissionTexture",
+    "clearcoat_texture": "clearcoatTexture",
+    "clearcoat_roughness_texture": "clearcoatRoughnessTexture",
+    "sheen_color_texture": "sheenColorTexture",
+    "sheen_roughness_texture": "sheenRoughnessTexture",
 }
 """Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
 
@@ -63,13 +68,13 @@ class Textures(NamedTuple):
     left_out: list[str]
     """glTF's names of the textures with other placements."""
 
-    def wraps(self, file: GltfFile, referrer: str) -> list[tuple[TextureWrap, TextureWrap]]:
-        """How the textures wrap, along u and v; the first one's hold for all.
+    def wraps(self, file: GltfFile, referrer: str) -> dict[str, WrapPair]:
+        """How the textures wrap, along u and v, by our names.
 
         Raises:
             FormatError: An index is invalid, or a sampler names no way to wrap.
         """
-        return [_wrap(file, index, referrer) for index in self.indices.values()]
+        return {name: _wrap(file, index, referrer) for name, index in self.indices.items()}
 
 
 def material_textures(material: pygltflib.Material, *, only_color: bool = False) -> Textures:
@@ -79,10 +84,9 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
         material: The material.
         only_color: Whether only the base colour texture counts.
     """
-    pbr = material.pbrMetallicRoughness
-    infos: dict[str, pygltflib.TextureInfo] = {}
+    infos: dict[str, _Info] = {}
     for ours, theirs in _NAMES.items():
-        info = getattr(pbr if hasattr(pbr, theirs) else material, theirs, None)
+        info = _info(material, theirs)
         if info is not None and (ours == "base_color_texture" or not only_color):
             infos[ours] = info
     placements = {name: _placement(info) for name, info in infos.items()}
@@ -91,17 +95,39 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
     return Textures(leading, indices, [_NAMES[name] for name in infos if name not in indices])
 
 
-def _placement(info: pygltflib.TextureInfo) -> Placement:
-    transform: dict[str, Any] = (info.extensions or {}).get("KHR_texture_transform", {})
+class _Info(NamedTuple):
+    """What a material says of one of its textures."""
+
+    index: Any
+    uv_set: Any
+    extensions: dict[str, Any]
+
+
+def _info(material: pygltflib.Material, name: str) -> _Info | None:
+    """The texture of glTF's ``name``, of the material itself or of one of its extensions."""
+    pbr = material.pbrMetallicRoughness
+    info = getattr(pbr if hasattr(pbr, name) else material, name, None)
+    if info is not None:
+        return _Info(info.index, info.texCoord, info.extensions or {})
+    extensions: dict[str, Any] = material.extensions or {}
+    for extension in ("transmission", "clearcoat", "sheen"):
+        found = extensions.get(f"KHR_materials_{extension}", {}).get(name)
+        if found is not None:
+            return _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
+    return None
+
+
+def _placement(info: _Info) -> Placement:
+    transform: dict[str, Any] = info.extensions.get("KHR_texture_transform", {})
     return Placement(
-        uv_set=transform.get("texCoord", info.texCoord or 0),
+        uv_set=transform.get("texCoord", info.uv_set or 0),
         offset=tuple(map(float, transform.get("offset", (0.0, 0.0)))),
         rotation=float(transform.get("rotation", 0.0)),
         scale=tuple(map(float, transform.get("scale", (1.0, 1.0)))),
     )
 
 
-def _wrap(file: GltfFile, index: int, referrer: str) -> tuple[TextureWrap, TextureWrap]:
+def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
     """How a texture wraps."""
     number = file.item("textures", index, referrer).sampler
     if number is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import FloatArray
-from lumisplat.scene.materials import Material
+from lumisplat.scene.materials import Material, texture_names
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.triangles import area_vectors, check_triangles, describe_problems, sum_at_vertices
 
@@ -115,8 +115,7 @@ def placeable_material(path: PathLike, material: Material, uvs: FloatArray | Non
         uvs: Texture coordinates of the mesh.
         name: Name of the mesh, for the log if the material has none.
     """
-    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
-    unplaced = [texture for texture in names if getattr(material, texture) is not None]
+    unplaced = [texture for texture in texture_names(material) if getattr(material, texture) is not None]
     if not unplaced or uvs is not None:
         return material
     label = repr(material.name or name)

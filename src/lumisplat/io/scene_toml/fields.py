@@ -12,6 +12,7 @@ from lumisplat.io.scene_toml.toml_table import (
     FLAG,
     NUMBER,
     QUATERNION,
+    TABLE,
     TEXT,
     VECTOR,
     WHOLE,
@@ -31,6 +32,7 @@ _KINDS = {
     "Texture | None": TEXT,
     "TextureWrap": TEXT,
     "AlphaMode": TEXT,
+    "Wraps | None": TABLE,
     "FloatArray | None": TEXT,
 }
 """Kinds of values by the annotation of a field; images are given by file names."""

@@ -12,10 +12,11 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.scene.lights import cumulative_shares
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.scene.materials import MaterialPbr, TextureWrap
+from lumisplat.scene.materials import MaterialPbr, wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.surface_color import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
+from lumisplat.scene.textures import WrapPair
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric weights of the points at which textures are looked up."""
@@ -72,11 +73,11 @@ def powers_of(instance: MeshInstance) -> Doubles:
     brightness = np.full(mesh.face_count, float(emitted @ np.array(LUMINANCE)))
     texture = material.emissive_texture if isinstance(material, MaterialPbr) else None
     if texture is not None and mesh.uvs is not None:
-        brightness *= _texture_means(mesh, texture, (material.wrap_u, material.wrap_v))
+        brightness *= _texture_means(mesh, texture, wraps_of(material, "emissive_texture"))
     return brightness * _areas(instance)
 
 
-def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: tuple[TextureWrap, TextureWrap]) -> Doubles:
+def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) -> Doubles:
     """Luminance of a texture, mean over some points of each triangle, shape (F,)."""
     assert mesh.uvs is not None
     points = np.einsum("pc,fcx->fpx", _INSIDE, mesh.uvs[mesh.indices])

@@ -23,7 +23,7 @@ from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.materials import AlphaMode, MaterialPbr
+from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
@@ -133,7 +133,7 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, 
     row["base_color"] = material.base_color
     texture = material.base_color_texture
     if texture is not None and mesh.uvs is not None:
-        place_texture(row["texture"], texture, material, assets.texture_first)
+        place_texture(row["texture"], texture, wraps_of(material, "base_color_texture"), assets.texture_first)
     row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
     row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
     row["material"]["smooth"] = material.is_smooth
@@ -144,6 +144,7 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, 
         row["material"]["absorption"] = absorption_of(material)
         fill_layers(row["material"], material)
         row["material"]["sheen"] = max(material.sheen_color)
+        row["material"]["varied"] = assets.varied(mesh)
 
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:

@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from lumisplat.constants import COAT_ROUGHNESS_MIN, SHADOW_ONLY_AMBIENT, SHEEN_ROUGHNESS_MIN
 from lumisplat.device.structs.light import BSDF_PBR, BSDF_SIMPLE
-from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT
+from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, VariedData
 from lumisplat.device.structs.shading import MaterialData
 from lumisplat.math.fresnel import mean_fresnel
 from lumisplat.math.sheen import albedo_curve
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, TextureWrap
+from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple, wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+from lumisplat.scene.textures import TextureWrap, WrapPair
 
 TextureFirst = Callable[[np.ndarray], int]
 
 _WRAPS = {TextureWrap.REPEAT: WRAP_REPEAT, TextureWrap.MIRROR: WRAP_MIRROR, TextureWrap.CLAMP: WRAP_CLAMP}
+_VARIED = {
+    "transmission_texture": "transmission_texture",
+    "clearcoat_texture": "coat_texture",
+    "clearcoat_roughness_texture": "coat_roughness_texture",
+    "sheen_color_texture": "sheen_texture",
+    "sheen_roughness_texture": "sheen_roughness_texture",
+}
+"""Textures in VariedData, by the names of materials."""
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
@@ -130,7 +139,28 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
     for name in _TEXTURES:
         texture = getattr(mesh.material, name)
         if texture is not None:
-            place_texture(row[name], texture, mesh.material, texture_first)
+            place_texture(row[name], texture, wraps_of(mesh.material, name), texture_first)
+
+
+def varies(mesh: Mesh) -> bool:
+    """Whether textures vary transmission or layers over a mesh."""
+    has_any = any(getattr(mesh.material, name, None) is not None for name in _VARIED)
+    return has_any and mesh.uvs is not None
+
+
+def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) -> np.ndarray:
+    """The rows of VariedData: an empty one, then one a material."""
+    table = np.zeros(1 + len(materials), dtype=table_dtype(VariedData))
+    for row, material in zip(list[Any](table)[1:], materials, strict=True):
+        row["transmission"], row["coat"], row["sheen"] = material.transmission, material.clearcoat, material.sheen_color
+        row["coat_roughness"], row["sheen_roughness"] = material.clearcoat_roughness, material.sheen_roughness
+        if any(material.sheen_color):
+            row["sheen_curve"] = albedo_curve(material.sheen_roughness)
+        for name, field in _VARIED.items():
+            texture = getattr(material, name)
+            if texture is not None:
+                place_texture(row[field], texture, wraps_of(material, name), texture_first)
+    return table
 
 
 def fill_layers(row: Any, material: MaterialPbr) -> None:
@@ -146,8 +176,8 @@ def has_layers(material: Material | None) -> bool:
     return isinstance(material, MaterialPbr) and (material.clearcoat > 0.0 or any(material.sheen_color))
 
 
-def place_texture(row: Any, texture: np.ndarray, material: Material, texture_first: TextureFirst) -> None:
+def place_texture(row: Any, texture: np.ndarray, wraps: WrapPair, texture_first: TextureFirst) -> None:
     """Fills a row of TextureData."""
     row["first"] = texture_first(texture)
     row["height"], row["width"] = texture.shape[:2]
-    row["wrap_u"], row["wrap_v"] = _WRAPS[material.wrap_u], _WRAPS[material.wrap_v]
+    row["wrap_u"], row["wrap_v"] = (_WRAPS[wrap] for wrap in wraps)

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
-from lumisplat.device.structs.scene import MeshData
+from lumisplat.device.structs.scene import MeshData, VariedData
+from lumisplat.math.sheen import albedo_curves
+from lumisplat.renderer.scene.materials import varied_table, varies
 from lumisplat.renderer.scene.upload import TextureKey, first_of, texture_key, upload_meshes
 from lumisplat.runtime.buffers import bytes_of
+from lumisplat.runtime.struct_tables import upload_table
+from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
@@ -23,6 +28,7 @@ class MeshAssets:
         self._meshes: dict[int, Mesh] = {}
         self._face_first: dict[int, int] = {}
         self._texture_first: dict[TextureKey, int] = {}
+        self._varied: dict[int, int] = {}
         self.data = MeshData()
 
     def sync(self, scene: Scene) -> None:
@@ -33,11 +39,26 @@ class MeshAssets:
         self._meshes, self.data = {}, MeshData()
         self._face_first = first_of({key: mesh.face_count for key, mesh in meshes.items()})
         self.data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
+        self._upload_varied(meshes)
         self._meshes = meshes
+
+    def _upload_varied(self, meshes: dict[int, Mesh]) -> None:
+        """Uploads transmission and layers of the meshes where textures vary them."""
+        materials = {key: mesh.material for key, mesh in meshes.items() if varies(mesh)}
+        self._varied = {key: 1 + number for number, key in enumerate(materials)}
+        found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
+        self.data.varied = upload_table(varied_table(found, self.texture_first), VariedData, self._device)
+        if any(material.sheen_roughness_texture is not None for material in found):
+            curves = albedo_curves().astype(np.float32)
+            self.data.sheen_curves = wp.array(curves, dtype=wp.vec4, device=self._device)
 
     def face_first(self, mesh: Mesh) -> int:
         """First face of a mesh in the data."""
         return self._face_first[id(mesh)]
+
+    def varied(self, mesh: Mesh) -> int:
+        """The element of ``data.varied`` that is of a mesh; 0: no textures vary its transmission or layers."""
+        return self._varied.get(id(mesh), 0)
 
     def texture_first(self, texture: np.ndarray) -> int:
         """First texel of a texture in the data."""

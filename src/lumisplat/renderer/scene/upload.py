@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,7 +12,7 @@ from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.runtime.buffers import DeviceArray, device_array
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.materials import Material
+from lumisplat.scene.materials import Material, texture_names
 from lumisplat.scene.mesh import Mesh
 
 Key = TypeVar("Key")
@@ -107,8 +106,7 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 
 def textures_of(material: Material) -> list[Any]:
     """All textures that a material may have; None: it has no such texture."""
-    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
-    return [getattr(material, name) for name in names]
+    return [getattr(material, name) for name in texture_names(material)]
 
 
 def upload_array(values: np.ndarray, device: str) -> DeviceArray:

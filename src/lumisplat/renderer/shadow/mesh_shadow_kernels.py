@@ -17,6 +17,7 @@ from lumisplat.device.material.media import passed
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
+from lumisplat.device.mesh.varied_layers import material_at
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
 from lumisplat.device.structs.packet import WaitingLink
 from lumisplat.device.structs.rays import MeshPassage, MeshRay, RayData
@@ -57,7 +58,8 @@ def pass_triangle(
     if is_glass:
         normal = surface_normal(instance, scene.meshes, corners, weights)
         color = surface_color(instance, scene.meshes, corners, weights)
-        share = pass_straight(instance.material, color, wp.min(wp.abs(wp.dot(normal, direction)), 1.0))
+        material = material_at(instance, scene.meshes, corners, weights)
+        share = pass_straight(material, color, wp.min(wp.abs(wp.dot(normal, direction)), 1.0))
         enters = wp.dot(direction, face_normal(instance, scene.meshes, corners)) < 0.0
         passage.inside += wp.where(enters, -t, t)
         passage.entries += wp.where(enters, 1, -1)

@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.math.color import decode_srgb
-from lumisplat.scene.materials import TextureWrap
+from lumisplat.scene.materials import wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.surface_points import interpolate_vertices
+from lumisplat.scene.textures import TextureWrap, WrapPair
 from lumisplat.scene.triangles import area_vectors
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]
-_Wraps = tuple[TextureWrap, TextureWrap]
 
 
 def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
@@ -32,7 +32,7 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
     texture = mesh.material.base_color_texture
     if texture is not None and mesh.uvs is not None:
         level = _texture_levels(mesh, mesh.uvs, texture.shape[0] * texture.shape[1], width)[faces]
-        wraps = mesh.material.wrap_u, mesh.material.wrap_v
+        wraps = wraps_of(mesh.material, "base_color_texture")
         colors *= _filter_texture(texture, interpolate_vertices(mesh.uvs, corners, weights), level, wraps)
     return np.clip(colors, 0.0, 1.0)
 
@@ -46,7 +46,7 @@ def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) ->
     return 0.5 * np.log2(np.maximum(texels2, 1.0))
 
 
-def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: _Wraps) -> _Floats:
+def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: WrapPair) -> _Floats:
     """Trilinear lookup of a texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
@@ -60,7 +60,7 @@ def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats
         image, step = _halve(_halve(image, 0), 1), step + 1
 
 
-def _bilinear(image: _Floats, uvs: _Floats, wraps: _Wraps) -> _Floats:
+def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
     """Bilinear lookup of an image, shape (M, 3)."""
     height, width = image.shape[:2]
     x = wrapped(uvs[:, 0], wraps[0]) * width - 0.5
