@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.device.material.bsdf import head_on_share, mean_mirrored_share
+from lumisplat.device.material.fresnel import mean_fresnel
 from lumisplat.device.material.ggx import rescattered_share
 from lumisplat.device.structs.light import BSDF_PBR, Bsdf
 from lumisplat.device.structs.shading import Interaction, MaterialData, WaveData
@@ -50,7 +51,7 @@ def bsdf_of(
     if bsdf.model == BSDF_PBR:
         ior = materials[number].ior
         bsdf.eta = eta
-        bsdf.dielectric = wp.where(ior > 1.0, materials[number].specular_strength, 0.0)
+        bsdf.dielectric = wp.where(eta != 1.0, materials[number].specular_strength, 0.0)
         bsdf.diffuse = (1.0 - metallic) * (1.0 - transmission) * color
         bsdf.specular = (1.0 - metallic) * wp.vec3(head_on_share(bsdf.dielectric, bsdf.eta)) + metallic * color
         bsdf.grazing = (1.0 - metallic) * bsdf.dielectric + metallic
@@ -69,9 +70,10 @@ def bsdf_of(
         bsdf.sheen = materials[number].sheen
         bsdf.sheen_alpha = materials[number].sheen_alpha
         bsdf.sheen_curve = materials[number].sheen_curve
-        bsdf.mean_mirrored = mean_mirrored_share(
-            bsdf.dielectric, bsdf.eta, smooth_alpha, materials[number].fresnel_mean
-        )
+        fresnel_mean = materials[number].fresnel_mean
+        if smooth_alpha <= 0.0 and eta != 1.0 / ior and eta != ior:
+            fresnel_mean = mean_fresnel(eta)  # beside a medium
+        bsdf.mean_mirrored = mean_mirrored_share(bsdf.dielectric, bsdf.eta, smooth_alpha, fresnel_mean)
     else:
         bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
         bsdf.specular = materials[number].specular

@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants import KEPT_SHARE_MIN, NORMAL_DEGENERATE, SPLAT_ROUGHNESS_MIN
 from lumisplat.device.gaussian.compositing import instance_of
 from lumisplat.device.light.interaction import bsdf_of, unit_or
+from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
 from lumisplat.device.structs.light import BSDF_PBR
 from lumisplat.device.structs.shading import SEES_BACKGROUND, Interaction, ShadingScene, SplatSurface, WaveData
@@ -187,7 +188,7 @@ def splat_interaction(
         if scene[0].attributes[asset].metallic.shape[0] > 0:
             metallic = scene[0].attributes[asset].metallic[surface.gaussian]
     roughness = wp.max(roughness, ROUGHNESS_MIN)
-    eta = 1.0 / scene[0].materials[surface.instance].ior
+    eta = index_around(media_of_ray(i, wave), scene[0].mesh_instances) / scene[0].materials[surface.instance].ior
     interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, metallic, 0.0, eta)
     interaction.weight = surface.share
     interaction.occlusion = 1.0

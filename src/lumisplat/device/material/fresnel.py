@@ -6,9 +6,15 @@ Directions are unit vectors, normals unit vectors on the side that the light com
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
 
+import numpy as np
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
+
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+NODES = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * (_POINTS + 1.0)).tolist()))
+"""Of the quadrature over the root of the cosine: reflectances rise steeply at grazing angles."""
+WEIGHTS = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * _WEIGHTS).tolist()))
 
 
 @wp.func
@@ -55,13 +61,24 @@ def dielectric_share(strength: float, cosine: float, eta: float) -> float:
 
 
 @wp.func
+def mean_fresnel(eta: float) -> float:
+    """``fresnel`` of even light from all around, on the side of the lower index; off by at most 7e-6."""
+    ratio = wp.min(eta, 1.0 / eta)
+    total = float(0.0)
+    for k in range(8):
+        root = NODES[k]
+        total += 4.0 * WEIGHTS[k] * root * root * root * fresnel(root * root, ratio)
+    return total
+
+
+@wp.func
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
     """``dielectric_share`` of even light from all around.
 
     Args:
         strength: Of the reflection.
-        fresnel_mean: The mean from outside, of a strength of 1.
-        eta: Above 1 inside, from where the share 1 / eta^2 of the light gets as far as the outside.
+        fresnel_mean: The mean from the side of the lower index, of a strength of 1.
+        eta: Above 1 on the side of the higher index, from where the share 1 / eta^2 of the light gets to the other.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:

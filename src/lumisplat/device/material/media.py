@@ -79,6 +79,14 @@ def index_of(number: int, instances: wp.array[MeshInstanceData]) -> float:
 
 
 @wp.func
+def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> float:
+    """Index of refraction where a ray travels."""
+    if media[0] == 0:
+        return 1.0
+    return index_of(current(media, instances), instances)
+
+
+@wp.func
 def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
     """What the surface of a mesh is to a ray: between which media, and whether it is there at all.
 
@@ -92,8 +100,8 @@ def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.a
     boundary.media = media
     boundary.media_behind = media
     boundary.exists = True
-    boundary.eta = 1.0 / instances[number].material.ior
     if instances[number].material.is_medium == 0:
+        boundary.eta = index_around(media, instances) / instances[number].material.ior
         return boundary
     if from_inside:
         if not is_in(media, number):
