@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,6 +73,23 @@ def test_json_has_the_same_facts(work):
     assert (scene["animation"]["fps"], scene["animation"]["frames"], scene["animation"]["duration"]) == (10.0, 20, 2.0)
     assert mesh["faces"] == 1 and mesh["black_vertices"] == 0.0
     assert cameras["count"] == 2 and cameras["names"] == ["left", "right"] and cameras["sizes"] == [[64, 48]]
+
+
+def test_media_are_shown(work):
+    """What is inside of the meshes that let light in, as a row and for programs; nothing of opaque ones."""
+    text = '[[meshes]]\npath = "mesh.obj"\n'
+    glass = "transmission = 1, attenuation_color = [0.2, 0.5, 1], attenuation_distance = 0.7, ior = 1.33, priority = 2"
+    text += f"material = {{ {glass} }}\n" + '[[meshes]]\npath = "mesh.obj"\n'
+    text += 'material = { transmission = 1, thin_walled = true }\n[[meshes]]\npath = "mesh.obj"\n'
+    Path(work.path("media.toml")).write_text(text)
+    shown = work.run("info", "@media.toml").out
+    assert "white becomes 0.2 0.5 1 after 0.7   ior 1.33   priority 2" in shown and "none, a thin wall" in shown
+    assert shown.count("inside") == 2
+    (facts,) = json.loads(work.run("info", "@media.toml", "--json").out)
+    solid, thin, opaque = (mesh["inside"] for mesh in facts["meshes"])
+    expected = {"attenuation_color": [0.2, 0.5, 1.0], "attenuation_distance": 0.7, "ior": 1.33, "priority": 2}
+    assert solid == {"thin_walled": False, **expected}
+    assert thin["thin_walled"] and thin["attenuation_distance"] is None and opaque is None
 
 
 def test_black_vertex_colours_are_seen(work):

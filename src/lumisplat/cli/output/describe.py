@@ -110,6 +110,8 @@ def actor_rows(actor: ls.Actor) -> Rows:
 
 def mesh_rows(mesh: ls.Mesh) -> Rows:
     """A mesh and its material."""
+    from lumisplat.scene.materials import texture_names
+
     material = mesh.material
     has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
     rows = [
@@ -120,9 +122,9 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
         ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
         ("surface", _surface(material)),
+        *_inside(material),
     ]
-    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
-    for name in names:
+    for name in texture_names(material):
         texture: Array | None = getattr(material, name)
         if texture is not None:
             kind = name.removesuffix("_texture").replace("_", " ")
@@ -242,6 +244,19 @@ def _surface(material: Material) -> str:
     names = ("emissive", "ambient", "diffuse", "specular")
     texts = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]
     return "   ".join([*texts, f"shininess {material.shininess:.3g}"])
+
+
+def _inside(material: Material) -> Rows:
+    """The medium of a mesh, if it lets light in."""
+    if not isinstance(material, ls.MaterialPbr) or material.transmission <= 0.0:
+        return []
+    if material.thin_walled:
+        return [("inside", "none, a thin wall")]
+    texts = ["clear"]
+    if math.isfinite(material.attenuation_distance):
+        color = "{:.3g} {:.3g} {:.3g}".format(*material.attenuation_color)
+        texts = [f"white becomes {color} after {material.attenuation_distance:.4g}"]
+    return [("inside", "   ".join([*texts, f"ior {material.ior:.4g}", f"priority {material.priority}"]))]
 
 
 def _histogram(opacities: Array) -> str:

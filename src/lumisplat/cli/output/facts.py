@@ -11,6 +11,7 @@ import lumisplat as ls
 
 if TYPE_CHECKING:
     from lumisplat.scene.lights import Light
+    from lumisplat.scene.materials import Material
 
 Facts = dict[str, Any]
 
@@ -43,7 +44,16 @@ def mesh_facts(mesh: ls.Mesh) -> Facts:
         "has": [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None],
         "black_vertices": black_share(mesh),
         "material": mesh.material.name,
+        "inside": _inside(mesh.material),
     }
+
+
+def _inside(material: Material) -> Facts | None:
+    """The medium of a mesh that lets light in; None: it has none."""
+    if getattr(material, "transmission", 0.0) <= 0.0:
+        return None
+    names = ("thin_walled", "attenuation_color", "attenuation_distance", "ior", "priority")
+    return {name: _plain(getattr(material, name)) for name in names}
 
 
 def black_share(mesh: ls.Mesh) -> float:
