@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy import ndimage
 import lumisplat as ls
 from lumisplat.math.tone_map import captured_radiance
 from support.scenes.lit_frames import ball_frame, unlit
+from support.scenes.path_scenes import quad
 
 needs_denoiser = pytest.mark.usefixtures("denoiser")
 SIZE = (128, 72)
@@ -122,6 +125,29 @@ def test_noisy_albedo_is_not_asked_for() -> None:
         ls.RenderConfig(raster=ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC)),
     ):
         assert replace(frame, config=settings).denoised().is_denoised
+
+
+@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+@pytest.mark.parametrize("alpha_mode", [ls.AlphaMode.OPAQUE, ls.AlphaMode.BLEND])
+def test_guides_are_clean_unless_meshes_are_drawn(
+    alpha_mode: ls.AlphaMode, pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the alpha of a veil, as in paths and in the raster pipeline: the filter is told that they have noise."""
+    asked: list[Any] = []
+
+    def denoise(image: np.ndarray, **settings: Any) -> np.ndarray:
+        asked.append(settings)
+        return image
+
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", SimpleNamespace(denoise=denoise))
+    veil = ls.MaterialPbr(alpha_mode=alpha_mode, alpha=0.5)
+    lamp = ls.LightPoint((0.0, -1.0, -2.0), intensity=5.0)
+    scene = ls.Scene(meshes=[quad((-1, -1, 0), (0, 2, 0), (2, 0, 0), veil)], lights=[lamp])
+    camera = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=8, height=8, fov_y=0.5)
+    settings = ls.RenderConfig(pipeline=pipeline, samples=2, aovs=("albedo",))
+    ls.render(scene, camera, settings, device="cpu").denoised()
+    by_chance = alpha_mode is ls.AlphaMode.BLEND and pipeline in {ls.Pipeline.PATH, ls.Pipeline.RASTER}
+    assert [one["clean_aux"] for one in asked] == [not by_chance]
 
 
 @pytest.mark.parametrize(

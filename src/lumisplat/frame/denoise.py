@@ -60,7 +60,7 @@ def _untouched(frame: FrameData) -> Flags:
 
 
 def _guides(frame: FrameData) -> dict[str, Any]:
-    """Albedo and normals of the first surfaces, if these are free of noise themselves."""
+    """Albedo and normals of the first surfaces, unless these are drawn at random; and whether they have no noise."""
     if frame.camera.aperture > 0.0:
         return {}  # each sample has surfaces of its own
     if frame.config is None or draws_surfaces(frame.config):
@@ -69,7 +69,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
     check_layer(frame, "albedo")
     assert frame.albedo is not None
     albedo = np.clip(np.nan_to_num(frame.albedo), 0.0, 1.0)
-    return {"albedo": albedo, "normal": np.ascontiguousarray(frame.normal), "clean_aux": True}
+    return {"albedo": albedo, "normal": np.ascontiguousarray(frame.normal), "clean_aux": not frame.draws_meshes}
 
 
 def draws_surfaces(config: RenderConfig) -> bool:

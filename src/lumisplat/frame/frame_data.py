@@ -118,6 +118,8 @@ class FrameData:
     bounces: FloatArray | None = None
     """Linear radiance of a frame of paths by how often surfaces have scattered it, (max_bounces + 2, H, W, 3); the sum
     is ``light``, but for what light changes of shadow-only captures."""
+    draws_meshes: bool = False
+    """Whether rays met some meshes by chance, by their alpha: then ``albedo`` and ``normal`` have noise."""
     is_denoised: bool = False
     """Whether ``light`` was denoised: no samples can be added to it any more."""
     variance: FloatArray | None = None

@@ -261,6 +261,7 @@ class Renderer:
             background=self.config.background,
             samples=samples,
             config=self.config,
+            draws_meshes=self._scene.draws_alpha and any(instance.mesh.material.blends for instance in scene.meshes),
             stats=FrameStats(
                 stage_ms=self._launcher.stage_ms,
                 gaussian_count=scene.gaussian_count,
