@@ -19,7 +19,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_flag, is_number, is_whole, take_enum
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.math.arrays import FLOAT32_MAX
-from lumisplat.scene.textures import Texture, TextureWrap, WrapPair, Wraps, WrapsLike, checked_texture, checked_wraps
+from lumisplat.scene.textures import Texture, TextureWrap, WrapPair, Wraps, checked_texture, checked_wraps
 
 Color = tuple[float, float, float]
 
@@ -153,7 +153,7 @@ class MaterialPbr:
             sheen_roughness_texture: Texture | None = None,
             wrap_u: TextureWrap = TextureWrap.REPEAT,
             wrap_v: TextureWrap = TextureWrap.REPEAT,
-            texture_wraps: WrapsLike | None = None,
+            texture_wraps: Wraps | None = None,
             alpha_mode: AlphaMode = AlphaMode.OPAQUE,
             alpha: float = 1.0,
             alpha_cutoff: float = 0.5,

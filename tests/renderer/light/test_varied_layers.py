@@ -138,7 +138,8 @@ def test_textures_wrap_each_in_their_own_way(pipeline: ls.Pipeline) -> None:
     far = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
     settings = ls.RenderConfig(pipeline=pipeline, jitter=False, lighting=True, max_bounces=0)
     shown = []
-    for wraps in ({"emissive_texture": ("clamp", "repeat")}, {"base_color_texture": "clamp"}):
+    wrapping: list[Any] = [{"emissive_texture": ("clamp", "repeat")}, {"base_color_texture": "clamp"}]
+    for wraps in wrapping:
         mesh = replace(wall(replace(material, texture_wraps=wraps)), uvs=uvs)
         emitted, both = (
             ls.render(ls.Scene(meshes=[mesh], lights=[light]), VIEW, settings, device="cpu").color[4, 8, 0]

@@ -110,8 +110,6 @@ def actor_rows(actor: ls.Actor) -> Rows:
 
 def mesh_rows(mesh: ls.Mesh) -> Rows:
     """A mesh and its material."""
-    from lumisplat.scene.materials import texture_names
-
     material = mesh.material
     has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
     rows = [
@@ -124,7 +122,8 @@ def mesh_rows(mesh: ls.Mesh) -> Rows:
         ("surface", _surface(material)),
         *_inside(material),
     ]
-    for name in texture_names(material):
+    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
+    for name in names:
         texture: Array | None = getattr(material, name)
         if texture is not None:
             kind = name.removesuffix("_texture").replace("_", " ")

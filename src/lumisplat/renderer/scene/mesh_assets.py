@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import warp as wp
 
 from lumisplat.device.structs.scene import MeshData, VariedData
-from lumisplat.math.sheen import albedo_curves
 from lumisplat.renderer.scene.materials import varied_table, varies
-from lumisplat.renderer.scene.upload import TextureKey, first_of, texture_key, upload_meshes
+from lumisplat.renderer.scene.upload import TextureKey, first_of, texture_key, upload_meshes, upload_sheen_curves
 from lumisplat.runtime.buffers import bytes_of
 from lumisplat.runtime.struct_tables import upload_table
 from lumisplat.scene.materials import MaterialPbr
@@ -49,8 +47,7 @@ class MeshAssets:
         found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
         self.data.varied = upload_table(varied_table(found, self.texture_first), VariedData, self._device)
         if any(material.sheen_roughness_texture is not None for material in found):
-            curves = albedo_curves().astype(np.float32)
-            self.data.sheen_curves = wp.array(curves, dtype=wp.vec4, device=self._device)
+            self.data.sheen_curves = upload_sheen_curves(self._device)
 
     def face_first(self, mesh: Mesh) -> int:
         """First face of a mesh in the data."""

@@ -10,6 +10,7 @@ import warp as wp
 from lumisplat.device.structs.scene import GaussianData, MeshData
 from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.sheen import albedo_curves
 from lumisplat.runtime.buffers import DeviceArray, device_array
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import Material, texture_names
@@ -107,6 +108,11 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 def textures_of(material: Material) -> list[Any]:
     """All textures that a material may have; None: it has no such texture."""
     return [getattr(material, name) for name in texture_names(material)]
+
+
+def upload_sheen_curves(device: str) -> DeviceArray:
+    """The table of albedos of sheen by its roughness."""
+    return DeviceArray(albedo_curves().astype(np.float32), dtype=wp.vec4, device=device)
 
 
 def upload_array(values: np.ndarray, device: str) -> DeviceArray:
