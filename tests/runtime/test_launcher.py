@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -61,13 +62,13 @@ def test_interrupted_bands_are_waited_for() -> None:
     started, finished = threading.Event(), []
 
     class Failing(Launcher):
-        def run(self, kernel: object, count: int, *inputs: object) -> None:
-            if inputs[0] == 0:
+        def _run_band(self, launch: object, kernel: object, start: int, end: int, inputs: Sequence[object]) -> None:
+            if start == 0:
                 started.wait()
                 raise KeyboardInterrupt
             started.set()
             time.sleep(0.05)
-            finished.append(inputs[0])
+            finished.append(start)
 
     with pytest.raises(KeyboardInterrupt):
         Failing("cpu", threads=2).run_banded(cast(Any, None), 20, bands=20)

@@ -198,9 +198,10 @@ class Launcher:
         pending = iter(list(itertools.pairwise(edges)))
 
         def run_bands() -> None:
+            launch: Any = None
             try:
                 for start, end in pending:
-                    self.run(kernel, end - start, start, *inputs)
+                    launch = self._run_band(launch, kernel, start, end, inputs)
             finally:
                 for _ in pending:  # after an error, no further band starts
                     pass
@@ -212,6 +213,26 @@ class Launcher:
             run_bands()
             for job in jobs:
                 job.result()
+
+    def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
+        """Runs one band by the launch of the thread's last one, if there was one; returns its launch.
+
+        To pack all parameters anew would take longer than many a band.
+        """
+        if launch is None:
+            launch = wp.launch(  # pyright: ignore[reportUnknownMemberType]
+                kernel,
+                dim=end - start,
+                inputs=(start, *inputs),
+                device=self.device,
+                block_dim=self._block_threads,
+                record_cmd=True,
+            )
+        else:
+            launch.set_dim(end - start)
+            launch.set_param_at_index(0, start)
+        launch.launch()
+        return launch
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:

@@ -25,24 +25,24 @@ def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: 
 
 
 @wp.func
-def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: PathImages):
+def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: wp.array[PathImages]):
     """Adds light to the part that its first scattering decides: diffuse or glossy, direct or indirect."""
-    count = images.light.shape[0]
+    count = images[0].light.shape[0]
     if bounces == 0:
-        add_to_row(images.parts, PART_EMISSION, count, root, value)
+        add_to_row(images[0].parts, PART_EMISSION, count, root, value)
         return
     scattered = wp.cw_mul(diffuse, value)
     if bounces == 1:
-        add_to_row(images.parts, PART_DIRECT_DIFFUSE, count, root, scattered)
-        add_to_row(images.parts, PART_DIRECT_GLOSSY, count, root, value - scattered)
+        add_to_row(images[0].parts, PART_DIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images[0].parts, PART_DIRECT_GLOSSY, count, root, value - scattered)
     else:
-        add_to_row(images.parts, PART_INDIRECT_DIFFUSE, count, root, scattered)
-        add_to_row(images.parts, PART_INDIRECT_GLOSSY, count, root, value - scattered)
+        add_to_row(images[0].parts, PART_INDIRECT_DIFFUSE, count, root, scattered)
+        add_to_row(images[0].parts, PART_INDIRECT_GLOSSY, count, root, value - scattered)
 
 
 @wp.func
 def add_light(
-    root: int, receives: bool, value: wp.vec3, bounces: int, light: int, diffuse: wp.vec3, images: PathImages
+    root: int, receives: bool, value: wp.vec3, bounces: int, light: int, diffuse: wp.vec3, images: wp.array[PathImages]
 ):
     """Adds what a path brings of a light.
 
@@ -56,31 +56,31 @@ def add_light(
         images: Where it is added.
     """
     if receives:
-        images.arrived[root] += value
+        images[0].arrived[root] += value
         return
-    images.light[root] += value
-    count = images.light.shape[0]
-    if images.parts:
+    images[0].light[root] += value
+    count = images[0].light.shape[0]
+    if images[0].parts:
         add_to_parts(root, value, bounces, diffuse, images)
-    if images.bounces:
-        add_to_row(images.bounces, bounces, count, root, value)
-    if images.lights_total:
-        lights = images.lights_arrived.shape[0] // count
-        add_to_row(images.lights_total, wp.min(light, lights), count, root, value)
+    if images[0].bounces:
+        add_to_row(images[0].bounces, bounces, count, root, value)
+    if images[0].lights_total:
+        lights = images[0].lights_arrived.shape[0] // count
+        add_to_row(images[0].lights_total, wp.min(light, lights), count, root, value)
         if bounces == 1 and light < lights:
-            add_to_row(images.lights_arrived, light, count, root, value)
+            add_to_row(images[0].lights_arrived, light, count, root, value)
 
 
 @wp.func
-def add_unshadowed(root: int, value: wp.vec3, light: int, images: PathImages):
+def add_unshadowed(root: int, value: wp.vec3, light: int, images: wp.array[PathImages]):
     """Adds what the first surface of a path would reflect of a light, if that is one and the frame asks for it."""
-    if images.lights_sent:
-        count = images.light.shape[0]
-        if light < images.lights_sent.shape[0] // count:
-            add_to_row(images.lights_sent, light, count, root, value)
+    if images[0].lights_sent:
+        count = images[0].light.shape[0]
+        if light < images[0].lights_sent.shape[0] // count:
+            add_to_row(images[0].lights_sent, light, count, root, value)
 
 
 @wp.func
-def add_sent_light(root: int, value: wp.vec3, images: PathImages):
+def add_sent_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
     """Adds irradiance of a shadow-only surface as it was captured."""
-    images.sent[root] += value
+    images[0].sent[root] += value

@@ -21,56 +21,58 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def vertex_of(i: int, paths: PathData) -> PathVertex:
+def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
     """The surface where the ray of path ``i`` begins."""
     vertex = PathVertex()
-    vertex.position = paths.position[i]
-    vertex.normal = paths.normal[i]
-    vertex.importance = paths.importance[i]
+    vertex.position = paths[0].position[i]
+    vertex.normal = paths[0].normal[i]
+    vertex.importance = paths[0].importance[i]
     return vertex
 
 
 @wp.func
-def leaves_receiver(i: int, paths: PathData) -> bool:
+def leaves_receiver(i: int, paths: wp.array[PathData]) -> bool:
     """Whether the ray of path ``i`` leaves a shadow-only surface, whose lights all count by their own samples.
 
     But for an environment that rays meet: of that, it sees as much as its own set leaves open.
     """
-    return paths.density[i] < 0.0
+    return paths[0].density[i] < 0.0
 
 
 @wp.func
-def far_light(i: int, direction: wp.vec3, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene]) -> wp.vec3:
+def far_light(
+    i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
+) -> wp.vec3:
     """Linear radiance that path ``i`` sees infinitely far away, weighted against samples of the environment.
 
     Without an environment, that is the background, but in mirrors only: it is a picture, and shines on nothing.
     """
     if scene[0].environment.exists == 0:
-        if paths.is_specular[i]:
+        if paths[0].is_specular[i]:
             return decode_srgb_color(scene[0].settings[0].background)
         return wp.vec3(0.0)
     radiance = environment_radiance(scene[0].environment, direction)
-    if paths.is_specular[i]:
+    if paths[0].is_specular[i]:
         return radiance
     number = environment_number(scene)
     if number >= 0:
         if not meets_rays(number, no_shadows, scene):
             return wp.vec3(0.0)
-        if paths.density[i] > 0.0:
+        if paths[0].density[i] > 0.0:
             other = choice_probability(number, vertex_of(i, paths), scene)
             other *= environment_density(scene[0].environment, direction)
-            radiance *= power_heuristic(paths.density[i], other)
+            radiance *= power_heuristic(paths[0].density[i], other)
     return radiance
 
 
 @wp.func
 def emitted_share(
-    i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
     """Weight of the emission of the mesh that the ray of path ``i`` hits, against samples of what shines."""
-    density = paths.density[i]
+    density = paths[0].density[i]
     number = wave[0].meshes.instance[i]
-    if paths.is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
+    if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
         return 1.0
     if no_shadows or leaves_receiver(i, paths):
         return 0.0
@@ -88,16 +90,21 @@ def emitted_share(
 
 @wp.func
 def shown_light(
-    i: int, number: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int,
+    number: int,
+    no_shadows: bool,
+    paths: wp.array[PathData],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
 ) -> LightCrossing:
     """Where the ray of path ``i`` meets light ``number``, and its radiance, weighted likewise; inf: it shows none."""
     crossing = LightCrossing()
     crossing.t = wp.inf
-    is_shown = not leaves_receiver(i, paths) and (paths.is_specular[i] or meets_rays(number, no_shadows, scene))
+    is_shown = not leaves_receiver(i, paths) and (paths[0].is_specular[i] or meets_rays(number, no_shadows, scene))
     if scene[0].lights[number].visible == 0 or not is_shown:
         return crossing
     crossing = light_crossing(scene[0].lights[number], wave[0].rays.origin[i], wave[0].rays.direction[i])
-    density = paths.density[i]
+    density = paths[0].density[i]
     if density > 0.0 and crossing.t < wp.inf:
         other = choice_probability(number, vertex_of(i, paths), scene) * crossing.density
         crossing.radiance = power_heuristic(density, other) * crossing.radiance
@@ -108,7 +115,7 @@ def shown_light(
 
 @wp.func
 def own_light(
-    i: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
     """Linear radiance that path ``i`` sees of captures, and of what meshes shine by themselves."""
     seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])

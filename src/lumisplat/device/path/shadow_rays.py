@@ -31,38 +31,40 @@ SHADOW_BRANCH = wp.constant(5)
 
 
 @wp.func
-def diffuse_of(i: int, number: int, paths: PathData) -> wp.vec3:
+def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
     """Share of what path ``i`` brings that its first surface has scattered diffusely."""
-    if number == 0 or not paths.diffuse:
+    if number == 0 or not paths[0].diffuse:
         return wp.vec3(0.0)
-    return paths.diffuse[i]
+    return paths[0].diffuse[i]
 
 
 @wp.func
-def clear_shadow_ray(j: int, shadows: PathShadowRays):
+def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
     """Shadow ray ``j``: there is none, and nothing to be shadowed."""
-    shadows.contributions[j] = wp.vec3(0.0)
-    shadows.rays.is_active[j] = False
-    shadows.opaque[j] = True
-    shadows.skips[j] = False
+    shadows[0].contributions[j] = wp.vec3(0.0)
+    shadows[0].rays.is_active[j] = False
+    shadows[0].opaque[j] = True
+    shadows[0].skips[j] = False
 
 
 @wp.func
-def start_shown_ray(i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: PathShadowRays):
+def start_shown_ray(
+    i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
+):
     """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
     j = wave[0].rays.is_active.shape[0] + i
-    shadows.contributions[j] = value
-    shadows.lights[j] = light
-    shadows.rays.is_active[j] = True
-    shadows.rays.origin[j] = wave[0].rays.origin[i]
-    shadows.rays.direction[j] = wave[0].rays.direction[i]
-    shadows.rays.t_min[j] = wave[0].rays.t_min[i]
-    shadows.rays.t_max[j] = t
-    shadows.rays.path_length[j] = 0.0
-    shadows.rays.spread[j] = 0.0
-    shadows.rays.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], SHOWN_BRANCH)
-    shadows.rays.sample_key[j] = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
-    shadows.rays.sample[j] = wave[0].rays.sample[i]
+    shadows[0].contributions[j] = value
+    shadows[0].lights[j] = light
+    shadows[0].rays.is_active[j] = True
+    shadows[0].rays.origin[j] = wave[0].rays.origin[i]
+    shadows[0].rays.direction[j] = wave[0].rays.direction[i]
+    shadows[0].rays.t_min[j] = wave[0].rays.t_min[i]
+    shadows[0].rays.t_max[j] = t
+    shadows[0].rays.path_length[j] = 0.0
+    shadows[0].rays.spread[j] = 0.0
+    shadows[0].rays.pixel_key[j] = branch_key(wave[0].rays.pixel_key[i], SHOWN_BRANCH)
+    shadows[0].rays.sample_key[j] = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
+    shadows[0].rays.sample[j] = wave[0].rays.sample[i]
 
 
 @wp.func
@@ -72,21 +74,21 @@ def add_shown_lights(
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
-    paths: PathData,
-    shadows: PathShadowRays,
-    images: PathImages,
+    paths: wp.array[PathData],
+    shadows: wp.array[PathShadowRays],
+    images: wp.array[PathImages],
 ):
     """Adds the visible lights that the ray of path ``i`` passes before its surface.
 
     Behind Gaussians that are blended, a shadow ray says how much of one of them there is.
     """
-    is_hazy = shadows.contributions.shape[0] > wave[0].rays.is_active.shape[0]
+    is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
     key = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
     met = int(0)
     for light in range(scene[0].settings[0].light_count):
         crossing = shown_light(i, light, no_shadows, paths, scene, wave)
-        value = wp.cw_mul(paths.throughput[i], crossing.radiance)
+        value = wp.cw_mul(paths[0].throughput[i], crossing.radiance)
         if number == 0 and crossing.t < end:
             wave[0].radiance.alpha[i] = 1.0
         if is_hazy and crossing.t < wp.inf:
@@ -94,10 +96,12 @@ def add_shown_lights(
             if draw(key, wp.uint32(light)) * float(met) < 1.0:
                 start_shown_ray(i, light, crossing.t, value, wave, shadows)
         elif crossing.t < end:
-            add_light(paths.root[i], paths.receives[i], value, number, light, diffuse_of(i, number, paths), images)
+            add_light(
+                paths[0].root[i], paths[0].receives[i], value, number, light, diffuse_of(i, number, paths), images
+            )
     if met > 1:
         j = wave[0].rays.is_active.shape[0] + i
-        shadows.contributions[j] = float(met) * shadows.contributions[j]
+        shadows[0].contributions[j] = float(met) * shadows[0].contributions[j]
 
 
 @wp.func
@@ -110,7 +114,7 @@ def light_surface(
     vertex: PathVertex,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
-    shadows: PathShadowRays,
+    shadows: wp.array[PathShadowRays],
 ):
     """Samples one light for the surface by which path ``i`` goes on, and starts its shadow ray.
 
@@ -133,43 +137,48 @@ def light_surface(
     if choice.number < 0:
         return
     is_met = meets_rays(choice.number, no_shadows, scene)
-    shadows.opaque[i] = is_met
+    shadows[0].opaque[i] = is_met
     if interaction.shadow_only:
         # Rays that leave it show of all lights only the environment, which they alone find.
         if is_met and choice.number == environment_number(scene):
             return
-        shadows.skips[i] = True
+        shadows[0].skips[i] = True
         is_met = False
     light = sampled_light(choice, interaction, u, which[1], is_met, scene)
-    shadows.contributions[i] = wp.cw_mul(factor, light.contribution.color)
+    shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
     if is_met and scene[0].settings[0].absorbs != 0:
         # Glass blocks this way, so that all of it is in the medium on the side of the ray.
         if wp.dot(light.contribution.direction, interaction.normal) > 0.0:
             share = passed(absorption_on_ray(i, scene, wave), light.contribution.distance)
-            shadows.contributions[i] = wp.cw_mul(shadows.contributions[i], share)
-    shadows.lights[i] = choice.number
-    if shadows.diffuse:
+            shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
+    shadows[0].lights[i] = choice.number
+    if shadows[0].diffuse:
         direction = light.contribution.direction
-        shadows.diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
-    if shadows.sent:
-        shadows.sent[i] = wp.cw_mul(factor, light.sent)
-    if is_black(shadows.contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
+        shadows[0].diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
+    if shadows[0].sent:
+        shadows[0].sent[i] = wp.cw_mul(factor, light.sent)
+    if is_black(shadows[0].contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
         return
     count = wave[0].rays.is_active.shape[0]
-    start_shadow_ray(i, slot * count + i, choice.number, light.contribution, scene, wave, shadows.rays)
-    shadows.rays.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
-    shadows.rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
-    shadows.rays.sample[i] = sample
+    start_shadow_ray(i, slot * count + i, choice.number, light.contribution, scene, wave, shadows[0].rays)
+    shadows[0].rays.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
+    shadows[0].rays.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
+    shadows[0].rays.sample[i] = sample
 
 
 @wp.func
 def add_sent(
-    i: int, number: int, scene: wp.array[ShadingScene], paths: PathData, shadows: PathShadowRays, images: PathImages
+    i: int,
+    number: int,
+    scene: wp.array[ShadingScene],
+    paths: wp.array[PathData],
+    shadows: wp.array[PathShadowRays],
+    images: wp.array[PathImages],
 ):
     """Adds what lights would contribute unshadowed: to a shadow-only surface as captured, or to their own layers."""
-    light = shadows.lights[i]
-    if shadows.skips[i]:
+    light = shadows[0].lights[i]
+    if shadows[0].skips[i]:
         if light < scene[0].settings[0].light_count:
-            add_sent_light(paths.root[i], shadows.contributions[i], images)
-    elif number == 0 and shadows.sent:
-        add_unshadowed(paths.root[i], shadows.sent[i], light, images)
+            add_sent_light(paths[0].root[i], shadows[0].contributions[i], images)
+    elif number == 0 and shadows[0].sent:
+        add_unshadowed(paths[0].root[i], shadows[0].sent[i], light, images)

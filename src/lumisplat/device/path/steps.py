@@ -12,6 +12,7 @@ from lumisplat.device.material.media import scattered_media
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import mean_of
 from lumisplat.device.math.directions import PI
+from lumisplat.device.math.random import sobol_2d
 from lumisplat.device.mesh.mesh_surface import hit_weights
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
 from lumisplat.device.structs.path import (
@@ -34,32 +35,42 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 
 @wp.func
-def scattering_share(interaction: Interaction) -> float:
-    """About the share of a ray that an interaction scatters; above 0 wherever it scatters any."""
-    if not interaction.exists:
+def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> float:
+    """About the share of a ray that interaction ``j`` scatters; above 0 wherever it scatters any.
+
+    A shadow-only surface scatters for the paths that find what it receives, if there are such.
+    """
+    if not wave[0].interactions.exists[j]:
         return 0.0
-    if interaction.shadow_only:
-        return interaction.weight
-    bsdf = interaction.bsdf
-    albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.specular) + 0.1 * bsdf.grazing + mean_of(bsdf.transmitted)
-    albedo += 0.1 * bsdf.coat + mean_of(bsdf.sheen)
-    return interaction.weight * wp.max(albedo, 1e-6)
+    weight = wave[0].interactions.weight[j]
+    if wave[0].interactions.shadow_only[j]:
+        return wp.where(receives_light, weight, 0.0)
+    albedo = mean_of(wave[0].interactions.diffuse[j]) + mean_of(wave[0].interactions.specular[j])
+    albedo += 0.1 * wave[0].interactions.grazing[j]
+    if wave[0].interactions.transmitted:
+        albedo += mean_of(wave[0].interactions.transmitted[j])
+    if wave[0].interactions.coat:
+        albedo += 0.1 * wave[0].interactions.coat[j] + mean_of(wave[0].interactions.sheen[j])
+    return weight * wp.max(albedo, 1e-6)
 
 
 @wp.func
-def branch_of(u: float, splats: Interaction, mesh: Interaction, transmittance: float, bounce: Bounce) -> Branch:
+def branch_of(i: int, u: float, receives_light: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
     """By which surface a path goes on, in proportion to what about each reflects.
 
     Args:
+        i: Ray of the path.
         u: Random, 0..1.
-        splats: Interaction with the surface of the Gaussians.
-        mesh: With the mesh behind them.
-        transmittance: Of the Gaussians.
+        receives_light: Whether the path finds what a shadow-only surface receives.
         bounce: Reflection and refraction by the mesh.
+        wave: Of the ray.
     """
+    transmittance = wave[0].gaussians.transmittance[i]
+    splats = scattering_share(i, receives_light, wave)
+    mesh = scattering_share(wave[0].rays.is_active.shape[0] + i, False, wave)
     reflected = transmittance * wp.max(bounce.reflected)
     refracted = transmittance * wp.max(bounce.refracted)
-    shares = wp.vec4(scattering_share(splats), scattering_share(mesh), reflected, refracted)
+    shares = wp.vec4(splats, mesh, reflected, refracted)
     total = shares[0] + shares[1] + shares[2] + shares[3]
     branch = Branch()
     branch.kind = BRANCH_NONE
@@ -75,17 +86,10 @@ def branch_of(u: float, splats: Interaction, mesh: Interaction, transmittance: f
 
 
 @wp.func
-def loaded_interaction(j: int, receives_light: bool, wave: wp.array[WaveData]) -> Interaction:
-    """Interaction ``j``, which need not exist.
-
-    A shadow-only surface is white for the paths that find what it receives. If no path does, it does not exist.
-    """
-    interaction = Interaction()
-    if not wave[0].interactions.exists[j]:
-        return interaction
-    interaction = load_interaction(j, wave)
+def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> Interaction:
+    """The interaction by which path ``i`` goes on; a shadow-only surface is white for those that find its light."""
+    interaction = load_interaction(branch.kind * wave[0].rays.is_active.shape[0] + i, wave)
     if interaction.shadow_only:
-        interaction.exists = receives_light
         interaction.bsdf = Bsdf()
         interaction.bsdf.model = BSDF_SIMPLE
         interaction.bsdf.diffuse = wp.vec3(1.0)
@@ -109,6 +113,7 @@ def scattered_step(
     interaction: Interaction,
     u: wp.vec2,
     choice: float,
+    splits: bool,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> PathStep:
@@ -120,6 +125,7 @@ def scattered_step(
         interaction: With that surface.
         u: Random, 0..1 each.
         choice: Random, 0..1, decides between diffuse and highlight.
+        splits: Whether the share that is diffuse is asked for.
         scene: With the surface.
         wave: Of the ray.
     """
@@ -135,7 +141,8 @@ def scattered_step(
     if interaction.shadow_only:
         step.weight = wp.vec3(PI)  # irradiance over radiance
         step.density = LEAVES_RECEIVER
-    step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
+    if splits:
+        step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.length = wave[0].meshes.t[i]
@@ -175,12 +182,12 @@ def is_scattering(branch: Branch) -> bool:
 
 
 @wp.func
-def survival(number: int, throughput: wp.vec3, u: float) -> float:
-    """Probability with which a path goes on after a wave; 0: it has ended."""
+def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
+    """Probability with which a path goes on after a wave, drawn by a sequence of this key; 0: it has ended."""
     largest = wp.max(throughput)
     if not (largest > 0.0 and largest < wp.inf):
         return 0.0
     if number + 1 < ROULETTE_FIRST:
         return 1.0
     chance = wp.clamp(largest, GOES_ON_MIN, GOES_ON_MAX)
-    return wp.where(u < chance, chance, 0.0)
+    return wp.where(sobol_2d(key, sample)[0] < chance, chance, 0.0)

@@ -26,13 +26,12 @@ from lumisplat.device.path.steps import (
     bounce_at,
     branch_of,
     is_scattering,
-    loaded_interaction,
     scattered_step,
+    scattering_interaction,
     specular_step,
     survival,
 )
 from lumisplat.device.structs.path import (
-    BRANCH_MESH,
     BRANCH_NONE,
     PathData,
     PathImages,
@@ -55,23 +54,23 @@ ROULETTE_BRANCH = wp.constant(8)
 
 
 @wp.kernel
-def begin_paths(start: int, paths_out: PathData):
+def begin_paths(start: int, paths_out: wp.array[PathData]):
     """Item = ray of the first wave: a path begins with it."""
     i = start + wp.tid()
-    paths_out.root[i] = i
-    paths_out.throughput[i] = wp.vec3(1.0)
-    paths_out.density[i] = 0.0
-    paths_out.position[i] = wp.vec3(0.0)
-    paths_out.normal[i] = wp.vec3(0.0)
-    paths_out.importance[i] = 0.0
-    paths_out.is_specular[i] = True
-    paths_out.receives[i] = False
-    if paths_out.media:
-        paths_out.media[i] = wp.vec4i(0)
+    paths_out[0].root[i] = i
+    paths_out[0].throughput[i] = wp.vec3(1.0)
+    paths_out[0].density[i] = 0.0
+    paths_out[0].position[i] = wp.vec3(0.0)
+    paths_out[0].normal[i] = wp.vec3(0.0)
+    paths_out[0].importance[i] = 0.0
+    paths_out[0].is_specular[i] = True
+    paths_out[0].receives[i] = False
+    if paths_out[0].media:
+        paths_out[0].media[i] = wp.vec4i(0)
 
 
 @wp.kernel
-def leave_receivers(start: int, wave: wp.array[WaveData], paths: PathData, ends_out: wp.array[float]):
+def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
     """Item = ray: where it ends, if it leaves a shadow-only surface and is traced without what was added, too."""
     i = start + wp.tid()
     ends_out[i] = -1.0
@@ -85,9 +84,9 @@ def add_captured_light(
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
-    paths: PathData,
+    paths: wp.array[PathData],
     captured: GaussianHits,
-    images_inout: PathImages,
+    images_inout: wp.array[PathImages],
 ):
     """Adds what shadow-only surfaces received as they were captured: light of such sets, and of the sky beyond.
 
@@ -103,17 +102,22 @@ def add_captured_light(
     i = start + wp.tid()
     if not (wave[0].rays.is_active[i] and leaves_receiver(i, paths)):
         return
-    throughput = paths.throughput[i]
+    throughput = paths[0].throughput[i]
     own = captured_color(captured.color[i], 1.0 - captured.transmittance[i])
     far = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
     # One after the other, as ``add_seen_light`` does: where both are the same light, they are the same number.
-    add_sent_light(paths.root[i], wp.cw_mul(throughput, own), images_inout)
-    add_sent_light(paths.root[i], wp.cw_mul(throughput, far), images_inout)
+    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, own), images_inout)
+    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, far), images_inout)
 
 
 @wp.func
 def far_behind(
-    i: int, number: int, no_shadows: bool, paths: PathData, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int,
+    number: int,
+    no_shadows: bool,
+    paths: wp.array[PathData],
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
 ) -> wp.vec3:
     """Linear radiance that ray ``i`` of wave ``number`` sees infinitely far away; none behind meshes."""
     if wave[0].meshes.face[i] >= 0:
@@ -133,9 +137,9 @@ def add_seen_light(
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
-    paths: PathData,
-    shadows_out: PathShadowRays,
-    images_inout: PathImages,
+    paths: wp.array[PathData],
+    shadows_out: wp.array[PathShadowRays],
+    images_inout: wp.array[PathImages],
 ):
     """Adds what the rays of a wave see of what shines.
 
@@ -152,7 +156,7 @@ def add_seen_light(
     i = start + wp.tid()
     count = wave_inout[0].rays.is_active.shape[0]
     clear_shadow_ray(i, shadows_out)
-    if shadows_out.contributions.shape[0] > count:
+    if shadows_out[0].contributions.shape[0] > count:
         clear_shadow_ray(count + i, shadows_out)
     if not wave_inout[0].rays.is_active[i]:
         return
@@ -168,30 +172,32 @@ def add_seen_light(
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
     else:
         own = own_light(i, no_shadows, paths, scene, wave_inout)
-    throughput = wp.cw_mul(paths.throughput[i], passed_by_ray(i, scene, wave_inout))
+    throughput = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave_inout))
     diffuse = diffuse_of(i, number, paths)
-    add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, own), number, lights, diffuse, images_inout)
-    add_light(paths.root[i], paths.receives[i], wp.cw_mul(throughput, far), number, far_number, diffuse, images_inout)
+    add_light(paths[0].root[i], paths[0].receives[i], wp.cw_mul(throughput, own), number, lights, diffuse, images_inout)
+    add_light(
+        paths[0].root[i], paths[0].receives[i], wp.cw_mul(throughput, far), number, far_number, diffuse, images_inout
+    )
     add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
 
 
 @wp.func
-def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: PathSteps):
+def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
     """Writes where path ``i`` goes on, but for what its past decides as well."""
-    steps.goes_on[i] = 1
-    steps.origin[i] = step.origin
-    steps.direction[i] = step.direction
-    steps.t_min[i] = step.t_min
-    steps.path_length[i] = wave[0].rays.path_length[i] + step.length
-    steps.spread[i] = step.spread
-    steps.density[i] = step.density
-    steps.position[i] = vertex.position
-    steps.normal[i] = vertex.normal
-    steps.importance[i] = vertex.importance
-    if steps.media:
-        steps.media[i] = step.media
-    if steps.diffuse:
-        steps.diffuse[i] = step.diffuse
+    steps[0].goes_on[i] = 1
+    steps[0].origin[i] = step.origin
+    steps[0].direction[i] = step.direction
+    steps[0].t_min[i] = step.t_min
+    steps[0].path_length[i] = wave[0].rays.path_length[i] + step.length
+    steps[0].spread[i] = step.spread
+    steps[0].density[i] = step.density
+    steps[0].position[i] = vertex.position
+    steps[0].normal[i] = vertex.normal
+    steps[0].importance[i] = vertex.importance
+    if steps[0].media:
+        steps[0].media[i] = step.media
+    if steps[0].diffuse:
+        steps[0].diffuse[i] = step.diffuse
 
 
 @wp.kernel
@@ -201,10 +207,10 @@ def continue_paths(
     no_shadows: bool,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
-    paths: PathData,
-    shadows_inout: PathShadowRays,
-    images: PathImages,
-    steps_out: PathSteps,
+    paths: wp.array[PathData],
+    shadows_inout: wp.array[PathShadowRays],
+    images: wp.array[PathImages],
+    steps_out: wp.array[PathSteps],
 ):
     """Chooses the surface by which each path goes on, samples a light there, and says where it goes.
 
@@ -220,50 +226,49 @@ def continue_paths(
         steps_out: Where paths go on.
     """
     i = start + wp.tid()
-    steps_out.goes_on[i] = 0
+    steps_out[0].goes_on[i] = 0
     if not wave[0].rays.is_active[i]:
         return
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
     receives_light = bool(False)  # only where the camera sees it
-    if images.sent:
+    if images[0].sent:
         receives_light = number == 0
-    splats = loaded_interaction(i, receives_light, wave)
-    mesh = loaded_interaction(wave[0].rays.is_active.shape[0] + i, False, wave)
     bounce = bounce_at(i, scene, wave)
     ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
-    branch = branch_of(ways[0], splats, mesh, wave[0].gaussians.transmittance[i], bounce)
+    branch = branch_of(i, ways[0], receives_light, bounce, wave)
     if branch.kind == BRANCH_NONE:
         return
 
-    factor = wp.cw_mul(paths.throughput[i], passed_by_ray(i, scene, wave)) / branch.probability
+    factor = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave)) / branch.probability
     vertex = PathVertex()
     step = PathStep()
-    receives = paths.receives[i]
+    receives = paths[0].receives[i]
     if is_scattering(branch):
-        interaction = splats
-        if branch.kind == BRANCH_MESH:
-            interaction = mesh
+        interaction = scattering_interaction(i, branch, wave)
         if interaction.shadow_only:
             receives = True
             factor = wp.vec3(1.0)
-            images.received[paths.root[i]] = wp.vec3(1.0)
+            images[0].received[paths[0].root[i]] = wp.vec3(1.0)
         vertex = vertex_at(interaction, scene)
         light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
-        step = scattered_step(i, branch, interaction, u, ways[1], scene, wave)
+        splits = bool(False)
+        if steps_out[0].diffuse:
+            splits = number == 0
+        step = scattered_step(i, branch, interaction, u, ways[1], splits, scene, wave)
     else:
         step = specular_step(i, branch, bounce, scene, wave)
     throughput = wp.cw_mul(factor, step.weight)
-    chance = survival(number, throughput, sobol_2d(branch_key(key, ROULETTE_BRANCH), sample)[0])
+    chance = survival(number, throughput, branch_key(key, ROULETTE_BRANCH), sample)
     if chance <= 0.0:
         return
     store_step(i, step, vertex, wave, steps_out)
-    steps_out.throughput[i] = throughput / chance
-    steps_out.is_specular[i] = paths.is_specular[i] and not is_scattering(branch)
-    steps_out.receives[i] = receives
-    if steps_out.diffuse and number > 0:
-        steps_out.diffuse[i] = paths.diffuse[i]
+    steps_out[0].throughput[i] = throughput / chance
+    steps_out[0].is_specular[i] = paths[0].is_specular[i] and not is_scattering(branch)
+    steps_out[0].receives[i] = receives
+    if steps_out[0].diffuse and number > 0:
+        steps_out[0].diffuse[i] = paths[0].diffuse[i]
 
 
 @wp.kernel
@@ -272,64 +277,66 @@ def add_sampled_light(
     number: int,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
-    paths: PathData,
-    shadows: PathShadowRays,
+    paths: wp.array[PathData],
+    shadows: wp.array[PathShadowRays],
     visibility: wp.array[wp.vec3],
-    images_inout: PathImages,
+    images_inout: wp.array[PathImages],
 ):
     """Adds what arrives of the lights that paths have sampled, and of those that rays show behind captures."""
     i = start + wp.tid()
     count = wave[0].rays.is_active.shape[0]
     if not wave[0].rays.is_active[i]:
         return
-    for slot in range(shadows.contributions.shape[0] // count):
+    for slot in range(shadows[0].contributions.shape[0] // count):
         j = slot * count + i
-        arrived = shadows.contributions[j]
+        arrived = shadows[0].contributions[j]
         if not is_black(arrived):
-            receives = paths.receives[i] or shadows.skips[j]
+            receives = paths[0].receives[i] or shadows[0].skips[j]
             diffuse = diffuse_of(i, number, paths)
             if slot == 0:
                 add_sent(i, number, scene, paths, shadows, images_inout)
-                if number == 0 and shadows.diffuse:
-                    diffuse = shadows.diffuse[i]
-            if shadows.rays.is_active[j]:
+                if number == 0 and shadows[0].diffuse:
+                    diffuse = shadows[0].diffuse[i]
+            if shadows[0].rays.is_active[j]:
                 arrived = wp.cw_mul(arrived, visibility[j])
-            add_light(paths.root[i], receives, arrived, number + 1 - slot, shadows.lights[j], diffuse, images_inout)
+            add_light(
+                paths[0].root[i], receives, arrived, number + 1 - slot, shadows[0].lights[j], diffuse, images_inout
+            )
 
 
 @wp.kernel
 def spawn_paths(
     start: int,
     wave: wp.array[WaveData],
-    paths: PathData,
-    steps: PathSteps,
+    paths: wp.array[PathData],
+    steps: wp.array[PathSteps],
     rays_out: RayData,
-    paths_out: PathData,
+    paths_out: wp.array[PathData],
 ):
     """Starts the rays of the next wave."""
     i = start + wp.tid()
-    if steps.goes_on[i] == 0:
+    if steps[0].goes_on[i] == 0:
         return
-    child = steps.places[i] - 1
+    child = steps[0].places[i] - 1
     rays_out.is_active[child] = True
-    rays_out.origin[child] = steps.origin[i]
-    rays_out.direction[child] = steps.direction[i]
-    rays_out.t_min[child] = steps.t_min[i]
+    rays_out.origin[child] = steps[0].origin[i]
+    rays_out.direction[child] = steps[0].direction[i]
+    rays_out.t_min[child] = steps[0].t_min[i]
     rays_out.t_max[child] = wp.inf
-    rays_out.path_length[child] = steps.path_length[i]
-    rays_out.spread[child] = steps.spread[i]
+    rays_out.path_length[child] = steps[0].path_length[i]
+    rays_out.spread[child] = steps[0].spread[i]
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[i], 0)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[i], 0)
     rays_out.sample[child] = wave[0].rays.sample[i]
-    paths_out.root[child] = paths.root[i]
-    paths_out.throughput[child] = steps.throughput[i]
-    paths_out.density[child] = steps.density[i]
-    paths_out.position[child] = steps.position[i]
-    paths_out.normal[child] = steps.normal[i]
-    paths_out.importance[child] = steps.importance[i]
-    paths_out.is_specular[child] = steps.is_specular[i]
-    paths_out.receives[child] = steps.receives[i]
-    if paths_out.media:
-        paths_out.media[child] = steps.media[i]
-    if paths_out.diffuse:
-        paths_out.diffuse[child] = steps.diffuse[i]
+    paths_out[0].root[child] = paths[0].root[i]
+    paths_out[0].throughput[child] = steps[0].throughput[i]
+    paths_out[0].density[child] = steps[0].density[i]
+    paths_out[0].position[child] = steps[0].position[i]
+    paths_out[0].normal[child] = steps[0].normal[i]
+    paths_out[0].importance[child] = steps[0].importance[i]
+    paths_out[0].is_specular[child] = steps[0].is_specular[i]
+    paths_out[0].receives[child] = steps[0].receives[i]
+    if paths_out[0].media:
+        paths_out[0].media[child] = steps[0].media[i]
+    if paths_out[0].diffuse:
+        paths_out[0].diffuse[child] = steps[0].diffuse[i]

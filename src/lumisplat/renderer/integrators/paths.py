@@ -18,7 +18,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
-from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
+from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
@@ -76,7 +76,7 @@ class PathIntegrator:
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
         """One path a ray."""
         paths = self._paths(plan, 0, hits.count)
-        self._launcher.run_banded(kernels.begin_paths, hits.count, paths)
+        self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths", PathData, paths))
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
@@ -90,10 +90,11 @@ class PathIntegrator:
     ) -> None:
         """Adds what shadow-only surfaces received as they were captured, along the rays that leave them."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
+        rows = self._row("paths", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)
-        run(kernels.leave_receivers, count, wave.data, paths, ends)
+        run(kernels.leave_receivers, count, wave.data, rows[0], ends)
         captured = self._tracer.find_captured(scene, wave.row.rays, ends, "path.captured")
-        run(kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, paths, captured, images)
+        run(kernels.add_captured_light, count, no_shadows, scene.shading, wave.data, rows[0], captured, rows[1])
 
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
@@ -105,11 +106,16 @@ class PathIntegrator:
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
-        scattering = number, no_shadows, scene.shading, wave.data, paths, shadows, images
+        rows = (
+            self._row("paths", PathData, paths),
+            self._row("shadows", PathShadowRays, shadows),
+            self._row("images", PathImages, images),
+        )
+        scattering = number, no_shadows, scene.shading, wave.data, *rows
         with self._launcher.stage("shade"):
             run(kernels.add_seen_light, count, *scattering, bands=bands)
             if number <= plan.max_bounces:
-                run(kernels.continue_paths, count, *scattering, steps, bands=bands)
+                run(kernels.continue_paths, count, *scattering, self._row("steps", PathSteps, steps), bands=bands)
             else:
                 steps.goes_on.zero_()
         visibility = shadows.contributions
@@ -124,14 +130,24 @@ class PathIntegrator:
                     of_splats=plan.splat_shadows,
                     part=True,
                 )
-        run(kernels.add_sampled_light, count, number, scene.shading, wave.data, paths, shadows, visibility, images)
+        run(kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2])
         prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
         return steps
 
     def _spawn(self, wave: RayWave, paths: PathData, steps: PathSteps, *, rays: RayData, onwards: PathData) -> None:
         """Writes the rays of the next wave, and their paths."""
         rays.is_active.zero_()
-        self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, paths, steps, rays, onwards)
+        rows = (
+            self._row("paths", PathData, paths),
+            self._row("steps", PathSteps, steps),
+            rays,
+            self._row("onwards", PathData, onwards),
+        )
+        self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
+
+    def _row(self, name: str, struct: type[Noun], arrays: Noun) -> DeviceArray:
+        """Arrays of paths for kernels, as `WaveData`: by value, each item would copy their descriptors."""
+        return self._buffers.table(f"path.{name}.row", struct, [arrays])
 
     def _paths(self, plan: FramePlan, number: int, count: int) -> PathData:
         return self._buffers.struct(f"path.paths{number}", PathData, count, unused_fields(plan))
