@@ -11,29 +11,14 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import encode_srgb
+from support.scenes.media_scenes import AHEAD, CLEAR, TRACED, color, slab
 from support.scenes.path_scenes import ball, quad
 
-TRACED = pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH])
-AHEAD = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=8, fov_y=0.002)
 LIT, GREY, BLUE, DARK = (
     ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, emissive=emissive)
     for emissive in ((1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.25, 1.0), (0.0, 0.0, 0.0))
 )
 SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
-CLEAR = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, ior=1.0)
-
-
-def slab(front: float, back: float, material: ls.MaterialPbr) -> ls.Mesh:
-    """A closed box, wide along x and y, from ``front`` to ``back`` along z."""
-    box = ls.box(np.array([40.0, 40.0, back - front]))
-    lifted = box.positions + np.array([0.0, 0.0, 0.5 * (front + back)], np.float32)
-    return replace(box, positions=lifted, material=material)
-
-
-def color(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, camera: ls.Camera = AHEAD, **changes: Any) -> Any:
-    """Mean colour of a frame, float64."""
-    settings = ls.RenderConfig(pipeline=pipeline, samples=samples, lighting=True, **changes)
-    return ls.render(scene, camera, settings, device="cpu").color.mean(axis=(0, 1), dtype=np.float64)
 
 
 def reflectance(before: float, behind: float) -> float:

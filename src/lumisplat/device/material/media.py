@@ -136,6 +136,14 @@ def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 
 @wp.func
+def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec4i:
+    """The media of ray ``i`` up to its surface: that whose inside it hits counts as entered."""
+    if wave[0].meshes.face[i] >= 0:
+        return boundary_of_ray(i, scene, wave).media
+    return media_of_ray(i, wave)
+
+
+@wp.func
 def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
     """Share of the light that a way through a medium leaves: Beer's law, linear."""
     return wp.vec3(
@@ -146,15 +154,18 @@ def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
 
 
 @wp.func
-def absorption_on_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Absorption per scene unit of the medium that ray ``i`` travels in."""
-    media = media_of_ray(i, wave)
-    if wave[0].meshes.face[i] >= 0:
-        media = boundary_of_ray(i, scene, wave).media
-    number = current(media, scene[0].mesh_instances)
+def absorption_in(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> wp.vec3:
+    """Absorption per scene unit where a ray travels."""
+    number = current(media, instances)
     if number == AIR:
         return wp.vec3(0.0)
-    return scene[0].mesh_instances[number].material.absorption
+    return instances[number].material.absorption
+
+
+@wp.func
+def absorption_on_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
+    """Absorption per scene unit of the medium that ray ``i`` travels in."""
+    return absorption_in(media_before(i, scene, wave), scene[0].mesh_instances)
 
 
 @wp.func
@@ -186,7 +197,7 @@ def scattered_media(
         wave: Of the ray.
     """
     if not by_mesh:
-        return media_of_ray(i, wave)
+        return media_before(i, scene, wave)
     boundary = boundary_of_ray(i, scene, wave)
     if wp.dot(direction, normal) < 0.0:
         return boundary.media_behind

@@ -8,13 +8,13 @@ import warp as wp
 from lumisplat.device.light.light_choice import casts_shadow, chosen_light, meets_rays
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
-from lumisplat.device.material.media import absorption_on_ray, passed
+from lumisplat.device.material.media import absorption_in, passed, scattered_media
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, draw, sobol_2d
 from lumisplat.device.path.images import add_light, add_sent_light, add_unshadowed
 from lumisplat.device.path.sampled_light import sampled_light
 from lumisplat.device.path.seen_light import environment_number, shown_light
-from lumisplat.device.structs.path import PathData, PathImages, PathShadowRays, PathVertex
+from lumisplat.device.structs.path import BRANCH_MESH, PathData, PathImages, PathShadowRays, PathVertex
 from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
@@ -45,6 +45,8 @@ def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
     shadows[0].rays.is_active[j] = False
     shadows[0].opaque[j] = True
     shadows[0].skips[j] = False
+    if shadows[0].media:
+        shadows[0].media[j] = wp.vec4i(0)
 
 
 @wp.func
@@ -146,14 +148,16 @@ def light_surface(
         is_met = False
     light = sampled_light(choice, interaction, u, which[1], is_met, scene)
     shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
-    if is_met and scene[0].settings[0].absorbs != 0:
-        # Glass blocks this way, so that all of it is in the medium on the side of the ray.
-        if wp.dot(light.contribution.direction, interaction.normal) > 0.0:
-            share = passed(absorption_on_ray(i, scene, wave), light.contribution.distance)
+    direction = light.contribution.direction
+    if shadows[0].media:
+        media = scattered_media(i, slot == BRANCH_MESH, direction, interaction.normal, scene, wave)
+        if is_met:  # Glass blocks this way, so that all of it is in one medium.
+            share = passed(absorption_in(media, scene[0].mesh_instances), light.contribution.distance)
             shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
+        else:
+            shadows[0].media[i] = media
     shadows[0].lights[i] = choice.number
     if shadows[0].diffuse:
-        direction = light.contribution.direction
         shadows[0].diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
     if shadows[0].sent:
         shadows[0].sent[i] = wp.cw_mul(factor, light.sent)

@@ -75,6 +75,8 @@ class PathShadowRays:
     """Whether glass blocks the ray: towards lights that rays find through it."""
     skips: wp.array[wp.bool]
     """Whether it passes shadow-only sets: from one of them."""
+    media: wp.array[wp.vec4i]
+    """Those at its origin, as ``Boundary``, unless glass blocks it; without elements where none absorbs."""
     lights: wp.array[int]
     """Number of the light."""
     diffuse: wp.array[wp.vec3]

@@ -139,6 +139,19 @@ class MeshHit:
 
 
 @struct
+class MeshShadowRay:
+    """A shadow ray past meshes, world space."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    t_max: float
+    is_opaque: bool
+    """Glass blocks it."""
+    media: wp.vec4i
+    """Those at its origin, as ``Boundary``."""
+
+
+@struct
 class MeshPassage:
     """What a shadow ray has passed of an instance so far."""
 

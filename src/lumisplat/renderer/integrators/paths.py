@@ -127,6 +127,7 @@ class PathIntegrator:
                     shadows.skips,
                     "path.visibility",
                     opaque=shadows.opaque,
+                    media=device_array(shadows.media) if plan.absorbs else None,
                     of_splats=plan.splat_shadows,
                     part=True,
                 )
@@ -161,6 +162,8 @@ class PathIntegrator:
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
             without.add("sent")
+        if not plan.absorbs:
+            without.add("media")
         shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
         shadows.rays = self._buffers.struct("path.shadow_rays", RayData, total)
         return shadows

@@ -101,7 +101,7 @@ class DirectLight:
                 arrived.zero_()
             if shadowed or also_unshadowed:
                 for samples_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
-                    contributions = self._contributions(scene, wave, number, samples_bsdf)
+                    contributions = self._contributions(scene, plan, wave, number, samples_bsdf)
                     visibility = self._visibility(scene, plan, wave) if shadowed else contributions
                     with self._launcher.stage("shade"):
                         self._launcher.run_banded(
@@ -112,14 +112,17 @@ class DirectLight:
         if plan.has_shadow_only:
             self._launcher.run_banded(kernels.darken_captured, wave.count, scene.shading, arrivals, wave.data)
 
-    def _contributions(self, scene: DeviceScene, wave: RayWave, number: int, samples_bsdf: bool) -> DeviceArray:
+    def _contributions(
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool
+    ) -> DeviceArray:
         """A light's unshadowed contributions at the interactions; also writes the shadow rays of each."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
                 kernels.spawn_shadow_rays,
                 wave.count,
-                *(number, samples_bsdf, scene.shading, wave.data, self._shadow_rays(wave), contributions),
+                *(number, samples_bsdf, scene.shading, wave.data),
+                *(self._shadow_rays(wave), self._media(plan, wave), contributions),
                 bands=SHADE_BANDS_PER_THREAD * self._launcher.threads,
             )
         return contributions
@@ -129,8 +132,17 @@ class DirectLight:
         skips = wave.row.interactions.shadow_only
         with self._launcher.stage("shadow"):
             return self._shadows.trace(
-                scene, self._shadow_rays(wave), skips, "light.visibility", of_splats=plan.splat_shadows
+                scene,
+                self._shadow_rays(wave),
+                skips,
+                "light.visibility",
+                media=self._media(plan, wave),
+                of_splats=plan.splat_shadows,
             )
 
     def _shadow_rays(self, wave: RayWave) -> RayData:
         return self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
+
+    def _media(self, plan: FramePlan, wave: RayWave) -> DeviceArray | None:
+        """The media at the origins of the shadow rays; None if no medium absorbs."""
+        return self._buffers.get("light.shadow_media", wp.vec4i, 2 * wave.count) if plan.absorbs else None

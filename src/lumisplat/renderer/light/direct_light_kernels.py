@@ -10,6 +10,7 @@ from lumisplat.device.light.direct_light import light_contribution, shadow_ray_k
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.light.splat_surface import is_over_light, shown_share, splat_surface
+from lumisplat.device.material.media import scattered_media
 from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals, Contribution, ShadingScene, WaveData
@@ -25,9 +26,13 @@ def spawn_shadow_rays(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     rays_out: RayData,
+    media_out: wp.array[wp.vec4i],
     contributions_out: wp.array[wp.vec3],
 ):
-    """Shadow rays from the interactions towards light ``number``, and its unshadowed contributions."""
+    """Shadow rays from the interactions towards light ``number``, the media at their origins, and what it contributes.
+
+    The contributions are unshadowed; ``media_out`` is without elements where no medium absorbs.
+    """
     i = start + wp.tid()
     stride = contributions_out.shape[0] // 2
     for slot in range(2):
@@ -45,6 +50,9 @@ def spawn_shadow_rays(
             rays_out.pixel_key[j] = shadow_ray_key(wave[0].rays.pixel_key[i], number, samples_bsdf, slot)
             rays_out.sample_key[j] = shadow_ray_key(wave[0].rays.sample_key[i], number, samples_bsdf, slot)
             rays_out.sample[j] = wave[0].rays.sample[i]
+            if media_out:
+                normal = wave[0].interactions.normal[j]
+                media_out[j] = scattered_media(i, slot == 1, contribution.direction, normal, scene, wave)
 
 
 @wp.kernel

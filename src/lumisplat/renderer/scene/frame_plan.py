@@ -13,7 +13,14 @@ from lumisplat.constants import (
     SAMPLES_OPEN,
     SPECULAR_BOUNCES,
 )
-from lumisplat.renderer.scene.materials import emits_capture_only, has_layers, is_medium, is_relit, is_rough_glass
+from lumisplat.renderer.scene.materials import (
+    absorbs,
+    emits_capture_only,
+    has_layers,
+    is_medium,
+    is_relit,
+    is_rough_glass,
+)
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightRect, LightSphere
 from lumisplat.scene.materials import Material
 from lumisplat.scene.scene import Scene
@@ -101,6 +108,8 @@ class FramePlan:
     """The scene has mesh instances."""
     has_media: bool
     """Rays are refracted into meshes, and know which they are in."""
+    absorbs: bool
+    """Some medium inside a mesh absorbs light."""
     has_coatings: bool
     """Interactions have clearcoat, sheen, or light that is scattered more than once."""
     has_rough_glass: bool
@@ -153,6 +162,7 @@ class FramePlan:
         follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
         has_lobes = config.glossy_reflections and follows and is_lit and reflects
         grain += (SURROUNDINGS,) * has_lobes
+        has_media = not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes)
         draws_alpha = traces_paths or only_rasterises
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
         samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
@@ -181,7 +191,8 @@ class FramePlan:
             max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors, has_lobes=has_lobes),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
-            has_media=not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes),
+            has_media=has_media,
+            absorbs=has_media and any(map(absorbs, scene.meshes)),
             has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             draws_alpha=draws_alpha,

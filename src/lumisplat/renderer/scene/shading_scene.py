@@ -19,7 +19,7 @@ from lumisplat.device.structs.shading import (
 from lumisplat.renderer.scene.emitters import Emitters
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.lights import LightTable
-from lumisplat.renderer.scene.materials import TextureFirst, absorbs, material_table
+from lumisplat.renderer.scene.materials import TextureFirst, material_table
 from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
@@ -112,7 +112,7 @@ class ShadingTables:
         elif self._table.environment.exists and self._table.environment.visible:
             row["camera_sees"] = SEES_ENVIRONMENT
         row["light_count"] = self._table.count
-        row["absorbs"] = plan.has_media and any(map(absorbs, scene.meshes))
+        row["absorbs"] = plan.absorbs
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute

@@ -13,14 +13,14 @@ from lumisplat.device.bvh.ray_nodes import (
     push_link,
 )
 from lumisplat.device.light.shadow import pass_straight
-from lumisplat.device.material.media import passed
+from lumisplat.device.material.media import is_in, passed
 from lumisplat.device.mesh.mesh_surface import face_normal, hit_weights, surface_alpha, surface_color, surface_normal
 from lumisplat.device.mesh.ray_mesh import box_span, ray_in_mesh
 from lumisplat.device.mesh.ray_triangle import intersect_triangle, owns_crossing
 from lumisplat.device.mesh.varied_layers import material_at
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node
 from lumisplat.device.structs.packet import WaitingLink
-from lumisplat.device.structs.rays import MeshPassage, MeshRay, RayData
+from lumisplat.device.structs.rays import MeshPassage, MeshRay, MeshShadowRay, RayData
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 # As for all that intersects triangles: fused products would let rays through shared edges.
@@ -33,19 +33,17 @@ EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 def pass_triangle(
     triangle: MeshTriangle,
     ray: MeshRay,
-    direction: wp.vec3,
-    t_max: float,
-    is_opaque: bool,
+    shadow: MeshShadowRay,
     number: int,
     scene: MeshBvh,
     passage: wp.ref[MeshPassage],
 ):
-    """Takes light through a triangle of instance ``number``, on a ray that ends at ``t_max``."""
+    """Takes light through a triangle of instance ``number``; ``ray`` is the shadow ray in the space of the mesh."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
-    if not (t > 0.0 and t < t_max):
+    if not (t > 0.0 and t < shadow.t_max):
         return
-    is_glass = not is_opaque and scene.instances[number].material.smooth != 0
+    is_glass = not shadow.is_opaque and scene.instances[number].material.smooth != 0
     if not is_glass and scene.instances[number].alpha.mode == ALPHA_OPAQUE:
         passage.light = wp.vec3(0.0)
         return
@@ -59,8 +57,8 @@ def pass_triangle(
         normal = surface_normal(instance, scene.meshes, corners, weights)
         color = surface_color(instance, scene.meshes, corners, weights)
         material = material_at(instance, scene.meshes, corners, weights)
-        share = pass_straight(material, color, wp.min(wp.abs(wp.dot(normal, direction)), 1.0))
-        enters = wp.dot(direction, face_normal(instance, scene.meshes, corners)) < 0.0
+        share = pass_straight(material, color, wp.min(wp.abs(wp.dot(normal, shadow.direction)), 1.0))
+        enters = wp.dot(shadow.direction, face_normal(instance, scene.meshes, corners)) < 0.0
         passage.inside += wp.where(enters, -t, t)
         passage.entries += wp.where(enters, 1, -1)
     alpha = surface_alpha(instance, scene.meshes, corners, weights)
@@ -68,22 +66,32 @@ def pass_triangle(
 
 
 @wp.func
+def way_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> float:
+    """Length of the way inside instance ``number``, of a shadow ray that has passed all of its triangles."""
+    entries = passage.entries
+    if is_in(shadow.media, number):
+        entries += 1
+    inside = passage.inside
+    if entries > 0 and shadow.t_max < wp.inf:
+        inside += float(entries) * shadow.t_max
+    return wp.max(inside, 0.0)
+
+
+@wp.func
 def pass_instance(
     stack: wp.array[WaitingLink],
     top: int,
     number: int,
-    origin: wp.vec3,
-    direction: wp.vec3,
-    t_max: float,
-    is_opaque: bool,
+    shadow: MeshShadowRay,
     scene: MeshBvh,
     light: wp.ref[wp.vec3],
 ):
     """Takes light through the triangles of instance ``number``, on the stack above ``top``."""
-    span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
-    if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < t_max):
+    outer = inverse_or_large(shadow.direction)
+    span = box_span(shadow.origin, outer, scene.instances[number].low, scene.instances[number].high)
+    if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < shadow.t_max):
         return
-    ray = ray_in_mesh(scene.instances[number], origin, direction, span[0], 0.0)
+    ray = ray_in_mesh(scene.instances[number], shadow.origin, shadow.direction, span[0], 0.0)
     inverse = inverse_or_large(ray.direction)
     asset = scene.instances[number].asset
     passage = MeshPassage()
@@ -96,23 +104,21 @@ def pass_instance(
         link = stack[height].link
         if link < 0:
             triangle = scene.assets[asset].triangles[~link]
-            pass_triangle(triangle, ray, direction, t_max, is_opaque, number, scene, passage)
+            pass_triangle(triangle, ray, shadow, number, scene, passage)
         else:
             load_node(scene.assets[asset].nodes, link, node)
-            push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), t_max - ray.begin)
+            push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), shadow.t_max - ray.begin)
     light = passage.light
     if scene.instances[number].material.is_medium != 0:
-        inside = passage.inside
-        if passage.entries > 0 and t_max < wp.inf:
-            inside += float(passage.entries) * t_max
-        light = wp.cw_mul(light, passed(scene.instances[number].material.absorption, wp.max(inside, 0.0)))
+        inside = way_inside(passage, shadow, number)
+        light = wp.cw_mul(light, passed(scene.instances[number].material.absorption, inside))
 
 
 @wp.func
-def light_past_meshes(origin: wp.vec3, direction: wp.vec3, t_max: float, is_opaque: bool, scene: MeshBvh) -> wp.vec3:
-    """What all triangles between the origin of a ray and ``t_max`` let through."""
+def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
+    """What all meshes on a shadow ray let through."""
     light = wp.vec3(1.0)
-    inverse = inverse_or_large(direction)
+    inverse = inverse_or_large(shadow.direction)
     storage = LinkStackStorage()
     stack = link_stack(storage)
     node = Node()
@@ -122,10 +128,10 @@ def light_past_meshes(origin: wp.vec3, direction: wp.vec3, t_max: float, is_opaq
         top -= 1
         link = stack[top].link
         if link < 0:
-            pass_instance(stack, top, scene.tlas_order[~link], origin, direction, t_max, is_opaque, scene, light)
+            pass_instance(stack, top, scene.tlas_order[~link], shadow, scene, light)
         else:
             load_node(scene.tlas_nodes, link, node)
-            push_entered(stack, top, node, enter_boxes(node, origin, inverse), t_max)
+            push_entered(stack, top, node, enter_boxes(node, shadow.origin, inverse), shadow.t_max)
     return light
 
 
@@ -133,6 +139,7 @@ def light_past_meshes(origin: wp.vec3, direction: wp.vec3, t_max: float, is_opaq
 def shadow_by_meshes(
     start: int,
     opaque: wp.array[wp.bool],
+    media: wp.array[wp.vec4i],
     meshes_only: bool,
     scene: MeshBvh,
     rays: RayData,
@@ -140,9 +147,10 @@ def shadow_by_meshes(
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
-    """What all triangles between the origin and ``t_max`` let through.
+    """What all meshes between the origin and ``t_max`` let through.
 
-    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none.
+    Glass blocks the rays for which ``opaque`` says so; without elements, it blocks none. ``media`` are those at the
+    origins, in air without elements.
 
     ``limit_out`` is how far along the ray Gaussians may block what is left: 0 where nothing is, and for rays that skip
     shadow-only sets if ``meshes_only`` block these.
@@ -150,11 +158,16 @@ def shadow_by_meshes(
     i = start + wp.tid()
     t_max = rays.t_max[i]
     light = wp.vec3(1.0)
-    is_opaque = bool(False)
-    if opaque:
-        is_opaque = opaque[i]
     if rays.is_active[i] and t_max > 0.0:
-        light = light_past_meshes(rays.origin[i], rays.direction[i], t_max, is_opaque, scene)
+        shadow = MeshShadowRay()
+        shadow.origin = rays.origin[i]
+        shadow.direction = rays.direction[i]
+        shadow.t_max = t_max
+        if opaque:
+            shadow.is_opaque = opaque[i]
+        if media:
+            shadow.media = media[i]
+        light = light_past_meshes(shadow, scene)
     light_out[i] = light
     is_done = wp.max(light) <= 0.0 or (meshes_only and skips[i])
     limit_out[i] = wp.where(is_done, 0.0, t_max)

@@ -56,6 +56,7 @@ class ShadowRays:
         name: str,
         *,
         opaque: wp.array[wp.bool] | None = None,
+        media: wp.array[wp.vec4i] | None = None,
         of_splats: SplatShadows = ON_ALL,
         part: bool = False,
     ) -> DeviceArray:
@@ -69,6 +70,7 @@ class ShadowRays:
             skips: Array of bool: rays that pass through instances that are ``shadow_only``. None: none does.
             name: Of the buffer that holds the result.
             opaque: Array of bool: rays that glass blocks. None: it blocks none.
+            media: Array of wp.vec4i: those at the origins, as ``Boundary``. None: all are in air.
             part: Neighbouring rays go to different lights or start far apart: each goes through Gaussians alone.
             of_splats: What shadows Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
@@ -77,7 +79,7 @@ class ShadowRays:
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
-        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, of_splats=of_splats)
+        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, media=media, of_splats=of_splats)
         if not of_splats.exist:
             return light
         bvh = scene.bvh.data(scene.splat_instances)
@@ -103,6 +105,7 @@ class ShadowRays:
         light: DeviceArray,
         *,
         opaque: wp.array[wp.bool] | None,
+        media: wp.array[wp.vec4i] | None,
         of_splats: SplatShadows,
     ) -> wp.array[Any]:
         """Writes what meshes let through; how far Gaussians may block what is left."""
@@ -115,7 +118,7 @@ class ShadowRays:
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
-            *(opaque, meshes_only, scene.mesh_bvh, rays, skips, light, limits),
+            *(opaque, media, meshes_only, scene.mesh_bvh, rays, skips, light, limits),
             bands=TILE_BANDS_PER_THREAD * self._launcher.threads,
         )
         return limits

@@ -1,0 +1,103 @@
+"""Lamps in, through and around absorbing bodies, by Beer's law: the way from the eye and that to the lamp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.media_scenes import AHEAD, CLEAR, TRACED, color, slab
+from support.scenes.path_scenes import diffuse, quad, wide_sheet
+
+TINT = np.array([0.2, 0.5, 1.0])
+BODY = replace(CLEAR, attenuation_color=TINT, attenuation_distance=1.0)
+SLANT = np.array([0.6, 0.0, -0.8])
+"""From the origin, where the surface is, to the lamps."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One body, in slabs across the z axis, a surface at 0, a lamp along `SLANT`; the lengths of both ways inside."""
+
+    slabs: tuple[tuple[float, float], ...]
+    lamp: float
+    seen: float
+    lit: float
+    eye: float = -3.0
+
+
+CASES = {
+    "the lamp is inside": Case(((-2.0, -1.0),), lamp=2.0, seen=0.0, lit=0.75, eye=-0.5),
+    "both are inside": Case(((-1.5, 1.0),), lamp=1.0, seen=1.5, lit=1.0),
+    "the lamp is beyond": Case(((-1.2, 1.0),), lamp=2.5, seen=1.2, lit=1.5),
+    "left, and entered again": Case(((-0.4, 1.0), (-2.5, -1.6)), lamp=2.5, seen=0.4, lit=1.0, eye=-1.0),
+    "left, entered, and left": Case(((-0.4, 1.0), (-2.5, -1.6)), lamp=4.0, seen=0.4, lit=1.625, eye=-1.0),
+}
+
+
+def body(slabs: tuple[tuple[float, float], ...], material: ls.MaterialPbr) -> ls.Mesh:
+    """One mesh of several slabs."""
+    parts = [slab(front, back, material) for front, back in slabs]
+    indices = [part.indices + 24 * k for k, part in enumerate(parts)]
+    return ls.Mesh(np.concatenate([part.positions for part in parts]), np.concatenate(indices), material=material)
+
+
+def assert_absorbed(case: Case, lamp: ls.LightPoint | ls.LightSphere, pipeline: ls.Pipeline) -> None:
+    """A mesh is as bright as without the body, times what both ways leave."""
+    floor = quad((-9, -9, 0.0), (0, 18, 0), (18, 0, 0), diffuse(0.8))
+    camera = ls.Camera.look_at((0, 0, case.eye), (0, 0, 0), width=16, height=8, fov_y=0.002)
+    without, within = (
+        color(ls.Scene(meshes=[floor, *bodies], lights=[lamp]), pipeline, 1, camera, max_bounces=1)
+        for bodies in ([], [body(case.slabs, BODY)])
+    )
+    np.testing.assert_allclose(within / without, TINT ** (case.seen + case.lit), rtol=3e-3)
+
+
+@TRACED
+@pytest.mark.parametrize("name", CASES)
+def test_light_is_absorbed_on_its_whole_way(pipeline: ls.Pipeline, name: str) -> None:
+    """From a lamp that rays never meet, so that its shadow rays pass glass."""
+    assert_absorbed(CASES[name], ls.LightPoint(CASES[name].lamp * SLANT, intensity=50.0), pipeline)
+
+
+@TRACED
+def test_lamps_that_rays_meet(pipeline: ls.Pipeline) -> None:
+    """A sphere nearly as small: glass blocks the shadow rays of paths towards it."""
+    case = CASES["both are inside"]
+    assert_absorbed(case, ls.LightSphere(case.lamp * SLANT, 0.001, intensity=2e7), pipeline)
+
+
+@TRACED
+def test_gaussians_in_a_body(pipeline: ls.Pipeline) -> None:
+    """They are lit in it as meshes are."""
+    case = CASES["both are inside"]
+    without, within = (
+        color(
+            ls.Scene([wide_sheet(0.0, 0.9, 0.8)], meshes=bodies, lights=[ls.LightPoint(case.lamp * SLANT)]),
+            pipeline,
+            64,
+            max_bounces=1,
+        )
+        for bodies in ([], [body(case.slabs, BODY)])
+    )
+    np.testing.assert_allclose(within / without, TINT ** (case.seen + case.lit), rtol=3e-3)
+
+
+@pytest.mark.parametrize("visible", [False, True])
+def test_a_lamp_in_rough_glass(visible: bool) -> None:
+    """Sampled through the surface, whether or not rays meet it as well: its way inside is absorbed."""
+    lamp = ls.LightSphere((0.0, 0.0, 1.0), 0.001, intensity=1e6, visible=visible)
+    clear, dim = (
+        color(
+            ls.Scene(meshes=[slab(0.0, 5.0, replace(glass, roughness=0.4, ior=1.5))], lights=[lamp]),
+            ls.Pipeline.PATH,
+            16,
+            AHEAD,
+            max_bounces=0,
+        )
+        for glass in (CLEAR, BODY)
+    )
+    assert clear.min() > 0.0
+    np.testing.assert_allclose(dim / clear, TINT**1.0, rtol=3e-3)
