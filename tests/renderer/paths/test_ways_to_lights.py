@@ -90,6 +90,23 @@ def test_a_polygon(lamp: str, way: str) -> None:
     assert_is(found(quad(corner, u, v, diffuse(0.0, 2.0)) if lamp == "mesh" else light, way), 2.0 * abs(seen))
 
 
+def test_a_lamp_that_is_placed() -> None:
+    """The same polygon: a square that is turned, stretched and sheared, far away, and was elsewhere before."""
+    corner, u, v = np.array([-0.2, 0.7, -0.6]), np.array([0.9, 0.4, 0.1]), np.array([0.1, 0.2, 0.8])
+    seen = polygon_irradiance((0, 0, 0), (0, 1, 0), [corner, corner + u, corner + u + v, corner + v])
+    square = quad((0, 0, 0), (1, 0, 0), (0, 0, 1), diffuse(0.0, 2.0))
+    placed, away = np.eye(4), np.array([200.0, -50.0, 70.0])
+    placed[:3] = np.stack([u, 3.0 * np.cross(u, v), v, corner + away], axis=1)
+    camera = ls.Camera.look_at(away + np.array([0, 0.3, 0.002]), away, (0, 0, -1), width=32, height=24, fov_y=0.002)
+    floor = quad(away - (3, 0, 3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
+    scenes = [ls.Scene(meshes=[floor, ls.MeshInstance(square, matrix)]) for matrix in (np.eye(4), placed)]
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=64, max_bounces=0)
+    renderer = ls.create_renderer(config, "cpu")
+    frames = [renderer.render(scene, camera) for scene in scenes]
+    assert frames[0].color.max() < 1e-6
+    assert_is(irradiance(frames[1], ALBEDO), 2.0 * abs(seen))
+
+
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("slope", [0.0, 0.7, np.pi / 2])
 def test_a_wall_below_the_sky(slope: float, way: str) -> None:

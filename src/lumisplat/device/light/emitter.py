@@ -5,9 +5,8 @@ import warp as wp
 from lumisplat.constants import EMITTER_MARGIN, ENVIRONMENT_SHARE_STEPS, LIGHT_POWER_MAX
 from lumisplat.device.light.environment import first_above, start_of
 from lumisplat.device.light.mesh_interaction import emission_at
-from lumisplat.device.material.specular_bounce import spawn_point
 from lumisplat.device.mesh.mesh_surface import surface_alpha
-from lumisplat.device.structs.light import LightSample
+from lumisplat.device.structs.light import EmitterTriangle, LightSample
 from lumisplat.device.structs.shading import ShadingScene
 
 wp.set_module_options({"enable_backward": False})
@@ -40,13 +39,20 @@ def area_density(share: float, across: wp.vec3, direction: wp.vec3, distance2: f
 
 
 @wp.func
-def edge_product(number: int, corners: wp.vec3i, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Cross product of two edges of a triangle of mesh instance ``number``, world space: twice its area long."""
-    world_from_object = scene[0].mesh_instances[number].world_from_object
-    p0 = scene[0].meshes.positions[corners[0]]
-    edge1 = world_from_object * (scene[0].meshes.positions[corners[1]] - p0)
-    edge2 = world_from_object * (scene[0].meshes.positions[corners[2]] - p0)
-    return wp.cross(edge1, edge2)
+def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> wp.vec3:
+    """A point of a triangle, lifted so far to the side of ``point`` that a ray from there does not hit the triangle.
+
+    Barycentric ``weights`` say which. As ``spawn_point``, with the largest rounding error on the triangle.
+    """
+    inner = wp.vec3(
+        wp.max(weights[0], triangle.inside[0]),
+        wp.max(weights[1], triangle.inside[1]),
+        wp.max(weights[2], triangle.inside[2]),
+    )
+    scale = 1.0 / (inner[0] + inner[1] + inner[2])
+    place = triangle.corner + (scale * inner[1]) * triangle.edge1 + (scale * inner[2]) * triangle.edge2
+    lift = wp.where(wp.dot(triangle.across, place - point) > 0.0, -triangle.lift, triangle.lift)
+    return place + lift * triangle.across
 
 
 @wp.func
@@ -63,30 +69,20 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
     emitters = scene[0].emitters
     k = first_above(emitters.ends, 0, emitters.ends.shape[0], wp.min(which, BELOW_ONE))
     number = emitters.instances[k]
-    instance = scene[0].mesh_instances[number]
-    corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
+    triangle = emitters.triangles[k]
     root = wp.sqrt(u[0])
     weights = wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
-    across = edge_product(number, corners, scene)
-    if wp.length(across) <= 0.0:
-        return sample
-    side = wp.normalize(across)
-    local = (
-        weights[0] * scene[0].meshes.positions[corners[0]]
-        + weights[1] * scene[0].meshes.positions[corners[1]]
-        + weights[2] * scene[0].meshes.positions[corners[2]]
-    )
-    if wp.dot(side, instance.position + instance.world_from_object * local - point) > 0.0:
-        side = -side
-    way = spawn_point(instance, scene[0].meshes, corners, weights, side) - point
+    way = point_above(triangle, weights, point) - point
     distance2 = wp.dot(way, way)
     if distance2 <= 0.0:
         return sample
     sample.distance = wp.sqrt(distance2)
     sample.direction = way / sample.distance
     sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
-    sample.density = area_density(emitter_share(k, scene), across, sample.direction, distance2)
+    sample.density = area_density(emitter_share(k, scene), triangle.across, sample.direction, distance2)
     if sample.density > 0.0:
+        instance = scene[0].mesh_instances[number]
+        corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
         coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
         radiance = coverage * emission_at(number, corners, weights, scene)
         sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)

@@ -5,7 +5,7 @@ Surfaces sample the environment, triangles that shine and visible lights as well
 
 import warp as wp
 
-from lumisplat.device.light.emitter import area_density, edge_product, emitter_share
+from lumisplat.device.light.emitter import area_density, emitter_share
 from lumisplat.device.light.environment import environment_density, environment_radiance
 from lumisplat.device.light.light_choice import choice_probability, meets_rays
 from lumisplat.device.light.mesh_interaction import mesh_emission
@@ -80,7 +80,7 @@ def emitted_share(
         return 1.0
     face = wave[0].meshes.face[i]
     k = scene[0].emitters.first[number] + face - scene[0].mesh_instances[number].face_first
-    across = edge_product(number, scene[0].meshes.indices[face], scene)
+    across = scene[0].emitters.triangles[k].across
     vertex = vertex_of(i, paths)
     way = wave[0].rays.origin[i] + wave[0].meshes.t[i] * wave[0].rays.direction[i] - vertex.position
     other = area_density(emitter_share(k, scene), across, wave[0].rays.direction[i], wp.dot(way, way))

@@ -68,11 +68,28 @@ class EnvironmentData:
 
 
 @struct
+class EmitterTriangle:
+    """A triangle that shines, world space."""
+
+    corner: wp.vec3
+    edge1: wp.vec3
+    edge2: wp.vec3
+    """From the corner."""
+    across: wp.vec3
+    """Cross product of the edges: twice the triangle's area long."""
+    lift: float
+    """Share of ``across`` by which samples lie above the triangle, so that shadow rays to them do not hit it."""
+    inside: wp.vec3
+    """Least barycentric weights of samples: at an edge, they would lie in the wall beyond."""
+
+
+@struct
 class EmitterData:
     """The triangles of all meshes that shine, and the table that samples them by their power."""
 
     ends: wp.array[float]
     """Cumulative share of the power up to the end of each; without elements: no mesh shines."""
+    triangles: wp.array[EmitterTriangle]
     instances: wp.array[int]
     """The mesh instance of each."""
     first: wp.array[int]

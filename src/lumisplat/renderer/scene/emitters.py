@@ -6,12 +6,13 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE
-from lumisplat.device.structs.light import EmitterData
+from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE, SPAWN_ERROR, SPAWN_SLENDER
+from lumisplat.device.structs.light import EmitterData, EmitterTriangle
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
 from lumisplat.renderer.scene.lights import cumulative_shares
 from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.materials import MaterialPbr, wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.sampling.surface_color import wrapped
@@ -49,6 +50,9 @@ class Emitters:
         ends = cumulative_shares(power) if data.power > 0.0 else np.zeros(0, np.float32)
         data.ends = buffers.upload("emitters.ends", wp.float32, ends)
         data.instances = buffers.upload("emitters.instances", wp.int32, numbers)
+        tables = [triangles_of(instance) for _, instance in shining]
+        rows = np.concatenate(tables) if tables else np.zeros(0, table_dtype(EmitterTriangle))
+        data.triangles = buffers.upload("emitters.triangles", EmitterTriangle, rows)
         if data.power > 0.0:
             centers = np.concatenate([_centers(instance) for _, instance in shining])
             center = np.average(centers, axis=0, weights=power)
@@ -75,6 +79,42 @@ def powers_of(instance: MeshInstance) -> Doubles:
     if texture is not None and mesh.uvs is not None:
         brightness *= _texture_means(mesh, texture, wraps_of(material, "emissive_texture"))
     return brightness * _areas(instance)
+
+
+def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
+    """An instance's triangles as paths sample them, shape (F,); of rounding errors, each has its largest."""
+    corners = _corners(instance)
+    edges = corners[:, 1:] - corners[:, :1]
+    across = np.cross(edges[:, 0], edges[:, 1])
+    area = np.linalg.norm(across, axis=1)
+    area[area < np.finfo(np.float32).tiny] = np.inf  # without a place above: it has no power either
+    error = _rounding_error(instance, across / area[:, None])
+    # Opposite the corners.
+    sides = np.linalg.norm(np.stack([edges[:, 1] - edges[:, 0], edges[:, 1], edges[:, 0]], axis=1), axis=2)
+    longest = sides.max(axis=1)
+    error += SPAWN_ERROR / 16.0 * longest * np.minimum(longest**2 / area, SPAWN_SLENDER)
+    rows = np.zeros(len(corners), table_dtype(EmitterTriangle))
+    rows["corner"], rows["edge1"], rows["edge2"], rows["across"] = corners[:, 0], edges[:, 0], edges[:, 1], across
+    rows["lift"] = error / area
+    # A corner's height over the opposite side is twice the area over that side.
+    rows["inside"] = np.minimum(2.0 * (error / area)[:, None] * sides, 0.25)
+    return rows
+
+
+def _rounding_error(instance: MeshInstance, normals: Doubles) -> Doubles:
+    """How far off their planes hits on an instance's triangles may be, shape (F,); see ``spawn_point``."""
+    world_from_object = instance.transform[:3, :3]
+    local = instance.mesh.positions.astype(np.float64)[instance.mesh.indices]
+    offsets = local @ world_from_object.T
+    # Of each triangle, the largest coordinates: those of corners.
+    sizes = 2.0 * np.abs(instance.transform[:3, 3]) + np.abs(offsets).max(axis=1)
+    sizes += np.abs(local).max(axis=1) @ np.abs(world_from_object).T
+    local_sizes = np.abs(local[:, 0]) + np.abs(local[:, 1:] - local[:, :1]).sum(axis=1)
+    local_sizes += np.abs(offsets).max(axis=1) @ np.abs(np.linalg.inv(world_from_object)).T
+    error: Doubles = (np.abs(normals) * sizes).sum(axis=1) + (np.abs(normals @ world_from_object) * local_sizes).sum(
+        axis=1
+    )
+    return SPAWN_ERROR * error
 
 
 def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) -> Doubles:
