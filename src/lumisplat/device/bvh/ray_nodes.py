@@ -117,10 +117,9 @@ def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Child
 
 
 @wp.func
-def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
-    """Pushes the children that a ray enters up to ``reach``, the nearest last, so that it is next."""
+def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
+    """Pushes the children that a ray enters up to ``reach``, as they come."""
     links = node.link
-    base = int(top)
     end = int(top)
     last = lesser(reach, FAR)
     for c in range(WIDTH):
@@ -128,11 +127,18 @@ def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, ent
         stack[end].entry = entries[c]
         stack[end].link = links[c]
         end += wp.where(entries[c] <= last, 1, 0)
-    for k in range(base + 1, end):
+    top = end
+
+
+@wp.func
+def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
+    """The same, the nearest last, so that it is next."""
+    base = int(top)
+    push_all_entered(stack, top, node, entries, reach)
+    for k in range(base + 1, top):
         waiting = stack[k]
         j = int(k)
         while j > base and stack[j - 1].entry < waiting.entry:
             stack[j] = stack[j - 1]
             j -= 1
         stack[j] = waiting
-    top = end

@@ -9,7 +9,7 @@ from lumisplat.device.bvh.ray_nodes import (
     inverse_or_large,
     link_stack,
     load_node,
-    push_entered,
+    push_all_entered,
     push_link,
 )
 from lumisplat.device.light.shadow import pass_straight
@@ -107,7 +107,7 @@ def pass_instance(
             pass_triangle(triangle, ray, shadow, number, scene, passage)
         else:
             load_node(scene.assets[asset].nodes, link, node)
-            push_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), shadow.t_max - ray.begin)
+            push_all_entered(stack, height, node, enter_boxes(node, ray.origin, inverse), shadow.t_max - ray.begin)
     light = passage.light
     if scene.instances[number].material.is_medium != 0:
         inside = way_inside(passage, shadow, number)
@@ -131,7 +131,7 @@ def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
             pass_instance(stack, top, scene.tlas_order[~link], shadow, scene, light)
         else:
             load_node(scene.tlas_nodes, link, node)
-            push_entered(stack, top, node, enter_boxes(node, shadow.origin, inverse), shadow.t_max)
+            push_all_entered(stack, top, node, enter_boxes(node, shadow.origin, inverse), shadow.t_max)
     return light
 
 
