@@ -138,6 +138,8 @@ class Launcher:
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
+        self._banded: set[object] = set()
+        """Modules whose kernels have run in bands."""
         if self.is_cuda:
             keep_scratch(self.device)
 
@@ -194,6 +196,7 @@ class Launcher:
         if self.threads == 1 or bands < 2:
             self.run(kernel, count, 0, *inputs)
             return
+        self._load_for_bands(kernel)
         edges = [count * band // bands for band in range(bands + 1)]
         pending = iter(list(itertools.pairwise(edges)))
 
@@ -213,6 +216,13 @@ class Launcher:
             run_bands()
             for job in jobs:
                 job.result()
+
+    def _load_for_bands(self, kernel: Kernel) -> None:
+        """Loads the module of a kernel, once, before several threads do: one might run what another one replaces."""
+        module: Any = getattr(kernel, "module", None)
+        if module is not None and module not in self._banded:
+            self._load(module)
+            self._banded.add(module)
 
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
         """Runs one band by the launch of the thread's last one, if there was one; returns its launch.
