@@ -1,0 +1,58 @@
+"""The thresholds of global illumination in real time."""
+
+from __future__ import annotations
+
+# --- Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering) ---
+
+ALBEDO_MIN = 1e-3
+"""Least diffuse albedo that reflected light is divided by to find irradiance: below it, a surface shows none."""
+
+STILL_PX = 0.01
+"""Pixels within which a point counts as at a pixel's centre: what stands still is not resampled."""
+
+SAME_SURFACE_PX = 8.0
+"""Two points are on one surface if neither is farther from the other's plane than this many pixels are wide there;
+GI-1.1's size of a tile."""
+
+SAME_NORMAL_MESH = 0.9
+"""Least cosine between the normals of one mesh surface in two frames: what turns faster loses its history."""
+
+SAME_NORMAL_SPLATS = 0.5
+"""The same of Gaussians, whose normals are noisy."""
+
+CHANGE_SIGMAS = 3.0
+"""Standard deviations by which samples around a pixel differ from their histories where light has changed: by chance
+they do in one of some hundred pixels and frames."""
+
+CHANGE_LEAST = 0.02
+"""Share of the light below which no difference counts as a change."""
+
+MOMENT_FRAMES = 8
+"""Frames over which the moments of luminance are averaged at least, from which its variance follows."""
+
+LUMINANCE_SIGMAS = 4.0
+"""Neighbours count less the more standard deviations of noise lie between them and the pixel. SVGF's."""
+
+YOUNG_FRAMES = 3.5
+"""With fewer frames of history than this, the variance is that of the neighbourhood. SVGF's 4: means of equal histories
+are whole numbers but for rounding."""
+
+WEIGHT_LEAST = 1e-8
+"""Least weight by position and normal with which a neighbour counts: those at an angle give a pixel without samples
+nothing."""
+
+# --- Rays that leave surfaces ---
+
+RAY_LIFT = 1e-4
+"""Share of the largest coordinate by which rays start above a mesh whose triangle is not known any more: rounding must
+not put them below."""
+
+# --- Light that bounces from frame to frame ---
+
+YOUNG_SHARE = 0.5
+"""Share of its rays so far for which a young mean counts when one more is added: what is found later has bounced more
+often, and is nearer to the truth. The variance is a third higher than that of plain means."""
+
+OUTDATED_SHARE = 1e-4
+"""Share of its weight that a mean keeps when the light changes: what is found next takes its place, and is until then
+better than nothing. Many old cells of a tile together weigh less than one new sample."""
