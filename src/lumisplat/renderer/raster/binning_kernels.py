@@ -8,11 +8,10 @@ Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair; the library
 capacities rather than counts, so that nothing is read back.
 """
 
-from typing import Any
-
 import warp as wp
 
 from lumisplat.constants import COUNT_SUM_THREADS, DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.raster import ChunkData, TileRect
 
 # Flags of the splat kernels, though there is nothing to fuse: an unlit raster frame then needs one precompiled header.
@@ -27,23 +26,6 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
     """First item of a chunk."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
-
-
-@wp.func
-def first_not_below(values: wp.array[Any], count: int, limit: Any) -> int:
-    """Index of the first of ``count`` ascending values that is at least ``limit``; ``count`` if none is.
-
-    The library's ``lower_bound`` never returns its end.
-    """
-    low = int(0)
-    high = int(count)
-    while low < high:
-        middle = low + (high - low) // 2
-        if values[middle] < limit:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @wp.func

@@ -1,0 +1,1 @@
+"""Global illumination in real time: octahedral maps, probes, caches and filters."""

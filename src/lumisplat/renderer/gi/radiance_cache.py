@@ -1,0 +1,285 @@
+"""Host passes of the radiance cache: what surfaces reflect, in cells of the world (docs/method/realtime.md).
+
+A frame: `RadianceCache.insert` what rays have hit, `look_up` what leaves there; `bounce_points`, trace a ray from each,
+insert what these hit, and `add_bounces`; `evict`.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config import RadianceCacheConfig
+from lumisplat.device.structs.radiance_cache import (
+    COUNT_DROPPED,
+    COUNT_EVICTED,
+    COUNT_EXCESS,
+    COUNT_LIVE,
+    COUNT_NEW,
+    COUNTS,
+    TILE_CELLS,
+    TILE_MEANS,
+    CacheGrid,
+    CachePoints,
+    CacheSamples,
+    CacheTiles,
+    SortedSamples,
+)
+from lumisplat.renderer.gi import radiance_cache_kernels as kernels
+from lumisplat.renderer.gi import radiance_cache_tiles_kernels as tile_kernels
+from lumisplat.runtime.buffers import Buffers, DeviceArray, bytes_of, device_array
+from lumisplat.runtime.launcher import Kernel, Launcher
+from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
+
+_log = logging.getLogger("lumisplat")
+
+HISTORY_CUDA, HISTORY_CPU = 16, 32
+"""Frames of a mean, where settings leave it open."""
+
+_STAGE = "radiance cache"
+
+
+@dataclass(frozen=True, slots=True)
+class RadianceCacheStatistics:
+    """What the cache holds."""
+
+    tiles: int
+    """Tiles that there are."""
+    cells: int
+    """Their cells with samples."""
+    evicted: int
+    """Tiles that had to go before their time since the start, for the cache was full."""
+    dropped: int
+    """Tiles that found no room since the start, in frames that needed more than the capacity."""
+    bytes: int
+    """Memory of all tiles that there may be."""
+
+
+class RadianceCache:
+    """Means of the radiance that surfaces reflect, in cells of the world.
+
+    Frames are numbers that never fall. Arrays have the sizes of the settings and of the samples of a frame: nothing
+    grows with the number of frames.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: The settings.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RadianceCacheConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        history = config.history or (HISTORY_CUDA if launcher.is_cuda else HISTORY_CPU)
+        self._grid = CacheGrid()
+        self._grid.cell_size, self._grid.tiles = config.cell_size, config.tiles
+        self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
+        self._grid.bounce_history = float(config.bounce_history)
+        self._tiles = _allocated_tiles(buffers, config.tiles)
+        self._is_overflow_told = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything: the cache is as a new one."""
+        self._launcher.run_banded(tile_kernels.clear_tiles, self._config.tiles, self._tiles)
+        self._is_overflow_told = False
+
+    def outdate(self) -> None:
+        """The light has changed: what is known counts for next to nothing beside what is found from now on."""
+        with self._launcher.stage(_STAGE):
+            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, self._tiles)
+
+    def insert(self, samples: CacheSamples, frame: int) -> None:
+        """Adds the direct radiance of a frame's samples to the means of their cells.
+
+        Several calls with one frame count as one. Samples that are no finite numbers are left out.
+        """
+        count = len(device_array(samples.is_active))
+        if count:
+            with self._launcher.stage(_STAGE):
+                sorted_samples = self._sorted(samples, count)
+                self._make_tiles(sorted_samples, count, frame)
+                run, tiles = self._launcher.run_banded, self._tiles
+                run(kernels.add_samples, count, frame, self._grid, samples, sorted_samples, tiles)
+                run(kernels.update_tiles, count, sorted_samples, tiles)
+
+    def look_up(self, samples: CacheSamples) -> DeviceArray:
+        """Linear radiance that leaves each sample's surface, of light of all bounces, without emission; vec3.
+
+        Of samples that are not active 0. The next look-up of as many samples overwrites it.
+        """
+        return self._look_up("radiance", samples)
+
+    def look_up_indirect(self, samples: CacheSamples) -> DeviceArray:
+        """As ``look_up``, of light from other surfaces alone, whatever the radiance of the samples."""
+        count = len(device_array(samples.is_active))
+        radiance = self._get("indirect", wp.vec3, count)
+        with self._launcher.stage(_STAGE):
+            self._launcher.run_banded(kernels.look_up_indirect, count, self._grid, samples, self._tiles, radiance)
+        return radiance
+
+    def bounce_points(self, frame: int) -> CachePoints:
+        """Points of a share of the cells, of those that wait longest, for a ray each.
+
+        The caller traces a ray from each, by the cosine of its normal, inserts what they hit, and gives that to
+        `add_bounces`. As many as the settings say; behind the last tile that fits whole they are not active.
+        """
+        run, buffers, tiles = self._launcher.run_banded, self._buffers, self._tiles
+        points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
+        with self._launcher.stage(_STAGE):
+            ranks = self._ranks(kernels.key_tiles_by_bounce)
+            cells, ends = (self._per_tile(name) for name in ("cells", "ends"))
+            run(kernels.count_cells, self._config.tiles, tiles, ranks, cells)
+            prefix_sum(cells, ends, inclusive=True)
+            run(kernels.list_points, self._config.bounces, frame, tiles, ranks, ends, points)
+        return points
+
+    def add_bounces(self, points: CachePoints, hits: CacheSamples) -> None:
+        """Adds the light that cells reflect of other surfaces.
+
+        Args:
+            points: Of the last `bounce_points`; those of tiles that have gone since do not count.
+            hits: What the ray from each has hit, already inserted. Where they are not active no surface was hit, and
+                no light comes from there: that of the sky is direct.
+        """
+        count = self._config.bounces
+        seen = self._look_up("seen", hits)
+        with self._launcher.stage(_STAGE):
+            self._launcher.run_banded(kernels.add_bounces, count, self._grid, points, seen, self._tiles)
+            self._launcher.run_banded(kernels.update_bounced_tiles, count, points, self._tiles)
+
+    def evict(self, frame: int) -> None:
+        """Forgets the tiles that no ray has hit for as many frames as the settings say; the end of a frame."""
+        oldest = frame - self._config.unused_frames + 1
+        with self._launcher.stage(_STAGE):
+            kept = self._per_tile("kept")
+            self._launcher.run_banded(tile_kernels.keep_used, self._config.tiles, oldest, self._tiles, kept)
+            self._compact(kept, is_early=False)
+        self._tell_overflow()
+
+    @property
+    def statistics(self) -> RadianceCacheStatistics:
+        """What the cache holds; waits for the device."""
+        counts = device_array(self._tiles.counts).numpy()
+        live = int(counts[COUNT_LIVE])
+        slots = device_array(self._tiles.slots).numpy()[:live]
+        cells = int(device_array(self._tiles.filled).numpy()[slots].sum())
+        evicted, dropped = int(counts[COUNT_EVICTED]), int(counts[COUNT_DROPPED])
+        return RadianceCacheStatistics(live, cells, evicted, dropped, _bytes_of_tiles(self._tiles))
+
+    def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
+        """Samples by tile, cell and index: stable sorts by cell, then by tile."""
+        run, get = self._launcher.run_banded, self._get
+        keys, cells = get("keys", wp.int64, count), get("cells", wp.int32, count)
+        sort_cells = get("sort_cells", wp.int32, 2 * count)
+        result = SortedSamples()
+        result.keys, result.order = get("sorted_keys", wp.int64, 2 * count), get("order", wp.int32, 2 * count)
+        result.cells = cells
+        run(kernels.find_cells, count, self._grid, samples, keys, cells, sort_cells, result.order)
+        sort_pairs(sort_cells, device_array(result.order), count, bits=TILE_CELLS.bit_length() - 1)
+        run(kernels.gather_keys, count, keys, result.order, result.keys)
+        sort_pairs(device_array(result.keys), device_array(result.order), count)
+        return result
+
+    def _make_tiles(self, samples: SortedSamples, count: int, frame: int) -> None:
+        """Makes the tiles that samples need; when all are in use, for those that were unused longest."""
+        run, tiles, capacity = self._launcher.run_banded, self._tiles, self._config.tiles
+        is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
+        run(tile_kernels.find_new_tiles, count, frame, samples, tiles, is_new)
+        prefix_sum(is_new, ends, inclusive=True)
+        self._launcher.run(tile_kernels.count_new_tiles, 1, count, self._grid, ends, tiles)
+        if self._may_count(COUNT_EXCESS):
+            kept = self._per_tile("kept")
+            ranks = self._ranks(tile_kernels.key_tiles_by_use)
+            run(tile_kernels.keep_all_but_excess, capacity, frame, tiles, ranks, kept)
+            self._compact(kept, is_early=True)
+        if self._may_count(COUNT_NEW):
+            new_keys = self._get("new_keys", wp.int64, count)
+            run(tile_kernels.list_new_tiles, count, samples, is_new, ends, new_keys)
+            keys, slots = self._others()
+            run(tile_kernels.merge_tiles, capacity, frame, tiles, new_keys, keys, slots)
+            self._take(keys, slots)
+            self._launcher.run(tile_kernels.count_merged_tiles, 1, tiles)
+
+    def _compact(self, kept: DeviceArray, *, is_early: bool) -> None:
+        """Frees the slots of tiles that are not marked."""
+        ends = self._per_tile("ends")
+        prefix_sum(kept, ends, inclusive=True)
+        keys, slots = self._others()
+        self._launcher.run_banded(tile_kernels.compact_tiles, self._config.tiles, self._tiles, kept, ends, keys, slots)
+        self._take(keys, slots)
+        self._launcher.run(tile_kernels.count_kept_tiles, 1, is_early, self._grid, ends, self._tiles)
+
+    def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
+        """As ``look_up``, into an array of its own."""
+        count = len(device_array(samples.is_active))
+        radiance = self._get(name, wp.vec3, count)
+        with self._launcher.stage(_STAGE):
+            self._launcher.run_banded(kernels.look_up_samples, count, self._grid, samples, self._tiles, radiance)
+        return radiance
+
+    def _ranks(self, key_tiles: Kernel) -> DeviceArray:
+        """Ranks of the tiles by what a kernel writes for each, ties by key."""
+        count = self._config.tiles
+        ages, ranks = (self._get(name, wp.int32, 2 * count) for name in ("ages", "ranks"))
+        self._launcher.run_banded(key_tiles, count, self._tiles, ages, ranks)
+        sort_pairs(ages, ranks, count)
+        return ranks
+
+    def _others(self) -> tuple[DeviceArray, DeviceArray]:
+        """Room for the keys and slots that follow the present ones."""
+        return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
+
+    def _take(self, keys: DeviceArray, slots: DeviceArray) -> None:
+        """Makes these the keys and slots of the tiles."""
+        copy_elements(keys, device_array(self._tiles.keys), self._config.tiles)
+        copy_elements(slots, device_array(self._tiles.slots), self._config.tiles)
+
+    def _may_count(self, index: int) -> bool:
+        """Whether a count is above 0. A GPU is not waited for: passes that have nothing to do are quick there."""
+        return self._launcher.is_parallel or bool(device_array(self._tiles.counts).numpy()[index] > 0)
+
+    def _tell_overflow(self) -> None:
+        """Says once that the cache was full."""
+        if not self._is_overflow_told:
+            counts = device_array(self._tiles.counts).numpy()
+            if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
+                self._is_overflow_told = True
+                _log.warning(
+                    "the radiance cache is full: %s tiles had to go, %s found no room; use more tiles than %s",
+                    *(f"{number:,}" for number in (*counts[[COUNT_EVICTED, COUNT_DROPPED]], self._config.tiles)),
+                )
+
+    def _per_tile(self, name: str) -> DeviceArray:
+        """An array of integers, one a tile."""
+        return self._get(name, wp.int32, self._config.tiles)
+
+    def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
+        """An array of the cache."""
+        return self._buffers.get(f"radiance_cache.{name}", dtype, count)
+
+
+_CELL_FIELDS = ("frames", "updated", "position", "normal", "albedo", "extent")
+"""Arrays of tiles with an element a cell."""
+
+_LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
+"""Elements that a tile has in an array; in those that are not named one."""
+
+
+def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
+    """Arrays for as many tiles; memory of the CPU is the system's until it is written."""
+    noun: Any = CacheTiles
+    tiles = CacheTiles()
+    for field, variable in noun.vars.items():
+        count = COUNTS if field == "counts" else capacity * _LENGTHS.get(field, 1)
+        setattr(tiles, field, buffers.get(f"radiance_cache.tiles.{field}", variable.type.dtype, count))
+    return tiles
+
+
+def _bytes_of_tiles(tiles: CacheTiles) -> int:
+    """Memory of all tiles that there may be."""
+    noun: Any = CacheTiles
+    return bytes_of(*(getattr(tiles, field) for field in noun.vars))

@@ -1,0 +1,280 @@
+"""Kernels of the radiance cache: samples sorted into cells, what is known there, and light between cells.
+
+All are write-once: of the sorted samples of a cell, or of a tile, the first one does the work of all.
+docs/method/realtime.md#radiance-cache
+"""
+
+import warp as wp
+
+from lumisplat.constants.realtime import OUTDATED_SHARE
+from lumisplat.device.gi.means import mean_weight
+from lumisplat.device.gi.radiance_cache import (
+    cached_radiance,
+    cell_key,
+    cell_of_sample,
+    color_of,
+    far_radiance,
+    is_first_of_cell,
+    is_first_of_tile,
+    level_of,
+    mean_index,
+    slot_of,
+)
+from lumisplat.device.math.random import mix
+from lumisplat.device.math.search import first_not_below
+from lumisplat.device.structs.radiance_cache import (
+    AGE_LAST,
+    COUNT_LIVE,
+    NO_TILE,
+    REFLECTANCE_MAX,
+    TILE_CELLS,
+    TILE_MEANS,
+    TILE_MIPS,
+    CacheGrid,
+    CachePoints,
+    CacheSamples,
+    CacheTiles,
+    SortedSamples,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+OUTDATED = wp.constant(wp.float32(OUTDATED_SHARE))
+
+
+@wp.kernel
+def find_cells(
+    start: int,
+    grid: CacheGrid,
+    samples: CacheSamples,
+    keys_out: wp.array[wp.int64],
+    cells_out: wp.array[int],
+    sort_cells_out: wp.array[int],
+    order_out: wp.array[int],
+):
+    """Tile and cell of each sample; those that are no finite number have none."""
+    i = start + wp.tid()
+    keys_out[i] = NO_TILE
+    cells_out[i] = 0
+    sort_cells_out[i] = 0
+    order_out[i] = i
+    if samples.is_active[i]:
+        if wp.isfinite(samples.radiance[i]) and wp.isfinite(samples.from_eye[i]):
+            place = cell_of_sample(grid, samples, i)
+            keys_out[i] = place.key
+            cells_out[i] = place.cell
+            sort_cells_out[i] = place.cell
+
+
+@wp.kernel
+def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys_out: wp.array[wp.int64]):
+    """Keys of samples in an order."""
+    i = start + wp.tid()
+    keys_out[i] = keys[order[i]]
+
+
+@wp.func
+def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.vec4:
+    """A mean that counts for ``weight`` samples, with a further ``count`` of them that sum to ``total``."""
+    before = wp.float64(weight)
+    all = before + wp.float64(count)
+    color = (wp.vec3d(color_of(mean)) * before + total) / all
+    return wp.vec4(float(color[0]), float(color[1]), float(color[2]), float(all))
+
+
+@wp.kernel
+def add_samples(
+    start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
+):
+    """Adds the samples of each cell to its mean, and keeps one of them, at random, as the place of its bounce."""
+    i = start + wp.tid()
+    if not is_first_of_cell(sorted_samples, i):
+        return
+    key = sorted_samples.keys[i]
+    slot = slot_of(tiles, key)
+    if slot < 0:
+        return
+    cell = sorted_samples.cells[sorted_samples.order[i]]
+    total = wp.vec3d()
+    end = int(i)
+    while end < samples.is_active.shape[0] and (end == i or not is_first_of_cell(sorted_samples, end)):
+        if sorted_samples.keys[end] == NO_TILE:
+            break
+        total += wp.vec3d(samples.radiance[sorted_samples.order[end]])
+        end += 1
+    at = slot * TILE_CELLS + cell
+    mean = tiles.direct[slot * TILE_MEANS + cell]
+    weight = mean[3]
+    if tiles.frames[at] == 0 or tiles.updated[at] != frame:
+        if float(tiles.frames[at]) >= grid.history:
+            weight *= 1.0 - 1.0 / grid.history
+        else:
+            tiles.frames[at] = tiles.frames[at] + 1
+    tiles.updated[at] = frame
+    tiles.direct[slot * TILE_MEANS + cell] = mean_with(mean, weight, total, end - i)
+    drawn = int(mix(cell_key(key, cell, frame)) % wp.uint32(end - i))
+    kept = sorted_samples.order[i + drawn]
+    tiles.position[at] = samples.position[kept]
+    tiles.normal[at] = samples.normal[kept]
+    tiles.albedo[at] = samples.albedo[kept]
+    tiles.extent[at] = samples.extent[kept]
+
+
+@wp.func
+def mean_of_squares(means: wp.array[wp.vec4], slot: int):
+    """Means of a tile over squares of cells, each from the four of half its width, by their samples."""
+    for mip in range(1, TILE_MIPS):
+        side = 8 >> mip
+        for square in range(side * side):
+            corner = ((square // side) * 8 + square % side) << mip
+            total = wp.vec3d()
+            weight = wp.float64(0.0)
+            for quarter in range(4):
+                cell = corner + (((quarter >> 1) * 8 + (quarter & 1)) << (mip - 1))
+                mean = means[mean_index(slot, cell, mip - 1)]
+                total += wp.vec3d(color_of(mean)) * wp.float64(mean[3])
+                weight += wp.float64(mean[3])
+            color = total / wp.max(weight, wp.float64(1e-30))
+            means[mean_index(slot, corner, mip)] = wp.vec4(
+                float(color[0]), float(color[1]), float(color[2]), float(weight)
+            )
+
+
+@wp.kernel
+def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
+    """Means over squares of the tiles that samples have gone into, and how many of their cells have some."""
+    i = start + wp.tid()
+    if is_first_of_tile(samples, i):
+        slot = slot_of(tiles, samples.keys[i])
+        if slot >= 0:
+            filled = int(0)
+            for cell in range(TILE_CELLS):
+                filled += wp.min(tiles.frames[slot * TILE_CELLS + cell], 1)
+            tiles.filled[slot] = filled
+            mean_of_squares(tiles.direct, slot)
+
+
+@wp.kernel
+def outdate_means(start: int, tiles: CacheTiles):
+    """Item = mean of a tile: it counts for next to nothing."""
+    i = start + wp.tid()
+    tile = i // TILE_MEANS
+    if tile >= tiles.counts[COUNT_LIVE]:
+        return
+    within = i - tile * TILE_MEANS
+    slot = tiles.slots[tile]
+    at = slot * TILE_MEANS + within
+    tiles.direct[at][3] = OUTDATED * tiles.direct[at][3]
+    tiles.indirect[at][3] = OUTDATED * tiles.indirect[at][3]
+    if within < TILE_CELLS:
+        tiles.frames[slot * TILE_CELLS + within] = wp.min(tiles.frames[slot * TILE_CELLS + within], 1)
+
+
+@wp.kernel
+def look_up_samples(
+    start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
+):
+    """Radiance of each sample's surface, linear; 0 where there is none."""
+    i = start + wp.tid()
+    radiance_out[i] = wp.vec3()
+    if samples.is_active[i]:
+        radiance_out[i] = cached_radiance(tiles, grid, samples, i)
+
+
+@wp.kernel
+def look_up_indirect(
+    start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
+):
+    """What each sample's surface reflects of light from other surfaces, linear; 0 where there is none."""
+    i = start + wp.tid()
+    radiance_out[i] = wp.vec3()
+    if samples.is_active[i]:
+        level = level_of(grid, samples.position[i], samples.from_eye[i])
+        radiance_out[i] = far_radiance(tiles, grid, samples, i, level).indirect
+
+
+@wp.kernel
+def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
+    """When rays last left from each tile; sorted by it, those come first that wait longest."""
+    rank = start + wp.tid()
+    ranks_out[rank] = rank
+    ages_out[rank] = AGE_LAST
+    if rank < tiles.counts[COUNT_LIVE]:
+        ages_out[rank] = tiles.bounced[tiles.slots[rank]]
+
+
+@wp.kernel
+def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: wp.array[int]):
+    """Cells with samples of each tile, in an order."""
+    i = start + wp.tid()
+    cells_out[i] = 0
+    if ranks[i] < tiles.counts[COUNT_LIVE]:
+        cells_out[i] = tiles.filled[tiles.slots[ranks[i]]]
+
+
+@wp.func
+def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
+    """The cell with this number among those of a tile that have samples."""
+    cell = int(-1)
+    while number >= 0:
+        cell += 1
+        if tiles.frames[slot * TILE_CELLS + cell] > 0:
+            number -= 1
+    return cell
+
+
+@wp.kernel
+def list_points(
+    start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], ends: wp.array[int], points: CachePoints
+):
+    """Points of the cells of the tiles that wait longest, as many whole tiles as fit."""
+    i = start + wp.tid()
+    points.is_active[i] = False
+    tile = first_not_below(ends, ends.shape[0], i + 1)
+    if tile == ends.shape[0]:
+        return
+    if ends[tile] > points.is_active.shape[0]:
+        return
+    rank = ranks[tile]
+    slot = tiles.slots[rank]
+    number = i - ends[tile] + tiles.filled[slot]
+    cell = filled_cell(tiles, slot, number)
+    if number == 0:
+        tiles.bounced[slot] = frame + 1
+    at = slot * TILE_CELLS + cell
+    points.is_active[i] = True
+    points.position[i] = tiles.position[at]
+    points.normal[i] = tiles.normal[at]
+    points.albedo[i] = tiles.albedo[at]
+    points.extent[i] = tiles.extent[at]
+    points.key[i] = cell_key(tiles.keys[rank], cell, frame)
+    points.slot[i] = slot
+    points.cell[i] = cell
+
+
+@wp.kernel
+def add_bounces(start: int, grid: CacheGrid, points: CachePoints, seen: wp.array[wp.vec3], tiles: CacheTiles):
+    """Adds what each point's ray has seen, times the albedo, to its cell's mean.
+
+    Rays that follow the cosine of the normal see the irradiance over pi. A slot that another tile has got since has not
+    bounced.
+    """
+    i = start + wp.tid()
+    if points.is_active[i] and wp.isfinite(seen[i]) and tiles.bounced[points.slot[i]] > 0:
+        at = points.slot[i] * TILE_MEANS + points.cell[i]
+        mean = tiles.indirect[at]
+        before = mean[3]
+        albedo = wp.min(points.albedo[i], wp.vec3(REFLECTANCE_MAX))
+        total = wp.vec3d(wp.cw_mul(albedo, seen[i]))
+        mean = mean_with(mean, mean_weight(before, grid.bounce_history), total, 1)
+        mean[3] = wp.min(before + 1.0, wp.max(grid.bounce_history, grid.samples_min))
+        tiles.indirect[at] = mean
+
+
+@wp.kernel
+def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
+    """Means over squares of the tiles that rays have left from; the first point of each does it."""
+    i = start + wp.tid()
+    if points.is_active[i]:
+        if i == 0 or points.slot[wp.max(i - 1, 0)] != points.slot[i]:
+            mean_of_squares(tiles.indirect, points.slot[i])

@@ -1,0 +1,261 @@
+"""Cells of the radiance cache: what goes in comes out, where it belongs, in the same bits everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lumisplat.device.structs.radiance_cache import CacheTiles
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.radiance_cache_oracle import Cell, RadianceCacheOracle, Samples, cell_at
+from support.scenes.cache_rig import CacheRig, made_samples, on_floor, unit
+
+
+def anywhere(rng: np.random.Generator, count: int, **fields: Any) -> Samples:
+    """Samples of random surfaces, seen from near and far by short and long rays."""
+    return made_samples(
+        rng.uniform(-3.0, 3.0, (count, 3)),
+        normal=unit(rng.normal(size=(count, 3))),
+        distance=rng.uniform(0.0, 3.0, count),
+        from_eye=rng.uniform(3.0, 30.0, count),
+        **{"radiance": rng.uniform(0.0, 2.0, (count, 3)), "albedo": rng.uniform(0.0, 1.0, (count, 3))} | fields,
+    )
+
+
+def taken(samples: Samples, order: np.ndarray) -> Samples:
+    """Some samples, in an order."""
+    return Samples(*(getattr(samples, field)[order] for field in samples.__dataclass_fields__))
+
+
+def state(rig: CacheRig) -> dict[str, np.ndarray]:
+    """All that the cache holds."""
+    tiles = rig.cache._tiles  # pyright: ignore[reportPrivateUsage]
+    return {name: getattr(tiles, name).numpy().copy() for name in CacheTiles.vars}  # pyright: ignore
+
+
+def test_constant_radiance_comes_out_exactly() -> None:
+    """Whatever cells, mips, levels and frames: to the bit."""
+    rng = np.random.default_rng(0)
+    rig = CacheRig(history=5)
+    color = np.array([0.1, 0.7, 12.3], np.float32)
+    for frame in range(20):
+        rig.insert(anywhere(rng, 2000, radiance=color), frame)
+        found = rig.look_up(anywhere(rng, 500, radiance=color))
+        assert (found == color).all()
+
+
+def test_a_cell_is_the_mean_of_its_samples() -> None:
+    """Of all frames up to the history, each sample with the same weight."""
+    rng = np.random.default_rng(1)
+    rig = CacheRig()
+    batches = [made_samples(on_floor(rng, n), radiance=rng.uniform(0, 2, (n, 3))) for n in (5000, 100, 2500)]
+    for frame, batch in enumerate(batches):
+        rig.insert(batch, frame)
+    positions = np.concatenate([batch.position for batch in batches])
+    radiance = np.concatenate([batch.radiance for batch in batches]).astype(float)
+    cell = np.floor(positions[:, :2]) @ [1, 1000]
+    truth = np.array([radiance[cell == here].mean(0) for here in cell])
+    found = rig.look_up(made_samples(positions))
+    assert np.abs(found - truth).max() < 1e-6
+
+
+def test_order_of_samples_does_not_matter() -> None:
+    """The same cells to 1e-6, and the same tiles to the bit."""
+    rng = np.random.default_rng(2)
+    rigs = CacheRig(), CacheRig()
+    for frame in range(4):
+        samples = anywhere(rng, 3000)
+        rigs[0].insert(samples, frame)
+        rigs[1].insert(taken(samples, rng.permutation(3000)), frame)
+    one, other = (state(rig) for rig in rigs)
+    for name in ("counts", "keys", "slots", "used", "filled", "frames"):
+        assert (one[name] == other[name]).all(), name
+    probes = anywhere(rng, 1000)
+    assert np.abs(rigs[0].look_up(probes) - rigs[1].look_up(probes)).max() < 1e-6
+
+
+def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
+    """The cache after frames with bounces, and with evictions of both kinds."""
+    rng = np.random.default_rng(3)
+    for frame in range(frames):
+        size = 2.0 + frame
+        rig.insert(made_samples(on_floor(rng, 3000, size, (10.0 * frame, 0.0)), from_eye=6.0), frame)
+        rig.insert(anywhere(rng, 1500), frame)
+        rig.bounce(frame, lambda host: (anywhere(rng, len(host["key"])), True))
+        rig.cache.evict(frame)
+    return state(rig) | {"seen": rig.look_up(anywhere(rng, 500))} | rig.points(frames)[1]
+
+
+def test_every_schedule_has_the_same_bits() -> None:
+    """One thread, several bands, and the schedule of CUDA, in which no count is read back."""
+    settings = {"tiles": 700, "unused_frames": 4, "bounces": 512}
+    truth = run_frames(CacheRig(Launcher("cpu", threads=1), **settings))
+    assert truth["counts"][3] > 0, "the capacity was never reached"
+    for launcher in (Launcher("cpu", threads=2), Launcher("cpu", threads=5), Launcher("cpu", threads=3, parallel=True)):
+        other = run_frames(CacheRig(launcher, **settings))
+        live = int(truth["counts"][0])
+        for name, values in truth.items():
+            a, b = (values[:live], other[name][:live]) if name in ("keys", "slots") else (values, other[name])
+            if name in ("counts", "keys", "slots", "seen", "key", "is_active"):
+                assert (a == b).all(), name
+        assert all(per_slot_equal(truth, other, name) for name in ("direct", "indirect", "frames", "used", "bounced"))
+
+
+def per_slot_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], name: str) -> bool:
+    """Whether the slots of live tiles hold the same bits."""
+    slots = one["slots"][: one["counts"][0]]
+    a, b = (values[name].reshape(len(values["slots"]), -1)[slots] for values in (one, other))
+    return bool((a.view(np.uint32) == b.view(np.uint32)).all())
+
+
+def test_reset_is_a_new_cache() -> None:
+    """The same frames give the same bits."""
+    rig = CacheRig(tiles=700, unused_frames=4)
+    run_frames(rig)
+    rig.cache.reset()
+    assert rig.cache.statistics.tiles == rig.cache.statistics.cells == rig.cache.statistics.evicted == 0
+    again, fresh = run_frames(rig), run_frames(CacheRig(tiles=700, unused_frames=4))
+    assert all(per_slot_equal(fresh, again, name) for name in ("direct", "indirect", "frames", "used", "bounced"))
+    for name in ("counts", "keys", "slots", "seen", "key"):
+        assert (again[name] == fresh[name]).all(), name
+
+
+@pytest.mark.parametrize(("history", "bounce_history"), [(4, 4), (32, 32), (16, 4)])
+def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
+    """Random surfaces, frames and bounces, few and many samples a cell, against dictionaries in float64."""
+    rng = np.random.default_rng(4)
+    rig = CacheRig(history=history, bounce_history=bounce_history, tiles=4096)
+    twin = RadianceCacheOracle(rig.config.cell_size, history, min(8, history), bounce_history)
+    worst = 0.0
+    for frame in range(10):
+        samples = anywhere(rng, 600)
+        dense = made_samples(on_floor(rng, 600, 4.0), from_eye=8.0 * 1.2**frame, radiance=rng.uniform(0, 1, (600, 3)))
+        for batch in (samples, dense):
+            rig.insert(batch, frame)
+            twin.insert(batch, frame)
+        hits = anywhere(rng, rig.config.bounces)
+        seen = twin.look_up(hits)
+        host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
+        add_twin_bounces(twin, host, seen, [samples, dense])
+        probes = anywhere(rng, 400)
+        for batch in (probes, dense, replace(dense, distance=np.full(600, 0.2, np.float32))):
+            worst = max(worst, np.abs(rig.look_up(batch) - twin.look_up(batch)).max())
+            worst = max(worst, np.abs(rig.look_up_indirect(batch) - twin.look_up_indirect(batch)).max())
+    assert worst < 3e-6
+    assert len(twin.indirect) > 200
+
+
+def test_outdated_means_are_the_twins() -> None:
+    """When light changes after three frames: right after it, and while cells find other light, some of few samples."""
+    rng = np.random.default_rng(10)
+    rig = CacheRig(history=16, bounce_history=4)
+    twin = RadianceCacheOracle(rig.config.cell_size, 16, 8, 4)
+    probes = made_samples(on_floor(rng, 600, 4.0), from_eye=8.0)
+    for frame in range(6):
+        count = 600 if frame < 3 else 60
+        floor = made_samples(on_floor(rng, count, 4.0), from_eye=8.0, radiance=rng.uniform(0, 1, (count, 3)))
+        rig.insert(floor, frame)
+        twin.insert(floor, frame)
+        far = np.full((rig.config.bounces, 3), 1000.0)
+        hits = made_samples(far, radiance=rng.uniform(0, 1, far.shape))
+        host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
+        add_twin_bounces(twin, host, hits.radiance, [floor])
+        if frame == 2:
+            rig.cache.outdate()
+            twin.outdate()
+        assert np.abs(rig.look_up(probes) - twin.look_up(probes)).max() < 3e-6
+        assert np.abs(rig.look_up_indirect(probes) - twin.look_up_indirect(probes)).max() < 3e-6
+
+
+def add_twin_bounces(
+    twin: RadianceCacheOracle, host: dict[str, np.ndarray], seen: np.ndarray, batches: list[Samples]
+) -> None:
+    """The same bounces; a point's cell is that of the sample that it is of."""
+    places: dict[tuple[float, ...], Cell] = getattr(twin, "places", {})
+    for batch in batches:
+        for i in range(len(batch)):
+            places[tuple(batch.position[i])] = twin.cell_of(batch, i)
+    twin.places = places  # pyright: ignore[reportAttributeAccessIssue]
+    for i in np.flatnonzero(host["is_active"]):
+        twin.add_bounce(places[tuple(host["position"][i])], host["albedo"][i].astype(float), seen[i])
+
+
+def test_a_gradient_is_off_by_half_a_cell() -> None:
+    """A mean is the value in the middle of its cell."""
+    x, y = np.meshgrid(np.arange(-8, 8, 1 / 8) + 1 / 16, np.arange(-8, 8, 1 / 8) + 1 / 16)
+    positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
+    for width in (1.0, 2.0):
+        rig = CacheRig()
+        samples = made_samples(positions, radiance=10 + 0.3 * positions[:, 0], from_eye=16.0 * width)
+        rig.insert(samples, 0)
+        error = np.abs(rig.look_up(samples) - samples.radiance).max()
+        assert 0.4 * width * 0.3 < error <= 0.5 * width * 0.3
+
+
+def test_few_samples_take_wider_means() -> None:
+    """Below 8 samples a cell's mean is over more cells, and never over more than needed."""
+    rng = np.random.default_rng(5)
+    positions = np.column_stack([rng.uniform(0, 8, (64 * 3, 2)), np.full(64 * 3, 0.5)])
+    samples = made_samples(positions, radiance=positions[:, :1] @ np.ones((1, 3)))
+    rig = CacheRig()
+    rig.insert(samples, 0)
+    found = rig.look_up(samples)[:, 0]
+    for i, place in enumerate(positions):
+        for side in (1, 2, 4, 8):
+            inside = (positions[:, :2] // side == place[:2] // side).all(1)
+            if inside.sum() >= 8:
+                break
+        assert found[i] == pytest.approx(positions[inside, 0].mean(), abs=2e-6)
+
+
+def test_keys_hold_what_they_are_made_of() -> None:
+    """Far from the origin, on both sides of it, at all levels: cells of a kind are one, others are not."""
+    rng = np.random.default_rng(6)
+    count = 4000
+    samples = made_samples(
+        rng.uniform(-1, 1, (count, 3)) * 10.0 ** rng.uniform(-3, 6, (count, 1)),
+        normal=unit(rng.normal(size=(count, 3))),
+        from_eye=10.0 ** rng.uniform(-4, 5, count),
+        distance=10.0 ** rng.uniform(-3, 3, count),
+        radiance=rng.uniform(0, 1, (count, 3)),
+    )
+    rig = CacheRig(tiles=8192, samples_min=1)
+    rig.insert(samples, 0)
+    twin = RadianceCacheOracle(rig.config.cell_size, 32, 1, 32)
+    twin.insert(samples, 0)
+    assert rig.cache.statistics.cells == len(twin.direct)
+    tiles = {cell._replace(u=cell.u // 8, v=cell.v // 8) for cell in twin.direct}
+    assert rig.cache.statistics.tiles == len(tiles)
+    assert np.abs(rig.look_up(samples) - twin.look_up(samples)).max() < 1e-6
+    assert min(cell.level for cell in twin.direct) < -10 and max(cell.level for cell in twin.direct) > 8
+    assert cell_at(samples, 0, 0, is_near=False).level == 0
+
+
+def test_what_is_no_number_stays_out() -> None:
+    """One NaN would else stay, and light between cells would carry it everywhere."""
+    rng = np.random.default_rng(7)
+    samples = made_samples(on_floor(rng, 640))
+    for field in ("position", "normal", "radiance", "from_eye"):
+        getattr(samples, field)[7] = np.nan
+        getattr(samples, field)[8] = np.inf
+    rig = CacheRig()
+    rig.insert(samples, 0)
+    points, _ = rig.points(0)
+    hits = made_samples(on_floor(rng, rig.config.bounces), radiance=np.nan, distance=0.1)
+    rig.cache.add_bounces(points, rig.upload("hits", hits))
+    found = rig.look_up(made_samples(on_floor(rng, 2000)))
+    assert (found == 1.0).all()
+
+
+def test_what_is_not_active_does_not_count() -> None:
+    """Rays that hit nothing neither make tiles nor find any."""
+    rng = np.random.default_rng(8)
+    samples = made_samples(on_floor(rng, 1000))
+    rig = CacheRig()
+    rig.insert(samples, 0, active=False)
+    assert rig.cache.statistics.tiles == 0
+    assert (rig.look_up(samples, active=False) == 0).all()
+    assert (rig.look_up(samples) == samples.radiance).all(), "without a tile, a sample is what it is"

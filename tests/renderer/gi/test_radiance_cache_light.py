@@ -1,0 +1,288 @@
+"""Light between cells of the radiance cache, through walls, and over time, against closed forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.oracles.radiance_cache_oracle import Samples
+from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
+
+WIDTH = 4.0
+"""Of the rooms here: four cells."""
+
+
+def joined(*parts: Samples) -> Samples:
+    """Several samples as one."""
+    return Samples(*(np.concatenate([getattr(p, field) for p in parts]) for field in parts[0].__dataclass_fields__))
+
+
+def plates(position: np.ndarray, color: Any, albedo: Any) -> Samples:
+    """Samples on two plates, at z = 0 and WIDTH, that repeat for ever: the lower first in ``color`` and ``albedo``."""
+    upper = (position[:, 2] > WIDTH / 2).astype(int)
+    position = position.copy()
+    position[:, :2] %= 2 * WIDTH
+    return made_samples(
+        position,
+        normal=np.array([UP, -UP])[upper],
+        radiance=np.asarray(color, float)[upper],
+        albedo=np.asarray(albedo, float)[upper],
+    )
+
+
+def between_plates(rng: np.random.Generator, host: dict[str, np.ndarray]) -> np.ndarray:
+    """Where rays from points of one plate hit the other, shape (N, 3)."""
+    directions = cosine_directions(rng, np.where(host["is_active"][:, None], host["normal"], UP))
+    position = np.where(host["is_active"][:, None], host["position"], 0.0)
+    ends = position + WIDTH * directions / np.abs(directions[:, 2:])
+    ends[:, 2] = np.where(directions[:, 2] > 0, WIDTH, 0.0)
+    return ends
+
+
+def on_plates(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points of both plates."""
+    return np.column_stack([rng.uniform(0, 2 * WIDTH, (count, 2)), WIDTH * rng.integers(0, 2, count)])
+
+
+@pytest.mark.parametrize(("frames", "albedo"), [(60, 0.5), (160, 0.8), (300, 0.9)])
+def test_plates_light_each_other(frames: int, albedo: float) -> None:
+    """J1 = M1 / (1 - a1 a2), J2 = a2 J1, each channel with its own albedos: all bounces, without drift."""
+    rng = np.random.default_rng(0)
+    lower, upper = np.array([albedo, 0.5, 0.2]), np.array([albedo, 0.3, 0.9])
+    shine = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+    rig = CacheRig(history=4)
+
+    def sampled(position: np.ndarray) -> Samples:
+        return plates(position, shine, [lower, upper])
+
+    for frame in range(frames):
+        rig.insert(sampled(on_plates(rng, 1500)), frame)
+        rig.bounce(frame, lambda host: (sampled(between_plates(rng, host)), True))
+        rig.cache.evict(frame)
+    probes = sampled(on_plates(rng, 2000))
+    found, is_upper = rig.look_up(probes), probes.position[:, 2] > 1
+    truth = shine[0] / (1 - lower * upper)
+    assert found[~is_upper].mean(0) == pytest.approx(truth, rel=0.01)
+    assert found[is_upper].mean(0) == pytest.approx(truth * upper, rel=0.01)
+
+
+def in_box(rng: np.random.Generator, host: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where rays from points of a cubic room hit its walls, with normals and distances."""
+    active = host["is_active"][:, None]
+    position, normal = np.where(active, host["position"], WIDTH / 2), np.where(active, host["normal"], UP)
+    directions = cosine_directions(rng, normal)
+    walls = np.where(directions > 0, WIDTH, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to_walls = (walls - position) / directions
+    axis = to_walls.argmin(1)
+    number = np.arange(len(axis))
+    normals = np.zeros_like(position)
+    normals[number, axis] = -np.sign(directions[number, axis])
+    return position + to_walls[number, axis, None] * directions, normals, to_walls[number, axis]
+
+
+def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a cubic room's walls, and their normals."""
+    position, normal = rng.uniform(0, WIDTH, (count, 3)), np.zeros((count, 3))
+    axis, side = rng.integers(0, 3, count), rng.integers(0, 2, count)
+    position[np.arange(count), axis] = WIDTH * side
+    normal[np.arange(count), axis] = 1 - 2 * side
+    return position, normal
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.8])
+def test_a_closed_room_reaches_all_bounces(albedo: float) -> None:
+    """Every wall reflects 1 of the lamps: 1 / (1 - albedo) in all, in corners and for short rays too."""
+    rng = np.random.default_rng(1)
+    rig = CacheRig(history=4, bounces=8192)
+    for frame in range(120):
+        position, normal = on_walls(rng, 2000)
+        distance = rng.uniform(0, 4, 2000)
+        rig.insert(made_samples(position, normal=normal, albedo=albedo, distance=distance), frame)
+
+        def hits(host: dict[str, np.ndarray]) -> tuple[Samples, bool]:
+            position, normal, distance = in_box(rng, host)
+            return made_samples(position, normal=normal, albedo=albedo, distance=distance), True
+
+        rig.bounce(frame, hits)
+        rig.cache.evict(frame)
+    position, normal = on_walls(rng, 3000)
+    for distance in (0.1, 10.0):
+        found = rig.look_up(made_samples(position, normal=normal, albedo=albedo, distance=distance))
+        assert found.mean() == pytest.approx(1 / (1 - albedo), rel=0.01)
+
+
+def test_white_walls_do_not_grow_without_bound() -> None:
+    """Two plates that reflect everything would gather light for ever; here 1 in 100 is lost a bounce."""
+    rng = np.random.default_rng(2)
+    rig = CacheRig(history=4)
+    white = np.ones((2, 3))
+    for frame in range(600):
+        rig.insert(plates(on_plates(rng, 500), white, white), frame)
+        rig.bounce(frame, lambda host: (plates(between_plates(rng, host), white, white), True))
+    found = rig.look_up(plates(on_plates(rng, 500), white, white))
+    assert 50 < found.mean() and found.max() < 100.001
+
+
+def floor_of_two_rooms(rng: np.random.Generator, count: int, x0: float, x1: float, distance: float) -> Samples:
+    """A floor with a thin wall at x = 0.37: it reflects 1 on the left, nothing on the right."""
+    position = np.column_stack([rng.uniform(x0, x1, count), rng.uniform(0, 8, count), np.full(count, 0.5)])
+    lit = (position[:, 0] < 0.37).astype(float)
+    return made_samples(position, radiance=np.outer(lit, np.ones(3)), albedo=0.5, distance=distance)
+
+
+@pytest.mark.parametrize("distance", [0.5, 5.0])
+def test_short_rays_do_not_see_through_walls(distance: float) -> None:
+    """Rays that leave the dark side of a wall, thinner than a cell, and hit the floor next to it.
+
+    Shorter than a cell, they take nothing from a mean that reaches into the bright room; longer ones would: a third of
+    the light comes through.
+    """
+    rng = np.random.default_rng(3)
+    rig = CacheRig(history=16)
+    for frame in range(40):
+        for reach in (distance, 50.0):
+            rig.insert(floor_of_two_rooms(rng, 1500, -2.0, 3.0, reach), frame)
+
+        def hits(host: dict[str, np.ndarray]) -> tuple[Samples, np.ndarray]:
+            """In the bright room a ray sees a bright wall, in the dark one a dark one."""
+            bright = np.where(host["is_active"], host["position"][:, 0], 0.0) < 0.37
+            position = np.where(bright[:, None], [-2.0, 4.0, 2.0], [3.0, 4.0, 2.0])
+            facing = np.where(bright[:, None], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0])
+            shine = np.outer(bright.astype(float), np.ones(3))
+            return made_samples(position, normal=facing, radiance=shine, albedo=0.0), host["is_active"]
+
+        rig.bounce(frame, hits)
+    found = rig.look_up(floor_of_two_rooms(rng, 2000, 0.38, 1.0, distance))[:, 0]
+    bright = rig.look_up(floor_of_two_rooms(rng, 2000, -1.0, 0.36, distance))[:, 0]
+    assert bright.mean() == pytest.approx(1.5, rel=0.01 if distance < 1 else 0.2)
+    if distance < 1:
+        assert found.mean() < 0.01 * bright.mean()
+    else:
+        assert found.mean() > 0.2 * bright.mean()
+
+
+def test_sides_of_a_wall_share_no_cell() -> None:
+    """Surfaces that face apart, 1/100 of a cell from each other: whatever rays see them."""
+    rng = np.random.default_rng(4)
+    position = on_floor(rng, 4000)
+    sides = [
+        made_samples(position, normal=UP, radiance=1.0),
+        made_samples(position - 0.01 * UP, normal=-UP, radiance=0.0),
+    ]
+    rig = CacheRig()
+    rig.insert(joined(*sides), 0)
+    assert (rig.look_up(sides[0]) == 1).all()
+    assert (rig.look_up(sides[1]) == 0).all()
+
+
+@pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
+def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: int) -> None:
+    """(1 - 1/N)^n after n frames, of direct light, and of light from other surfaces once those are dark."""
+    rng = np.random.default_rng(5)
+    rig = CacheRig(history=history, bounce_history=bounce_history)
+    position = on_floor(rng, 3000, 8.0)
+    wall = np.array([100.0, 100.0, 100.0])
+
+    def frame_of(frame: int, light: float) -> None:
+        rig.insert(made_samples(position, radiance=light), frame)
+
+        def hits(host: dict[str, np.ndarray]) -> tuple[Samples, bool]:
+            far = np.broadcast_to(wall, (len(host["key"]), 3))
+            return made_samples(far, radiance=light, albedo=0.0, distance=0.1), True  # shorter than a cell: itself
+
+        rig.bounce(frame, hits, inserts=False)
+
+    for frame in range(2 * history):
+        frame_of(frame, 1.0)
+    for n in range(1, 40):
+        frame_of(2 * history + n, 0.0)
+        found = rig.look_up(made_samples(position))
+        direct, indirect = ((1 - 1 / frames) ** n for frames in (history, bounce_history))
+        assert found == pytest.approx(direct + 0.5 * indirect, rel=1e-5)
+
+
+def lit_floor(rig: CacheRig, position: np.ndarray, frames: range, light: float) -> None:
+    """Frames of a floor that reflects ``light``, and half of it once more from what bounces see."""
+    for frame in frames:
+        rig.insert(made_samples(position, radiance=light), frame)
+        lamp = np.full((rig.config.bounces, 3), 100.0)
+        hits = made_samples(lamp, radiance=light, albedo=0.0, distance=0.1)  # shorter than a cell: itself
+        rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
+
+
+def test_outdated_light_stays_until_other_is_found() -> None:
+    """When lamps go out, the next frame's samples and rays take the place of all before; without them nothing fades."""
+    rng = np.random.default_rng(8)
+    rig = CacheRig()
+    position = on_floor(rng, 3000, 8.0)
+    lit_floor(rig, position, range(40), 1.0)
+    rig.cache.outdate()
+    assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "better than nothing"
+    _, host = rig.points(40)
+    cells = {*zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True)}
+    assert len(cells) == host["is_active"].sum() == 64, "all cells still send rays"
+    assert host["cell"][host["is_active"]].max() < 64
+    rig.insert(made_samples(position, radiance=0.0), 40)
+    assert rig.look_up(made_samples(position)) == pytest.approx(0.5, abs=0.01), "what bounces know stays, too"
+    lit_floor(rig, position, range(41, 42), 0.0)
+    assert rig.look_up(made_samples(position)).max() < 0.01
+
+
+def test_indirect_light_is_looked_up_alone() -> None:
+    """Whatever samples say of their own light, and however short their rays are; 0 where nothing is known."""
+    rng = np.random.default_rng(9)
+    rig = CacheRig()
+    position = on_floor(rng, 3000, 8.0)
+    assert (rig.look_up_indirect(made_samples(position)) == 0).all()
+    lit_floor(rig, position, range(20), 1.0)
+    for radiance, distance in ((0.0, 1e6), (7.0, 1e6), (np.nan, 1e6), (7.0, 0.1)):
+        probes = made_samples(position, radiance=radiance, distance=distance)
+        assert rig.look_up_indirect(probes) == pytest.approx(0.5, rel=1e-6)
+    assert (rig.look_up_indirect(made_samples(position), active=False) == 0).all()
+    assert (rig.look_up_indirect(made_samples(position + 100.0)) == 0).all()
+
+
+def test_two_insertions_of_a_frame_are_one() -> None:
+    """What bounces hit is inserted after what pixels see, and must not make the past fade twice as fast."""
+    rng = np.random.default_rng(6)
+    position = on_floor(rng, 3000, 8.0)
+    rig = CacheRig(history=8)
+    for frame in range(20):
+        for half in (slice(0, 1500), slice(1500, 3000)):
+            rig.insert(made_samples(position[half], radiance=float(frame < 10)), frame)
+    found = rig.look_up(made_samples(position))
+    assert found == pytest.approx((1 - 1 / 8) ** 10, rel=0.3)
+    assert found.mean() == pytest.approx((1 - 1 / 8) ** 10, rel=0.01)
+
+
+def flown(frames: int, *, bounces: int) -> np.ndarray:
+    """Mean radiance of the same points of a floor in each frame of a flight away from it and back."""
+    rng = np.random.default_rng(7)
+    rig = CacheRig(history=32, bounces=bounces, unused_frames=50)
+    probes = on_floor(rng, 3000)
+    means: list[float] = []
+    for frame in range(frames):
+        from_eye = 12.0 * 4.0 ** np.sin(np.pi * frame / frames)
+
+        def lit(position: np.ndarray, distance: float = 1e6, eye: float = from_eye) -> Samples:
+            shine = 1.0 + 0.5 * np.sin(position[:, 0])
+            return made_samples(position, radiance=np.outer(shine, np.ones(3)), from_eye=eye, distance=distance)
+
+        rig.insert(lit(on_floor(rng, 3000)), frame)
+        far = np.array([1000.0, 0.0, 0.0])
+        wall = made_samples(np.broadcast_to(far, (bounces, 3)), radiance=2.0, distance=0.1)
+        rig.bounce(frame, lambda _, wall=wall: (wall, True), inserts=False)
+        rig.cache.evict(frame)
+        means.append(float(rig.look_up(lit(probes)).mean()))
+    return np.array(means)
+
+
+def test_flights_through_levels_are_continuous() -> None:
+    """Cells of a new size begin with what those of the old one know; but for that, frames would lose indirect light."""
+    means = flown(60, bounces=128)[8:]
+    steps = np.abs(np.diff(means)) / means[:-1]
+    assert steps.max() < 0.02
+    assert means.mean() == pytest.approx(2.0, rel=0.02)

@@ -1,0 +1,181 @@
+"""Tiles of the radiance cache come and go: within bounds, oldest first, and nothing is lost in silence."""
+
+from __future__ import annotations
+
+import logging
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lumisplat.config import RadianceCacheConfig
+from lumisplat.errors import ConfigError
+from lumisplat.runtime.launcher import Launcher
+from support.scenes.cache_rig import CacheRig, made_samples, on_floor
+
+
+def tile_row(first: int, count: int) -> np.ndarray:
+    """Points in the middle of tiles of a row, one each."""
+    x = 8.0 * np.arange(first, first + count) + 4.5
+    return np.column_stack([x, np.full(count, 4.5), np.full(count, 0.5)])
+
+
+def test_unused_tiles_are_forgotten() -> None:
+    """After as many frames as the settings say, not one sooner; tiles in use stay."""
+    rig = CacheRig(unused_frames=10)
+    rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
+    for frame in range(1, 15):
+        rig.insert(made_samples(tile_row(0, 5), radiance=2.0), frame)
+        rig.cache.evict(frame)
+        assert rig.cache.statistics.tiles == (20 if frame < 10 else 5)
+    probes = made_samples(tile_row(0, 20), radiance=0.0)
+    assert rig.look_up(probes)[:, 0].tolist() == [2.0] * 5 + [0.0] * 15
+    assert rig.cache.statistics.evicted == 0, "these have not gone before their time"
+
+
+def test_tiles_come_back_empty() -> None:
+    """A slot keeps nothing of the tile that had it before."""
+    rig = CacheRig(unused_frames=2)
+    rng = np.random.default_rng(0)
+    for frame in range(12):
+        position = on_floor(rng, 2000, 32.0, (100.0 * frame, 0.0))
+        rig.insert(made_samples(position, radiance=float(frame)), frame)
+        above = np.full((rig.config.bounces, 3), 1000.0)
+        lamp = made_samples(above, radiance=1.0 if frame < 6 else 0.0, distance=0.1)
+        rig.bounce(frame, lambda _, lamp=lamp: (lamp, True), inserts=False)
+        rig.cache.evict(frame)
+        found = rig.look_up(made_samples(position))
+        assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
+
+
+def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> None:
+    """Of 64 tiles, the ones unused longest go, and it is counted, and told once."""
+    rig = CacheRig(tiles=64)
+    with caplog.at_level(logging.WARNING, "lumisplat"):
+        for frame in range(8):
+            rig.insert(made_samples(tile_row(8 * frame, 8), radiance=1.0), frame)
+            rig.cache.evict(frame)
+        assert rig.cache.statistics.tiles == 64 and rig.cache.statistics.evicted == 0 and not caplog.records
+        rig.insert(made_samples(tile_row(0, 4)), 8)  # the first four are young again
+        for frame in (9, 10):
+            rig.insert(made_samples(tile_row(10 * frame, 10)), frame)
+            rig.cache.evict(frame)
+    assert [record.message for record in caplog.records] == [
+        "the radiance cache is full: 10 tiles had to go, 0 found no room; use more tiles than 64"
+    ]
+    assert rig.cache.statistics.evicted == 20
+    left = rig.look_up(made_samples(tile_row(0, 64), radiance=0.0))[:, 0]
+    assert left.tolist() == [1.0] * 4 + [0.0] * 20 + [1.0] * 40
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_frame_larger_than_the_cache_is_counted(parallel: bool) -> None:
+    """What finds no room is what the sample itself says; nothing of the frame goes to make room for the rest of it."""
+    rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
+    rig.insert(made_samples(tile_row(-50, 50)), 0)
+    samples = made_samples(tile_row(0, 100), radiance=3.0)
+    rig.insert(samples, 1)
+    statistics = rig.cache.statistics
+    assert (statistics.tiles, statistics.evicted, statistics.dropped) == (64, 50, 36)
+    assert (rig.look_up(samples) == 3.0).all()
+    kept = rig.look_up(made_samples(tile_row(0, 100), radiance=0.0))[:, 0]
+    assert (kept == 3.0).sum() == 64
+
+
+def test_a_long_walk_holds_memory_constant() -> None:
+    """1,000 frames, each somewhere else: as many arrays and bytes as after the first."""
+    rng = np.random.default_rng(1)
+    rig = CacheRig(tiles=256, bounces=64, unused_frames=20)
+    held: set[tuple[int, int]] = set()
+    most = 0
+    for frame in range(1000):
+        position = on_floor(rng, 200, 24.0, (0.5 * frame, 0.1 * frame))
+        rig.insert(made_samples(position), frame)
+        far = made_samples(np.full((64, 3), 1e4))
+        rig.bounce(frame, lambda _, far=far: (far, True))
+        rig.cache.evict(frame)
+        rig.look_up(made_samples(position))
+        if frame >= 2:
+            held.add((rig.buffers.bytes, rig.buffers.allocations))
+        most = max(most, rig.cache.statistics.tiles)
+    assert len(held) == 1
+    assert 10 < most < 40 and rig.cache.statistics.evicted == 0
+    assert rig.cache.statistics.bytes < 2**21
+
+
+def test_cells_take_turns() -> None:
+    """A share of the cells a frame: new tiles first, then those that wait longest, so that none is left out."""
+    rng = np.random.default_rng(2)
+    rig = CacheRig(bounces=256)
+    rig.insert(made_samples(on_floor(rng, 6000, 64.0)), 0)
+    cells = rig.cache.statistics.cells
+    visits: dict[tuple[int, int], int] = {}
+    rounds = 0
+    while len(visits) + 256 <= cells:
+        _, host = rig.points(rounds)
+        for place in zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True):
+            assert visits.setdefault(place, rounds) == rounds, "twice, while others wait"
+        assert 256 - 64 < host["is_active"].sum() <= 256
+        rounds += 1
+    _, host = rig.points(rounds)
+    left = cells - len(visits)
+    places = list(zip(host["slot"], host["cell"], strict=True))
+    assert not visits.keys() & set(places[:left]), "the last ones come before a new round"
+    assert {visits[place] for place in places[left : host["is_active"].sum()]} <= {0}
+    rig.insert(made_samples(tile_row(1000, 3)), rounds)
+    _, host = rig.points(rounds + 1)
+    assert (host["position"][:3, 0] > 8000).all()
+
+
+def test_points_are_samples_of_their_cells() -> None:
+    """With what was said of them; over frames, all samples of a cell are drawn alike; keys differ by cell and frame."""
+    rng = np.random.default_rng(3)
+    rig = CacheRig()
+    drawn: list[float] = []
+    keys: list[int] = []
+    for frame in range(200):
+        position = on_floor(rng, 500, 4.0)
+        albedo = rng.uniform(0, 1, (500, 3))
+        samples = made_samples(position, albedo=albedo, extent=0.25)
+        rig.insert(samples, frame)
+        _, host = rig.points(frame)
+        active = host["is_active"]
+        index = (host["position"][active, None] == samples.position).all(2).argmax(1)
+        assert (host["position"][active] == samples.position[index]).all()
+        assert (host["albedo"][active] == samples.albedo[index]).all()
+        assert (host["normal"][active] == [0, 0, 1]).all() and (host["extent"][active] == 0.25).all()
+        drawn += list(host["position"][active][:, 0] % 1.0)
+        keys += list(host["key"][active])
+    assert len(set(keys)) > 0.999 * len(keys)
+    assert np.mean(drawn) == pytest.approx(0.5, abs=4 * 0.2887 / np.sqrt(len(drawn)))
+    assert np.var(drawn) == pytest.approx(1 / 12, rel=0.1)
+
+
+def test_points_of_tiles_that_go_do_not_count() -> None:
+    """What rays from them see does not reach the tiles that get their slots."""
+    rig = CacheRig(tiles=64)
+    rig.insert(made_samples(tile_row(0, 64)), 0)
+    points, _ = rig.points(0)
+    rig.insert(made_samples(tile_row(100, 64)), 1)
+    lamp = made_samples(np.zeros((rig.config.bounces, 3)), radiance=5.0, distance=0.1)
+    rig.cache.add_bounces(points, rig.upload("hits", lamp))
+    assert (rig.look_up(made_samples(tile_row(100, 64))) == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"tiles": 63}, "tiles is 63, expected a whole number from 64 to 1048576"),
+        ({"cell_size": 0.0}, "cell_size is 0.0, expected more than 0 and less than 1"),
+        ({"cell_size": float("nan")}, "cell_size is nan, expected more than 0 and less than 1"),
+        ({"history": 0}, "history is 0, expected a whole number from 1 to 1024"),
+        ({"samples_min": 0}, "samples_min is 0, expected a whole number from 1 to 1024"),
+        ({"bounces": 8.5}, "bounces is 8.5, expected a whole number from 64 to 1048576"),
+        ({"unused_frames": 0}, "unused_frames is 0, expected a whole number from 1 to 10000"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
+    """One line that says what is wrong."""
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        RadianceCacheConfig(**settings)

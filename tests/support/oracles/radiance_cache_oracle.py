@@ -1,0 +1,170 @@
+"""The float64 twin of the radiance cache: cells in dictionaries, sample after sample, as the method's page says.
+
+What decides where a sample goes is rounded to float32, as kernels do it; the rest is float64.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from support.oracles.means_oracle import OUTDATED_SHARE, mean_weight
+
+FINER_NEAR = 3
+ALBEDO_MAX = 0.99
+TILE = 8
+
+
+class Cell(NamedTuple):
+    """A square of a face, one cell thick."""
+
+    level: int
+    is_near: bool
+    face: int
+    u: int
+    v: int
+    w: int
+
+
+@dataclass
+class Mean:
+    """A running mean."""
+
+    value: np.ndarray
+    weight: float = 0.0
+    frames: int = 0
+    updated: int = -1
+
+
+@dataclass
+class Samples:
+    """What N rays have hit, see ``CacheSamples``; all are active."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    distance: np.ndarray
+    from_eye: np.ndarray
+    albedo: np.ndarray
+    radiance: np.ndarray
+    extent: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass
+class RadianceCacheOracle:
+    """The twin. Nothing is evicted."""
+
+    cell_size: float
+    history: int
+    samples_min: float
+    bounce_history: int
+    direct: dict[Cell, Mean] = field(default_factory=dict)
+    indirect: dict[Cell, Mean] = field(default_factory=dict)
+
+    def insert(self, samples: Samples, frame: int) -> None:
+        """Adds the samples of a frame to the means of their cells."""
+        batches: dict[Cell, list[np.ndarray]] = {}
+        for i in range(len(samples)):
+            batches.setdefault(self.cell_of(samples, i), []).append(samples.radiance[i].astype(float))
+        for cell, batch in batches.items():
+            mean = self.direct.setdefault(cell, Mean(np.zeros(3)))
+            if mean.updated != frame:
+                if mean.frames == self.history:
+                    mean.weight *= 1.0 - 1.0 / self.history
+                mean.frames = min(mean.frames + 1, self.history)
+                mean.updated = frame
+            total = mean.value * mean.weight + np.sum(batch, axis=0)
+            mean.weight += len(batch)
+            mean.value = total / mean.weight
+
+    def add_bounce(self, cell: Cell, albedo: np.ndarray, seen: np.ndarray) -> None:
+        """Adds what one ray from a cell has seen."""
+        mean = self.indirect.setdefault(cell, Mean(np.zeros(3)))
+        weight = mean_weight(mean.weight, self.bounce_history)
+        mean.value = (mean.value * weight + np.minimum(albedo, ALBEDO_MAX) * seen) / (weight + 1)
+        mean.weight = min(mean.weight + 1, max(self.bounce_history, self.samples_min))
+
+    def outdate(self) -> None:
+        """What is known counts for next to nothing beside what comes."""
+        for mean in (*self.direct.values(), *self.indirect.values()):
+            mean.weight *= OUTDATED_SHARE
+            mean.frames = min(mean.frames, 1)
+
+    def look_up(self, samples: Samples) -> np.ndarray:
+        """Radiance of each sample's surface."""
+        return np.array([self.radiance(samples, i) for i in range(len(samples))])
+
+    def look_up_indirect(self, samples: Samples) -> np.ndarray:
+        """What each sample's surface reflects of light from other surfaces, by the cells of long rays."""
+        return np.array([zero_if_none(self.far_indirect(samples, i)) for i in range(len(samples))])
+
+    def radiance(self, samples: Samples, i: int) -> np.ndarray:
+        """Direct and indirect radiance of one sample's surface."""
+        cell = self.cell_of(samples, i)
+        indirect = self.far_indirect(samples, i)
+        if cell.is_near:
+            near = self.best(self.indirect, [cell], 1.0)
+            return samples.radiance[i] + (near if near is not None else zero_if_none(indirect))
+        direct = self.best(self.direct, self.far_cells(samples, i), self.samples_min)
+        return (samples.radiance[i] if direct is None else direct) + zero_if_none(indirect)
+
+    def far_indirect(self, samples: Samples, i: int) -> np.ndarray | None:
+        """Indirect radiance of one sample's surface in cells of long rays."""
+        return self.best(self.indirect, self.far_cells(samples, i), self.samples_min)
+
+    def far_cells(self, samples: Samples, i: int) -> list[Cell]:
+        """The cell of long rays at a sample, and those of the next coarser and the next finer level."""
+        level = self.level_of(samples, i)
+        return [cell_at(samples, i, at, is_near=False) for at in (level, level + 1, level - 1)]
+
+    def best(self, means: dict[Cell, Mean], cells: list[Cell], enough: float) -> np.ndarray | None:
+        """The finest mean of enough samples around the first cell that has one; else that of the most samples."""
+        found, most = None, 0.0
+        for cell in cells:
+            for mip in range(4):
+                inside = [means[other] for other in square(cell, mip) if other in means]
+                weight = sum(mean.weight for mean in inside)
+                if weight > most:
+                    most = weight
+                    found = sum((mean.value * mean.weight for mean in inside), np.zeros(3)) / weight
+                if most >= enough:
+                    return found
+        return found
+
+    def level_of(self, samples: Samples, i: int) -> int:
+        """Level of the cells of long rays: their width is 2^level."""
+        wanted = np.float32(self.cell_size) * np.float32(samples.from_eye[i])
+        least = np.abs(samples.position[i].astype(np.float32)).max() / np.float32(8191)
+        return int(np.clip(np.floor(np.log2(float(max(wanted, least)))), -13, 14))
+
+    def cell_of(self, samples: Samples, i: int) -> Cell:
+        """The cell that a sample goes into."""
+        level = self.level_of(samples, i)
+        is_near = bool(np.float32(samples.distance[i]) < np.float32(2.0**level) + np.float32(samples.extent[i]))
+        return cell_at(samples, i, level - FINER_NEAR * is_near, is_near=is_near)
+
+
+def cell_at(samples: Samples, i: int, level: int, *, is_near: bool) -> Cell:
+    """The cell of a level that a sample would be in."""
+    normal = samples.normal[i]
+    axis = int(np.argmax(np.abs(normal)))
+    x = np.floor(samples.position[i].astype(np.float32).astype(float) / 2.0**level).astype(int)
+    face = 2 * axis + int(normal[axis] < 0)
+    return Cell(level, is_near, face, int(x[(axis + 1) % 3]), int(x[(axis + 2) % 3]), int(x[axis]))
+
+
+def square(cell: Cell, mip: int) -> list[Cell]:
+    """The 2^mip x 2^mip cells of a tile that a cell is in; at most the tile itself."""
+    assert 2**mip <= TILE
+    side = 2**mip
+    u, v = cell.u - cell.u % side, cell.v - cell.v % side
+    return [cell._replace(u=u + i, v=v + j) for j in range(side) for i in range(side)]
+
+
+def zero_if_none(value: np.ndarray | None) -> np.ndarray:
+    """Nothing is known: no light."""
+    return np.zeros(3) if value is None else value

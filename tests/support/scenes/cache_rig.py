@@ -1,0 +1,112 @@
+"""A radiance cache without a renderer around it: samples are made up, and rays follow in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lumisplat.config import RadianceCacheConfig
+from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
+from lumisplat.renderer.gi.radiance_cache import RadianceCache
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from support.oracles.radiance_cache_oracle import Samples
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def rows(value: Any, count: int) -> np.ndarray:
+    """A vector for each of ``count`` samples, shape (count, 3), from one vector or number for all, or one each."""
+    value = np.asarray(value, float)
+    if value.ndim == 1 and len(value) == count != 3:
+        value = value[:, None]
+    return np.broadcast_to(value, (count, 3)).astype(np.float32)
+
+
+def made_samples(
+    position: np.ndarray,
+    *,
+    normal: Any = UP,
+    distance: Any = 1e6,
+    from_eye: Any = 16.0,
+    albedo: Any = 0.5,
+    radiance: Any = 1.0,
+    extent: Any = 0.0,
+) -> Samples:
+    """Samples at positions, shape (N, 3); of others one value for all or one each. By default, cells are 1 wide."""
+    count = len(position)
+    numbers = [np.broadcast_to(np.asarray(x, float), count).astype(np.float32) for x in (distance, from_eye, extent)]
+    vectors = [rows(x, count) for x in (position, normal, albedo, radiance)]
+    return Samples(vectors[0], vectors[1], numbers[0], numbers[1], vectors[2], vectors[3], numbers[2])
+
+
+def on_floor(
+    rng: np.random.Generator, count: int, size: float = 16.0, middle: tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray:
+    """Points on a square of the plane z = 0.5."""
+    return np.column_stack([middle + rng.uniform(-size / 2, size / 2, (count, 2)), np.full(count, 0.5)])
+
+
+class CacheRig:
+    """A cache with its buffers.
+
+    Args:
+        launcher: Runs the kernels; None: one thread.
+        **settings: Of the cache. Unless they say otherwise, light from other surfaces has the history of direct light.
+    """
+
+    def __init__(self, launcher: Launcher | None = None, **settings: Any) -> None:
+        self.launcher = launcher or Launcher("cpu", threads=1)
+        self.buffers = Buffers(self.launcher.device)
+        settings = {"tiles": 1024, "cell_size": 1 / 16, "bounces": 1024, "history": 32} | settings
+        self.config = RadianceCacheConfig(**{"bounce_history": settings["history"]} | settings)
+        self.cache = RadianceCache(self.launcher, self.buffers, self.config)
+
+    def upload(self, name: str, samples: Samples, active: Any = True) -> CacheSamples:
+        """Samples on the device."""
+        count = len(samples)
+        uploaded = self.buffers.struct(name, CacheSamples, count)
+        for field in ("position", "normal", "distance", "from_eye", "albedo", "radiance", "extent"):
+            getattr(uploaded, field).assign(getattr(samples, field))
+        uploaded.direction.assign(-samples.normal)
+        uploaded.is_active.assign(np.broadcast_to(active, count).copy())
+        return uploaded
+
+    def insert(self, samples: Samples, frame: int, active: Any = True) -> None:
+        """Adds samples to the cache."""
+        self.cache.insert(self.upload("samples", samples, active), frame)
+
+    def look_up(self, samples: Samples, active: Any = True) -> np.ndarray:
+        """Radiance of samples, shape (N, 3)."""
+        return self.cache.look_up(self.upload("samples", samples, active)).numpy().copy()
+
+    def look_up_indirect(self, samples: Samples, active: Any = True) -> np.ndarray:
+        """Radiance of samples by light from other surfaces, shape (N, 3)."""
+        return self.cache.look_up_indirect(self.upload("samples", samples, active)).numpy().copy()
+
+    def points(self, frame: int) -> tuple[CachePoints, dict[str, np.ndarray]]:
+        """The points of a frame's bounces, and their fields on the host."""
+        points = self.cache.bounce_points(frame)
+        return points, {name: getattr(points, name).numpy().copy() for name in CachePoints.vars}  # pyright: ignore
+
+    def bounce(self, frame: int, hits_of: Any, *, inserts: bool = True) -> dict[str, np.ndarray]:
+        """One bounce; ``hits_of`` makes the hits from the points, as many, and may say which are active."""
+        points, host = self.points(frame)
+        hits, active = hits_of(host)
+        uploaded = self.upload("hits", hits, active & host["is_active"])
+        if inserts:
+            self.cache.insert(uploaded, frame)
+        self.cache.add_bounces(points, uploaded)
+        return host
+
+
+def cosine_directions(rng: np.random.Generator, normal: np.ndarray) -> np.ndarray:
+    """Directions by the cosine of normals, shape (N, 3): a point of the unit sphere on the tip of the normal."""
+    sphere = rng.normal(size=normal.shape)
+    return unit(normal + 0.9999 * unit(sphere))
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors of length 1."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
