@@ -1,0 +1,223 @@
+"""Where probes are, and which of the frame before they continue (docs/method/realtime.md#screen-probes)."""
+
+import warp as wp
+
+from lumisplat.device.camera.camera import ORTHOGRAPHIC
+from lumisplat.device.camera.seen_at import seen_at
+from lumisplat.device.math.random import reversed_bits
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.structs.screen_probes import Match, ProbeData, ProbeGrid, ProbePlace
+
+wp.set_module_options({"enable_backward": False})
+
+LOOKED_AT = wp.constant(8)
+"""Rows and columns of a tile whose pixels are looked at."""
+COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
+"""Normals of Gaussians that differ by less agree: they are noisy."""
+COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
+SHARE_MIN = wp.constant(wp.float32(0.5))
+"""A surface that is less of its pixel gets a probe only where there is no better one."""
+POORER = wp.constant(wp.float32(1e12))
+"""Added to what is compared for such surfaces."""
+SECOND = wp.constant(wp.float32(1e6))
+"""Added to the distance of an adaptive probe that a tile's own would continue: the two must not change places."""
+UNIT_32 = wp.constant(wp.float32(2.0**-32))
+
+
+@wp.func
+def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
+    """How wide a tile is at a distance, scene units: points of one plane, to this, may share a probe."""
+    width = float(grid.tile) / wp.min(camera.focal[0], camera.focal[1])
+    if camera.model == ORTHOGRAPHIC:
+        return width
+    return width * distance
+
+
+@wp.func
+def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: float, extent: float) -> bool:
+    """Whether probe ``i`` is on the surface of a point: near its plane, and facing as it does."""
+    if i < 0:
+        return False
+    if probes.is_placed[i] == 0:
+        return False
+    extent = wp.max(extent, probes.extent[i])
+    cosine_min = wp.where(extent > 0.0, COSINE_MIN_SPLATS, COSINE_MIN_MESHES)
+    if wp.dot(normal, probes.normal[i]) <= cosine_min:
+        return False
+    return wp.abs(wp.dot(normal, probes.position[i] - position)) < wp.max(reach, extent)
+
+
+@wp.func
+def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
+    """The tile at a column and row of tiles; -1: there is none."""
+    if x < 0 or y < 0 or x >= grid.tiles_x or y >= grid.tiles_y:
+        return -1
+    return y * grid.tiles_x + x
+
+
+@wp.func
+def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
+    """The tile's own probe (``adaptive`` 0) or its adaptive one (1); -1: there is none."""
+    if tile < 0 or adaptive == 0:
+        return tile
+    return adaptive_of[tile]
+
+
+@wp.func
+def radical_inverse_3(number: int) -> float:
+    """The digits of a number to the base 3, mirrored at the point."""
+    value = float(0.0)
+    digit = float(1.0 / 3.0)
+    while number > 0:
+        rest = number // 3
+        value += digit * float(number - 3 * rest)
+        digit /= 3.0
+        number = rest
+    return value
+
+
+@wp.func
+def wanted_pixel(grid: ProbeGrid, tile: int) -> wp.vec2:
+    """Where in a tile a new probe of this frame would be best, 0..1: Halton points, shifted from tile to tile."""
+    number = grid.frame % 4096 + 1
+    x = float(wp.rshift(reversed_bits(wp.uint32(number)), wp.uint32(8))) * 256.0 * UNIT_32
+    y = radical_inverse_3(number)
+    x += 0.7548776662466927 * float(tile % 1024)  # 1 over the plastic number, and over its square: spread evenly
+    y += 0.5698402909980532 * float(tile % 1024)
+    return wp.vec2(x - wp.floor(x), y - wp.floor(y))
+
+
+@wp.func
+def match_of(
+    grid: ProbeGrid,
+    camera: CameraData,
+    pixel: int,
+    of_adaptive: bool,
+    surfaces: SurfacePixels,
+    probes: ProbeData,
+    adaptive_of: wp.array[int],
+) -> Match:
+    """The nearest probe of the frame before on the surface of a pixel, in the tile that showed it then.
+
+    Camera, probes and ``adaptive_of`` are those of the frame before; ``of_adaptive``: for an adaptive probe.
+    """
+    match = Match()
+    match.probe = -1
+    match.distance = wp.inf
+    position = surfaces.previous[pixel]
+    seen = seen_at(camera, position)
+    if not (seen[0] >= 0.0 and seen[1] >= 0.0 and seen[0] < float(grid.width) and seen[1] < float(grid.height)):
+        return match
+    tile = tile_of(grid, int(seen[0]) // grid.tile, int(seen[1]) // grid.tile)
+    reach = reach_of(grid, camera, wp.length(position - camera.eye))
+    for adaptive in range(2):
+        i = probe_of_tile(tile, adaptive, adaptive_of)
+        if fits(probes, i, position, surfaces.normal[pixel], reach, surfaces.extent[pixel]):
+            distance = wp.length(probes.position[i] - position)
+            if adaptive == 1 and not of_adaptive:
+                distance += SECOND
+            if probes.rounds[i] > 0 and distance < match.distance:
+                match.probe = i
+                match.distance = distance
+    return match
+
+
+@wp.func
+def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: SurfacePixels, probes: ProbeData) -> bool:
+    """Whether one of the four tiles around a pixel has a probe on its surface; adaptive ones do not count."""
+    pixel = y * grid.width + x
+    reach = reach_of(grid, camera, surfaces.distance[pixel])
+    left = (x + grid.tile // 2) // grid.tile - 1
+    above = (y + grid.tile // 2) // grid.tile - 1
+    for k in range(4):
+        i = tile_of(grid, left + k % 2, above + k // 2)
+        if fits(probes, i, surfaces.position[pixel], surfaces.normal[pixel], reach, surfaces.extent[pixel]):
+            return True
+    return False
+
+
+@wp.func
+def place_among(
+    rows: int,
+    tile: int,
+    only_uncovered: bool,
+    grid: ProbeGrid,
+    camera: CameraData,
+    camera_before: CameraData,
+    surfaces: SurfacePixels,
+    probes: ProbeData,
+    probes_before: ProbeData,
+    adaptive_before: wp.array[int],
+) -> ProbePlace:
+    """The pixel of a tile for a probe: nearest to one of the frame before, else to where a new one is wanted.
+
+    Args:
+        rows: Rows and columns of the tile whose pixels are looked at.
+        tile: The tile.
+        only_uncovered: Only pixels count that no probe in ``probes`` covers.
+        grid: How probes lie on the pixels.
+        camera: Of this frame.
+        camera_before: Of the frame before.
+        surfaces: What the pixels show.
+        probes: The tiles' probes of this frame; read with ``only_uncovered``.
+        probes_before: Those of the frame before.
+        adaptive_before: Adaptive probes of its tiles.
+    """
+    place = ProbePlace()
+    place.pixel = -1
+    place.source = -1
+    place.uncovered = 0
+    corner_y = tile // grid.tiles_x * grid.tile
+    corner_x = tile % grid.tiles_x * grid.tile
+    wanted = wanted_pixel(grid, tile) * float(grid.tile)
+    fresh_cost = float(wp.inf)
+    match_cost = float(wp.inf)
+    for k in range(rows * rows):
+        across = k % rows * grid.tile // rows
+        down = k // rows * grid.tile // rows
+        x = corner_x + across
+        y = corner_y + down
+        if x < grid.width and y < grid.height:
+            pixel = y * grid.width + x
+            counts = surfaces.share[pixel] > 0.0
+            if counts and only_uncovered:
+                counts = not is_covered(grid, camera, x, y, surfaces, probes)
+            if counts:
+                place.uncovered += 1
+                poorer = wp.where(surfaces.share[pixel] < SHARE_MIN, POORER, 0.0)
+                cost = poorer + wp.length_sq(wp.vec2(float(across), float(down)) - wanted)
+                if cost < fresh_cost:
+                    fresh_cost = cost
+                    if place.source < 0:
+                        place.pixel = pixel
+                if grid.has_history != 0:
+                    match = match_of(
+                        grid, camera_before, pixel, only_uncovered, surfaces, probes_before, adaptive_before
+                    )
+                    if match.probe >= 0 and poorer + match.distance < match_cost:
+                        match_cost = poorer + match.distance
+                        place.pixel = pixel
+                        place.source = match.probe
+    return place
+
+
+@wp.func
+def place_in_tile(
+    tile: int,
+    grid: ProbeGrid,
+    camera: CameraData,
+    camera_before: CameraData,
+    surfaces: SurfacePixels,
+    probes_before: ProbeData,
+    adaptive_before: wp.array[int],
+) -> ProbePlace:
+    """The pixel for a tile's own probe, as ``place_among``: if those looked at show nothing, one of all others."""
+    place = place_among(
+        LOOKED_AT, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
+    )
+    if place.pixel < 0:
+        place = place_among(
+            grid.tile, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
+        )
+    return place

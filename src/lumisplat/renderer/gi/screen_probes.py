@@ -1,0 +1,198 @@
+"""Host passes: screen probes, which gather indirect light in real time (docs/method/realtime.md#screen-probes)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config.probes import ProbeConfig
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
+from lumisplat.math.octahedral import harmonics_of_cells
+from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
+from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import copy_elements, sort_pairs
+
+_DEGREE = 2
+"""Of the harmonics: what irradiance keeps of them (Ramamoorthi and Hanrahan 2001)."""
+
+
+class ScreenProbes:
+    """Probes on the surfaces that a frame shows, and what they have seen in this and earlier frames.
+
+    A frame is ``place``, ``rays``, their tracing by the caller, ``update``, then ``irradiance``. No element of a kernel
+    is written by two items, so that the bits are the same for any number of threads.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays; not those of other probes.
+        config: Settings.
+        seed: Of the random numbers.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: ProbeConfig, seed: int = 0) -> None:
+        self._launcher, self._buffers, self._config, self._seed = launcher, buffers, config, seed
+        fit = harmonics_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
+        self._fit = buffers.upload("probes.fit", wp.float32, fit)
+        self._size: tuple[int, int] | None = None
+        self._has_history = False
+
+    def reset(self) -> None:
+        """Forgets what probes have seen: the next frame is the first of a sequence."""
+        self._has_history = False
+
+    def place(
+        self,
+        surfaces: SurfacePixels,
+        camera: wp.array[CameraData],
+        camera_before: wp.array[CameraData],
+        size: tuple[int, int],
+        frame: int,
+    ) -> None:
+        """Places the probes of a frame.
+
+        Args:
+            surfaces: What its pixels show.
+            camera: Its camera, shape (1,).
+            camera_before: That of the frame before, shape (1,).
+            size: Width and height, pixels; a new size is a new sequence.
+            frame: Number of the frame in its sequence.
+        """
+        self._camera = camera
+        self._allocate(size)
+        self._continues = self._has_history
+        self._write_grid(frame)
+        self._keep()
+        run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
+        seen = grids, camera, camera_before, surfaces
+        run(place_kernels.place_in_tiles, tiles, *seen, self._before, self._adaptive_before, self.probes)
+        keys, order = self._list("probes.needs_keys", tiles), self._tile_order
+        history = self._before, self._adaptive_before
+        run(place_kernels.find_needs, tiles, *seen, self.probes, *history, self._needs, keys, order)
+        sort_pairs(keys, order, tiles)
+        run(
+            place_kernels.place_adaptive,
+            tiles,
+            *(grids, order, self._needs, surfaces, self._before, self.adaptive_of, self.probes),
+        )
+        carried = self._cells_before, self.cells
+        run(place_kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
+        self._has_history = True
+
+    def outdate(self) -> None:
+        """The light has changed: what is known counts for next to nothing beside what is found from now on.
+
+        After ``place``.
+        """
+        self._launcher.run_banded(light_kernels.outdate_cells, self.count * self._cell_count, self.cells)
+
+    def rays(self, frame: int) -> RayData:
+        """One ray for each cell of the probes that this frame refreshes; those of a mesh into itself are none.
+
+        Those never refreshed come first, then those whose refresh is longest ago: always as many as ``refreshed`` says.
+        """
+        self._write_grid(frame)
+        run, order = self._launcher.run_banded, self._refresh_order
+        keys = self._list("probes.refresh_keys", self.count)
+        run(light_kernels.rank_probes, self.count, self._grids, self.probes, keys, order)
+        sort_pairs(keys, order, self.count)
+        run(light_kernels.start_probe_rays, self.ray_count, self._grids, order, self.probes, self._rays)
+        return self._rays
+
+    def update(self, radiance: wp.array[wp.vec3], hit_distance: wp.array[float]) -> None:
+        """Adds what the rays have seen to their cells, and makes of all cells what pixels look up.
+
+        Args:
+            radiance: Linear, one element a ray; a value that is not finite does not count.
+            hit_distance: From the origin, scene units; inf: nothing was hit.
+        """
+        run, cells = self._launcher.run_banded, self.cells
+        seen = self._refresh_order, self._rays, radiance, hit_distance
+        run(light_kernels.add_samples, self.ray_count, self._grids, *seen, self.probes, cells)
+        weights = self._buffers.get("probes.weights", wp.float32, self.count * self._cell_count)
+        places = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
+        run(light_kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)
+        run(light_kernels.project_probes, self.count, self._grids, self._fit, weights, self.light)
+
+    def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
+        """Irradiance of surfaces of the frame by what the probes see, linear, one vec3 a pixel; 0 without a surface."""
+        run, get, grids = self._launcher.run_banded, self._buffers.get, self._grids
+        assert self._size is not None, "place before irradiance"
+        pixels, tiles = self._size[0] * self._size[1], self._tiles
+        found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
+        places = self._camera, surfaces, self.probes, self.adaptive_of, self.light
+        run(light_kernels.find_irradiance, pixels, grids, *places, found, known)
+        means, mean = get("probes.tile_means", wp.vec4, tiles), get("probes.frame_mean", wp.vec4, 1)
+        run(light_kernels.tile_means, tiles, grids, found, known, means)
+        run(light_kernels.frame_mean, 1, grids, means, mean)
+        filled = get("probes.irradiance", wp.vec3, pixels)
+        run(light_kernels.fill_pixels, pixels, grids, surfaces, found, known, means, mean, filled)
+        return filled
+
+    @property
+    def grid(self) -> wp.array[ProbeGrid]:
+        """How the probes lie on the pixels, for look-ups by ``lumisplat.device.gi.screen_probes``; shape (1,)."""
+        return self._grids
+
+    @property
+    def ray_count(self) -> int:
+        """Rays a frame."""
+        return self._refreshed * self._cell_count
+
+    def _allocate(self, size: tuple[int, int]) -> None:
+        """Makes the arrays of a size; a new one has no history."""
+        if size == self._size:
+            return
+        self._size, self._has_history = size, False
+        config, buffers = self._config, self._buffers
+        self._columns, self._rows = (-(-side // config.tile) for side in size)
+        self._tiles, self._cell_count = self._columns * self._rows, config.cells**2
+        self._adaptive = math.ceil(config.adaptive * self._tiles)
+        self._refreshed = math.ceil(config.refreshed * self._tiles)
+        self.count = self._tiles + self._adaptive
+        total = self.count * self._cell_count
+        self.probes = buffers.struct("probes.now", ProbeData, self.count)
+        self._before = buffers.struct("probes.before", ProbeData, self.count, ("pixel", "distance", "source"))
+        self.cells = buffers.struct("probes.cells", ProbeCells, total)
+        self._cells_before = buffers.struct("probes.cells_before", ProbeCells, total)
+        self.adaptive_of = buffers.get("probes.adaptive_of", wp.int32, self._tiles)
+        self._adaptive_before = buffers.get("probes.adaptive_before", wp.int32, self._tiles)
+        self._needs = buffers.struct("probes.needs", TileNeeds, self._tiles)
+        self._tile_order = self._list("probes.tile_order", self._tiles)
+        self._refresh_order = self._list("probes.refresh_order", self.count)
+        self._rays = buffers.struct("probes.rays", RayData, self.ray_count)
+        self.light = ProbeLight()
+        self.light.exists = buffers.get("probes.light.exists", wp.int32, self.count)
+        self.light.radiance = buffers.get("probes.light.radiance", wp.vec3, total)
+        self.light.harmonics = buffers.get("probes.light.harmonics", wp.vec3, self.count * (_DEGREE + 1) ** 2)
+
+    def _list(self, name: str, count: int) -> DeviceArray:
+        """An array of integers with the scratch space that sorts need."""
+        return self._buffers.get(name, wp.int32, 2 * count)
+
+    def _write_grid(self, frame: int) -> None:
+        """Writes the table of the grid."""
+        assert self._size is not None, "place before rays"
+        grid = ProbeGrid()
+        grid.width, grid.height = self._size
+        grid.tile, grid.cells = self._config.tile, self._config.cells
+        grid.tiles_x, grid.tiles_y = self._columns, self._rows
+        grid.adaptive, grid.history = self._adaptive, float(self._config.history)
+        grid.frame, grid.has_history = frame, int(self._continues)
+        grid.seed = wp.uint32(self._seed)
+        self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
+
+    def _keep(self) -> None:
+        """Makes the probes of the last frame those of the frame before."""
+        if not self._has_history:
+            return
+        run = self._launcher.run_banded
+        run(place_kernels.keep_probes, self.count, self.probes, self._before)
+        run(place_kernels.keep_cells, self.count * self._cell_count, self.cells, self._cells_before)
+        copy_elements(device_array(self.adaptive_of), self._adaptive_before, self._tiles)

@@ -1,0 +1,18 @@
+"""Settings of screen probes are checked."""
+
+from __future__ import annotations
+
+import pytest
+
+from lumisplat.config.probes import ProbeConfig
+from lumisplat.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("tile", 7), ("tile", 16.5), ("cells", 3), ("cells", 17), ("refreshed", 0.0), ("history", 0), ("adaptive", 1.5)],
+)
+def test_values_out_of_range_are_refused(name: str, value: float) -> None:
+    """The message names the setting."""
+    with pytest.raises(ConfigError, match=name):
+        ProbeConfig(**{name: value})  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,334 @@
+"""Each step of screen probes by itself: placing, rays, means, reprojection and look-ups, against their float64 twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.config.probes import ProbeConfig
+from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.device.structs.screen_probes import ProbeData
+from lumisplat.math.octahedral import directions_of_square
+from lumisplat.runtime.buffers import device_array
+from support.oracles import screen_probe_oracle as oracle
+from support.oracles.means_oracle import mean_weight
+from support.probes.probe_octahedral_kernels import probe_light
+from support.scenes.gi_surfaces import Doubles, Seen, camera_rows, seen_in_box, seen_plane
+from support.scenes.probe_sequence import ProbeSequence, constant
+
+CELLS = 64
+
+Whole = npt.NDArray[np.int64]
+
+
+def box_camera(step: float = 0.0) -> ls.Camera:
+    """Inside the cube; each step moves it."""
+    eye = (0.1 + 0.03 * step, -0.4, 0.05)
+    return ls.Camera.look_at(eye, (0.1, 0.5, 0.0), (0.0, 0.0, 1.0), width=160, height=96, fov_y=1.2)
+
+
+def striped(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+    """Light that differs from direction to direction, at distances that do."""
+    radiance = np.stack([1.0 + np.sin(9.0 * ways[:, 0]), 1.0 + ways[:, 1], np.abs(ways[:, 2])], axis=1)
+    return radiance, 0.3 + np.abs(ways[:, 2])
+
+
+def fields(probes: ProbeData) -> dict[str, npt.NDArray[np.float64]]:
+    """Copies of what is known of probes."""
+    return {name: getattr(probes, name).numpy().astype(np.float64) for name in ProbeData.vars}  # pyright: ignore
+
+
+def cells_of(sequence: ProbeSequence) -> oracle.Cells:
+    """Copies of all cells, probe after probe."""
+    steps = (np.arange(8) + 0.5) / 8
+    centers = directions_of_square(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2))
+    cells = sequence.probes.cells
+    values = [
+        device_array(array).numpy().astype(np.float64) for array in (cells.radiance, cells.nearness, cells.samples)
+    ]
+    return oracle.Cells(centers, *values)
+
+
+def one(cells: oracle.Cells, i: int) -> oracle.Cells:
+    """The cells of one probe."""
+    part = slice(i * CELLS, (i + 1) * CELLS)
+    return oracle.Cells(cells.direction, cells.radiance[part], cells.nearness[part], cells.samples[part])
+
+
+@pytest.mark.parametrize("extent", [0.0, 0.002])
+def test_nothing_moves_and_nothing_changes(extent: float) -> None:
+    """Reprojection of a probe onto itself is the identity: same place, same cells, bit for bit."""
+    sequence, seen = ProbeSequence(striped), seen_in_box(box_camera(), extent)
+    for _ in range(6):
+        sequence.render(seen)
+    before, cells = fields(sequence.probes.probes), cells_of(sequence)
+    sequence.place(seen)
+    after, carried = fields(sequence.probes.probes), cells_of(sequence)
+    own = np.arange(60)
+    np.testing.assert_array_equal(after["source"][own], own)
+    np.testing.assert_array_equal(after["position"][own], before["position"][own])
+    part = slice(0, 60 * CELLS)
+    np.testing.assert_allclose(carried.radiance[part], cells.radiance[part], rtol=1e-6)
+    np.testing.assert_allclose(carried.nearness[part], cells.nearness[part], rtol=1e-6)
+    np.testing.assert_array_equal(carried.samples[part], cells.samples[part])
+    assert cells.samples[part].max() > 1.0
+
+
+@pytest.mark.parametrize("extent", [0.0, 0.002])
+def test_cells_are_aimed_at_their_hits_anew(extent: float) -> None:
+    """Those of probes that have moved are the twin's, and most directions change."""
+    sequence = ProbeSequence(striped, refreshed=1.0)
+    for _ in range(3):
+        sequence.render(seen_in_box(box_camera(), extent))
+    before, cells = fields(sequence.probes.probes), cells_of(sequence)
+    sequence.place(seen_in_box(box_camera(1.0), extent))
+    after, carried = fields(sequence.probes.probes), cells_of(sequence)
+    moved = 0
+    for i in np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0)).tolist():
+        source = int(after["source"][i])
+        old, new = before["position"][source], after["position"][i]
+        horizon = after["normal"][i] if extent == 0.0 else None
+        expected, found = oracle.carried(one(cells, source), old, new, horizon, ProbeConfig().history), one(carried, i)
+        same = np.isclose(found.samples, expected.samples)
+        assert same.mean() > 0.96, "float32 puts what is on a border into the next cell"
+        np.testing.assert_allclose(found.radiance[same].mean(), expected.radiance[same].mean(), rtol=0.02)
+        np.testing.assert_allclose(found.nearness[same].mean(), expected.nearness[same].mean(), rtol=0.02)
+        moved += int(np.linalg.norm(old - new) > 1e-4)
+    assert moved > 20
+
+
+def test_probes_follow_what_moves() -> None:
+    """A plane that moves sideways takes its probes along, with their cells; the camera stands still."""
+    camera = ls.Camera.look_at((0.0, 0.0, 3.0), (0, 0, 0), (0.0, 1.0, 0.0), width=160, height=96, fov_y=0.6)
+    sequence, seen = ProbeSequence(striped, refreshed=1.0), seen_plane(camera, (0.0, 0.0, 1.0))
+    sequence.render(seen)
+    before = fields(sequence.probes.probes)
+    step = np.array([0.019375 * 2, 0.0, 0.0])  # about two pixels
+    seen.previous = seen.position - step
+    sequence.place(seen)
+    after = fields(sequence.probes.probes)
+    carried = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
+    ways = after["position"][carried] - before["position"][after["source"][carried].astype(int)]
+    assert len(carried) > 50
+    assert np.mean(np.abs(ways - step).max(axis=1) < 0.02) > 0.8, "the others would have left their tile"
+    assert np.median(ways[:, 0]) == pytest.approx(step[0], abs=0.01)
+
+
+def test_each_ray_is_uniform_in_its_cell() -> None:
+    """One ray a cell, in it; their points are spread over the cell; none repeats."""
+    sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
+    seen = seen_in_box(box_camera(), 0.004)
+    points = []
+    for _ in range(4):
+        sequence.place(seen)
+        sequence.trace()
+        sequence.frame += 1
+        ways = sequence.rays[1].reshape(-1, CELLS, 3)
+        squares = np.array([[oracle.square_of(way) for way in probe] for probe in ways[:20]]) * 8
+        np.testing.assert_array_equal(np.minimum(squares.astype(int), 7) @ [1, 8], np.tile(np.arange(CELLS), (20, 1)))
+        points.append(squares % 1.0)
+    counts, _, _ = np.histogram2d(*np.reshape(points, (-1, 2)).T, bins=4, range=((0, 1), (0, 1)))
+    np.testing.assert_allclose(counts / counts.sum(), 1.0 / 16.0, atol=0.01)
+    assert np.abs(points[0] - points[1]).min() < 1.0
+    assert np.abs(points[0] - points[1]).mean() > 0.2
+
+
+def test_rays_leave_their_surface() -> None:
+    """From meshes a little above and outwards only; from Gaussians beyond what does not shadow them, all around."""
+    for extent, share in ((0.0, 0.5), (0.004, 1.0)):
+        sequence, seen = ProbeSequence(constant([1.0, 1.0, 1.0])), seen_in_box(box_camera(), extent)
+        sequence.place(seen)
+        rays = sequence.probes.rays(0)
+        active = device_array(rays.is_active).numpy()
+        assert active.mean() == pytest.approx(share, abs=0.03)
+        heights = 0.5 - np.abs(device_array(rays.origin).numpy()[active]).max(axis=1)
+        assert (heights > 1e-6).all() if extent == 0.0 else (np.abs(heights) < 1e-6).all()
+        np.testing.assert_allclose(device_array(rays.t_min).numpy()[active], SHADOW_OFFSET * extent, rtol=1e-6)
+
+
+def test_all_probes_are_refreshed_in_turn() -> None:
+    """New ones first, spread over the picture, then the oldest: as many a frame as asked for, none is forgotten."""
+    sequence, seen = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), seen_in_box(box_camera(), 0.002)
+    rounds = np.zeros((6, 10), np.int32)
+    for frame in range(12):
+        sequence.render(seen)
+        assert len(sequence.rays[0]) == 15 * CELLS
+        rounds = device_array(sequence.probes.probes.rounds).numpy().reshape(6, 10)
+        assert rounds.sum() == 15 * (frame + 1)
+        if frame == 0:
+            blocks = rounds.reshape(3, 2, 5, 2).sum(axis=(1, 3))
+            assert (blocks == 1).all()
+    np.testing.assert_array_equal(rounds, 3)
+
+
+@pytest.mark.parametrize("history", [1, 4, 8])
+def test_means_of_cells(history: int) -> None:
+    """A young mean counts for half of its samples, an old one goes back its history; what is not finite is left out."""
+    seen = seen_in_box(box_camera(), 0.002)
+    light = [1.0, 2.0, np.nan, 6.0, *[3.0] * 7, 30.0]
+    values = iter(light)
+
+    def tracer(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+        return np.full((len(ways), 3), next(values)), np.full(len(ways), 0.5)
+
+    sequence = ProbeSequence(tracer, refreshed=1.0, adaptive=0.0, history=history)
+    mean, count = 0.0, 0
+    for value in light:
+        sequence.place(seen)
+        sequence.trace()
+        sequence.frame += 1
+        cells = one(cells_of(sequence), 7)
+        if np.isfinite(value):
+            mean += (value - mean) / (mean_weight(count, history) + 1.0)
+            count = min(count + 1, history)
+        np.testing.assert_allclose(cells.nearness, 2.0, rtol=1e-5)
+        np.testing.assert_allclose(cells.radiance, mean, rtol=1e-5)
+        np.testing.assert_array_equal(cells.samples, count)
+
+
+def test_outdated_light_stays_until_other_is_found() -> None:
+    """When light changes, a cell's next ray takes the place of all before; until then it keeps what it knew."""
+    seen = seen_in_box(box_camera(), 0.002)
+    old, new = np.array([4.0, 1.0, 0.5]), np.array([0.5, 2.0, 0.0])
+    sequence = ProbeSequence(constant(old))
+    for _ in range(12):
+        sequence.render(seen)
+    sequence.place(seen)
+    sequence.probes.outdate()
+    sequence.tracer = constant([np.nan] * 3)
+    sequence.trace()
+    np.testing.assert_allclose(sequence.look_up(seen), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)
+    sequence.tracer = constant(new)
+    worst = []
+    for _ in range(8):
+        sequence.frame += 1
+        worst.append(np.abs(sequence.render(seen) / np.pi - new).max())
+    assert worst[0] > 1.0, "not all are refreshed at once"
+    assert worst[-1] < 2e-3, "a plain mean of 4 would still have a third"
+
+
+def thin_pole(camera: ls.Camera) -> Seen:
+    """The cube with a pole before it, three pixels wide, in every tile but those of the last columns."""
+    seen = seen_in_box(camera)
+    columns = np.tile(np.arange(camera.width), camera.height)
+    pole = (columns % 16 >= 6) & (columns % 16 < 9) & (columns < 128)
+    ways = (seen.position - camera.eye) / seen.distance[:, None]
+    seen.distance = np.where(pole, 0.1, seen.distance)
+    seen.position = np.where(pole[:, None], camera.eye + 0.1 * ways, seen.position)
+    seen.previous = seen.position.copy()
+    seen.normal = np.where(pole[:, None], -np.asarray(camera.world_from_camera[:3, 2]), seen.normal)
+    return seen
+
+
+def test_surfaces_that_tiles_miss_get_probes() -> None:
+    """Each surface of a tile that is not that of its own probe gets one, as far as there are any; these last."""
+    seen = thin_pole(box_camera())
+    sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=1.0, refreshed=1.0)
+    for _ in range(4):  # until all have been refreshed once, which makes them stay
+        sequence.render(seen)
+    first = device_array(sequence.probes.adaptive_of).numpy().copy()
+    assert (first >= 60).sum() > 15
+    for _ in range(2):
+        sequence.render(seen)
+    again = device_array(sequence.probes.adaptive_of).numpy()
+    np.testing.assert_array_equal(first >= 0, again >= 0)
+    assert (device_array(sequence.probes.probes.rounds).numpy()[again[again >= 0]] > 2).all()
+    few = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.1, refreshed=1.0)
+    few.render(seen)
+    assert (device_array(few.probes.adaptive_of).numpy() >= 0).sum() == 6
+    none = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0, refreshed=1.0)
+    none.render(seen)
+    assert (device_array(none.probes.adaptive_of).numpy() == -1).all()
+
+
+def test_the_filter_keeps_what_is_near_apart() -> None:
+    """Neighbours make new probes less noisy, but do not blur what a probe sees near with what lies behind."""
+    seen = seen_in_box(box_camera(), 0.002)
+    rng = np.random.default_rng(3)
+
+    def noise(distance: float):
+        return lambda origins, ways: (rng.exponential(size=ways.shape), np.full(len(ways), distance))
+
+    spread = {}
+    for distance in (0.01, 1e6):
+        sequence = ProbeSequence(noise(distance), refreshed=1.0, adaptive=0.0)
+        sequence.render(seen)
+        spread[distance] = np.std(device_array(sequence.probes.light.radiance).numpy())
+    assert spread[1e6] < 0.75, "a mean over up to five"
+    assert spread[0.01] > 0.9, "nothing in common"
+
+
+@pytest.mark.parametrize("extent", [0.0, 0.002])
+def test_look_ups_are_the_twins(extent: float) -> None:
+    """Irradiance at pixels, by the probes of the four tiles around, to float32; some pixels have none there."""
+    seen = thin_pole(box_camera())
+    seen.extent[:] = extent
+    sequence = ProbeSequence(striped, refreshed=1.0)
+    for _ in range(3):
+        sequence.render(seen)
+    pixels = np.random.default_rng(4).choice(160 * 96, 60, replace=False)
+    points = np.stack([pixels % 160, pixels // 160], axis=1).astype(np.float64) + 0.5
+    found = looked_up(sequence, seen, pixels, points, seen.normal[pixels], glossy=False)
+    known = fields(sequence.probes.probes)
+    radiance = device_array(sequence.probes.light.radiance).numpy().astype(np.float64).reshape(-1, CELLS, 3)
+    adaptive, camera = device_array(sequence.probes.adaptive_of).numpy(), seen.camera
+    compared = 0
+    for pixel, point, light in zip(pixels, points, found, strict=True):
+        around = []
+        corner = np.floor(point / 16 - 0.5).astype(int)
+        for x, y in ((corner[0] + dx, corner[1] + dy) for dy in (0, 1) for dx in (0, 1)):
+            if not (0 <= x < 10 and 0 <= y < 6):
+                continue
+            for i in (y * 10 + x, adaptive[y * 10 + x]):
+                if i >= 0 and known["is_placed"][i]:
+                    apart = float(np.linalg.norm(known["pixel"][i] - point) / 16)
+                    value = oracle.probe_irradiance(radiance[i], seen.normal[pixel])
+                    position, normal = known["position"][i], known["normal"][i]
+                    distance, wide = float(known["distance"][i]), float(known["extent"][i])
+                    around.append((apart, oracle.Probe(position, normal, distance, wide, value)))
+        distance, extent_here = float(seen.distance[pixel]), float(seen.extent[pixel])
+        reach = 16 / min(camera.fx, camera.fy) * distance
+        expected = oracle.near_mean(seen.position[pixel], seen.normal[pixel], distance, extent_here, reach, around)
+        if expected is not None:
+            np.testing.assert_allclose(light, np.maximum(expected, 0.0), rtol=5e-3, atol=5e-3)
+            compared += 1
+    assert compared > 40
+
+
+def test_glossy_look_ups_see_along_directions() -> None:
+    """Between cells linear, so that a slow gradient comes out; a bright side is bright, across the border too."""
+    seen = seen_in_box(box_camera(), 0.002)
+
+    def gradient(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+        return 2.0 + ways, np.full(len(ways), np.inf)
+
+    sequence = ProbeSequence(gradient, refreshed=1.0, history=256)
+    for _ in range(24):
+        sequence.render(seen)
+    pixels = np.full(400, 50 * 160 + 75)
+    ways = oracle.spiral(400)
+    found = looked_up(sequence, seen, pixels, np.full((400, 2), (75.5, 50.5)), ways, glossy=True)
+    assert np.sqrt(np.mean((found - 2.0 - ways) ** 2)) < 0.06
+    assert np.abs(found - 2.0 - ways).max() < 0.25
+
+
+def looked_up(
+    sequence: ProbeSequence, seen: Seen, pixels: Whole, points: Doubles, ways: Doubles, *, glossy: bool
+) -> Doubles:
+    """What the device finds for pixels."""
+    probes, count = sequence.probes, len(pixels)
+    given = [
+        wp.array(values.astype(kind), dtype=dtype, device="cpu")
+        for values, kind, dtype in (
+            (pixels, np.int32, int),
+            (points, np.float32, wp.vec2),
+            (ways, np.float32, wp.vec3),
+        )
+    ]
+    found = wp.zeros(count, dtype=wp.vec3, device="cpu")
+    places = probes.grid, camera_rows(seen.camera), seen.upload(), probes.probes, probes.adaptive_of, probes.light
+    wp.launch(probe_light, count, inputs=[glossy, *places, *given, found], device="cpu")
+    return device_array(found).numpy().astype(np.float64)

@@ -1,0 +1,131 @@
+"""Screen probes in float64, as docs/method/realtime.md#screen-probes says: one probe or one pixel at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.math.sh import sh_basis
+
+Doubles = npt.NDArray[np.float64]
+
+
+def square_of(direction: npt.ArrayLike) -> Doubles:
+    """The point of the square, 0..1, of a unit direction, by angles: equal areas, quadrant by quadrant."""
+    x, y, z = np.asarray(direction, np.float64)
+    r = np.sqrt(1.0 - abs(z))  # of the diamond whose area is the cap's share of the hemisphere
+    share = np.arctan2(abs(y), abs(x)) / (0.5 * np.pi)
+    point = np.array([r * (1.0 - share), r * share])
+    if z < 0.0:
+        point = 1.0 - point[::-1]
+    return 0.5 + 0.5 * np.copysign(point, [x, y])
+
+
+def cell_of(direction: npt.ArrayLike, cells: int) -> int:
+    """The cell of a unit direction."""
+    x, y = np.minimum((square_of(direction) * cells).astype(int), cells - 1)
+    return int(y * cells + x)
+
+
+def spiral(count: int) -> Doubles:
+    """Unit vectors, spread evenly."""
+    turns = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * turns / count
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * turns
+    across = np.sqrt(1.0 - z * z)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+
+
+@dataclass(slots=True)
+class Cells:
+    """The cells of one probe."""
+
+    direction: Doubles
+    """Of their centres, shape (N, 3)."""
+    radiance: Doubles
+    nearness: Doubles
+    samples: Doubles
+
+
+def carried(cells: Cells, old: Doubles, new: Doubles, horizon: Doubles | None, history: float) -> Cells:
+    """The cells of a probe at ``old``, as seen from ``new``; ``horizon``: the normal of a mesh."""
+    count = len(cells.samples)
+    side = int(np.sqrt(count))
+    moved = Cells(cells.direction, np.zeros((count, 3)), np.zeros(count), np.zeros(count))
+    for cell in np.flatnonzero(cells.samples > 0.0):
+        nearness, way, target = cells.nearness[cell], cells.direction[cell], int(cell)
+        if nearness * np.linalg.norm(old - new) < 1.0:
+            if nearness > 0.0:
+                to_hit = old + way / nearness - new
+                way, nearness = to_hit / np.linalg.norm(to_hit), 1.0 / np.linalg.norm(to_hit)
+            target = cell_of(way, side)
+        if horizon is not None and way @ horizon < -np.sqrt(4.0 * np.pi / count):
+            continue
+        moved.radiance[target] += cells.samples[cell] * cells.radiance[cell]
+        moved.nearness[target] += cells.samples[cell] * nearness
+        moved.samples[target] += cells.samples[cell]
+    filled = moved.samples > 0.0
+    moved.radiance[filled] /= moved.samples[filled, None]
+    moved.nearness[filled] /= moved.samples[filled]
+    moved.samples = np.minimum(moved.samples, history)
+    return moved
+
+
+@cache
+def cell_means(side: int) -> Doubles:
+    """Means of the harmonics over the evenly spread directions in each cell."""
+    directions = spiral(20_000)
+    index = np.array([cell_of(way, side) for way in directions])
+    basis = sh_basis(directions, 2)
+    return np.array([basis[index == cell].mean(axis=0) for cell in range(side * side)])
+
+
+def probe_irradiance(radiance: Doubles, normal: Doubles) -> Doubles:
+    """Irradiance of a surface by the cells of one probe, through harmonics of degree 2 that fit their means."""
+    harmonics = np.linalg.lstsq(cell_means(int(np.sqrt(len(radiance)))), radiance)[0]
+    convolved = np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
+    return sh_basis(normal, 2) * convolved @ harmonics
+
+
+@dataclass(slots=True)
+class Probe:
+    """A probe as pixels look it up."""
+
+    position: Doubles
+    normal: Doubles
+    distance: float
+    extent: float
+    value: Doubles
+    """What it says."""
+
+
+def near_mean(
+    position: Doubles,
+    normal: Doubles,
+    distance: float,
+    extent: float,
+    reach: float,
+    around: list[tuple[float, Probe]],
+) -> Doubles | None:
+    """Weighted mean over the probes around a pixel that are on its surface; None: there is none.
+
+    Args:
+        position: Of the pixel's surface.
+        normal: Of it.
+        distance: From the eye.
+        extent: As of ``SurfacePixels``.
+        reach: Width of a tile there.
+        around: Probes, each with its distance from the pixel in the picture, in tiles.
+    """
+    total, weight = np.zeros(3), 0.0
+    for apart, probe in around:
+        tolerance = max(extent, probe.extent)
+        is_near = abs(normal @ (probe.position - position)) < max(reach, tolerance)
+        if is_near and normal @ probe.normal > (0.5 if tolerance > 0.0 else 0.95):
+            depth = 1.0 - abs(distance - probe.distance) / max(distance, probe.distance)
+            vote = (depth * (normal @ probe.normal)) ** 8 / (apart**2 + 0.05)
+            total, weight = total + vote * probe.value, weight + vote
+    return total / weight if weight > 1e-6 else None

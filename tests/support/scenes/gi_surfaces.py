@@ -1,0 +1,107 @@
+"""Surfaces that pixels show, made by intersecting rays with planes in float64: input of passes in real time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import SurfacePixels
+from lumisplat.renderer.scene.camera_table import camera_table
+from lumisplat.runtime.struct_tables import table_dtype
+
+Doubles = npt.NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the pixels of a camera show, in float64; row by row."""
+
+    camera: ls.Camera
+    share: Doubles
+    position: Doubles
+    normal: Doubles
+    distance: Doubles
+    extent: Doubles
+    previous: Doubles
+    face: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Which of the scene's faces; -1: none."""
+
+    def upload(self, device: str = "cpu") -> SurfacePixels:
+        """The struct that kernels read."""
+        pixels = SurfacePixels()
+        albedo = np.ones_like(self.position)
+        for name in ("share", "distance", "extent"):
+            setattr(pixels, name, wp.array(getattr(self, name).astype(np.float32), dtype=float, device=device))
+        for name in ("position", "normal", "previous"):
+            setattr(pixels, name, wp.array(getattr(self, name).astype(np.float32), dtype=wp.vec3, device=device))
+        pixels.albedo = wp.array(albedo.astype(np.float32), dtype=wp.vec3, device=device)
+        return pixels
+
+
+def camera_rows(camera: ls.Camera, device: str = "cpu") -> wp.array[CameraData]:
+    """The camera as kernels read it."""
+    rows = camera_table(camera)
+    table = wp.zeros(1, dtype=CameraData, device=device)
+    assert rows.dtype == table_dtype(CameraData)
+    table.assign(rows)
+    return table
+
+
+def pixel_rays(camera: ls.Camera) -> tuple[Doubles, Doubles]:
+    """Origin, shape (3,), and unit directions, shape (H W, 3), of a pinhole's pixel centres."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
+    ways = local.reshape(-1, 3) @ camera.world_from_camera[:3, :3].T
+    return np.asarray(camera.eye, np.float64), ways / np.linalg.norm(ways, axis=1, keepdims=True)
+
+
+def box_exit(origins: Doubles, ways: Doubles, half: float = 0.5) -> tuple[Doubles, npt.NDArray[np.int64]]:
+    """Distance to the walls of a cube around the origin, from inside, and the wall: 0, 1 are -x, +x, and so on."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.where(ways == 0.0, np.inf, (np.copysign(half, ways) - origins) / ways)
+    axis = np.argmin(ends, axis=1)
+    rows = np.arange(len(ways))
+    return ends[rows, axis], 2 * axis + (ways[rows, axis] > 0.0)
+
+
+def inward(face: npt.NDArray[np.int64]) -> Doubles:
+    """Normals of the cube's walls, towards its inside."""
+    normals = np.zeros((len(face), 3))
+    normals[np.arange(len(face)), face // 2] = np.where(face % 2, -1.0, 1.0)
+    return normals
+
+
+def seen_in_box(camera: ls.Camera, extent: float = 0.0) -> Seen:
+    """The unit cube around the origin from inside."""
+    eye, ways = pixel_rays(camera)
+    t, face = box_exit(np.broadcast_to(eye, ways.shape), ways)
+    position = eye + t[:, None] * ways
+    ones = np.ones(len(t))
+    return Seen(camera, ones, position, inward(face), t, extent * ones, position.copy(), face)
+
+
+def seen_plane(camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0) -> Seen:
+    """The plane through the origin; pixels that miss it, or see it from below, show nothing."""
+    eye, ways = pixel_rays(camera)
+    normal = np.asarray(normal, np.float64)
+    facing = ways @ normal
+    t = -(eye @ normal) / np.where(facing < -1e-3, facing, 1.0)
+    is_seen = (facing < -1e-3) & (t > 0.0)
+    position = np.where(is_seen[:, None], eye + t[:, None] * ways, 0.0)
+    normals = np.broadcast_to(normal, ways.shape).copy()
+    share, distance = is_seen.astype(np.float64), np.where(is_seen, t, 0.0)
+    return Seen(camera, share, position, normals, distance, np.full(len(t), extent), position.copy())
+
+
+def tilted(normals: Doubles, degrees: float, seed: int) -> Doubles:
+    """Normals, each turned by a normally distributed angle of this standard deviation towards a random side."""
+    rng = np.random.default_rng(seed)
+    side = np.cross(normals, rng.normal(size=normals.shape))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    angle = np.radians(degrees) * np.abs(rng.normal(size=len(normals)))[:, None]
+    return np.cos(angle) * normals + np.sin(angle) * side

@@ -1,0 +1,79 @@
+"""Sequences of frames of screen probes whose rays are answered by a function: no scene, no tracer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.config.probes import ProbeConfig
+from lumisplat.renderer.gi.screen_probes import ScreenProbes
+from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.launcher import Launcher
+from support.scenes.gi_surfaces import Doubles, Seen, camera_rows
+
+Tracer = Callable[[Doubles, Doubles], tuple[Doubles, Doubles]]
+"""From origins and directions to radiance, shape (N, 3), and distances."""
+
+
+class ProbeSequence:
+    """Screen probes, frame after frame.
+
+    Args:
+        tracer: Answers the rays.
+        threads: CPU threads.
+        **settings: Of `ProbeConfig`.
+    """
+
+    def __init__(self, tracer: Tracer, threads: int = 1, **settings: float) -> None:
+        self.tracer = tracer
+        self.launcher = Launcher("cpu", threads=threads)
+        self.probes = ScreenProbes(self.launcher, Buffers("cpu"), ProbeConfig(**settings))  # pyright: ignore[reportArgumentType]
+        self.frame = 0
+        self._before: ls.Camera | None = None
+        self.rays: tuple[Doubles, Doubles] = np.zeros((0, 3)), np.zeros((0, 3))
+
+    def place(self, seen: Seen) -> None:
+        """The first step of a frame."""
+        camera = seen.camera
+        before = camera_rows(self._before or camera)
+        size = camera.width, camera.height
+        self.probes.place(seen.upload(), camera_rows(camera), before, size, self.frame)
+        self._before = camera
+
+    def trace(self) -> None:
+        """Follows the rays of the frame, and adds what they see."""
+        rays = self.probes.rays(self.frame)
+        active = device_array(rays.is_active).numpy()
+        origins = device_array(rays.origin).numpy()[active].astype(float)
+        ways = device_array(rays.direction).numpy()[active].astype(float)
+        self.rays = origins, ways
+        radiance, distance = np.full((len(active), 3), np.nan), np.full(len(active), np.nan)
+        radiance[active], distance[active] = self.tracer(origins, ways)
+        self.probes.update(
+            wp.array(radiance.astype(np.float32), dtype=wp.vec3, device="cpu"),
+            wp.array(distance.astype(np.float32), dtype=float, device="cpu"),
+        )
+
+    def render(self, seen: Seen) -> Doubles:
+        """Irradiance in the next frame, shape (pixels, 3)."""
+        self.place(seen)
+        self.trace()
+        self.frame += 1
+        return self.look_up(seen)
+
+    def look_up(self, seen: Seen) -> Doubles:
+        """Irradiance of surfaces in the last frame."""
+        return self.probes.irradiance(seen.upload()).numpy().astype(np.float64)
+
+
+def constant(radiance: npt.ArrayLike, distance: float = 1.0) -> Tracer:
+    """Everything is equally bright."""
+
+    def trace(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+        return np.broadcast_to(radiance, ways.shape), np.full(len(ways), distance)
+
+    return trace
