@@ -1,0 +1,145 @@
+"""Data of global illumination in real time: surfaces, and what lights them. One struct is one noun of the method."""
+
+import warp as wp
+
+from lumisplat.device.structs.declare import struct
+
+
+@struct
+class SurfacePixels:
+    """The surfaces of one kind, Gaussians' or meshes', that the pixels of a frame show: its G-buffer.
+
+    One element a pixel, row by row.
+    """
+
+    share: wp.array[float]
+    """How much of the pixel they are, 0..1; 0: there is none, and the other fields are undefined."""
+    position: wp.array[wp.vec3]
+    """World space."""
+    normal: wp.array[wp.vec3]
+    """Shading normal, unit, towards the viewer."""
+    distance: wp.array[float]
+    """From the eye, scene units."""
+    extent: wp.array[float]
+    """How far the surface may be from where it is said to be, scene units: the largest scale of its Gaussian; 0 for
+    meshes."""
+    albedo: wp.array[wp.vec3]
+    """Share of even light that it reflects diffusely to the viewer, linear."""
+    glossy_albedo: wp.array[wp.vec3]
+    """Share that its highlight reflects."""
+    alpha: wp.array[float]
+    """Width of the highlight, as of ``Bsdf``."""
+    previous: wp.array[wp.vec3]
+    """Where the point of the surface was in the frame before, world space; NaN: it was not there."""
+
+
+@struct
+class InstanceMotion:
+    """Where an instance was in the frame before: one a splat or mesh instance, in the order of the scene's."""
+
+    is_known: int
+    """0: it was not there."""
+    deforms: int
+    """1: its Gaussians or vertices have moved on their own."""
+    before_from_now: wp.mat33
+    """Where points of the world that move with it were; linear part."""
+    before_from_now_offset: wp.vec3
+    before_from_object: wp.mat33
+    """World of the frame before from object; linear part."""
+    before_from_object_offset: wp.vec3
+    means: wp.array[wp.vec3]
+    """Those of its Gaussians then, object space; like the next two without elements unless it deforms."""
+    rotations: wp.array[wp.quat]
+    positions: wp.array[wp.vec3]
+    """Those of the vertices then, where ``MeshData`` has those of now."""
+
+
+@struct
+class LightHistory:
+    """Light of surfaces of one kind as means over frames, one element a pixel, row by row.
+
+    Each surface has two values, diffuse and glossy as ``SurfaceLight``: moments are those of two luminances.
+    """
+
+    frames: wp.array[float]
+    """In the means; 0: there is no history."""
+    diffuse: wp.array[wp.vec3]
+    glossy: wp.array[wp.vec3]
+    moments: wp.array[wp.vec4]
+    """Means of the luminance and of its square; diffuse, then glossy."""
+
+
+@struct
+class PixelHistory:
+    """One element of `LightHistory`."""
+
+    frames: float
+    diffuse: wp.vec3
+    glossy: wp.vec3
+    moments: wp.vec4
+
+
+@struct
+class LightChange:
+    """How the light of a few neighbouring pixels differs from their histories."""
+
+    sampled: float
+    """Sum of the luminances of the samples."""
+    expected: float
+    """Sum of those of the histories."""
+    variance: float
+    """Of the first sum."""
+    brighter: float
+    """Pixels whose sample is brighter than their history."""
+    count: float
+    """Pixels."""
+
+
+@struct
+class FilteredLight:
+    """Light of surfaces of one kind as means over pixels, one element a pixel, row by row."""
+
+    diffuse: wp.array[wp.vec3]
+    glossy: wp.array[wp.vec3]
+    variance: wp.array[wp.vec2]
+    """Of the luminance of each."""
+
+
+@struct
+class PixelLight:
+    """One light sample a ray of the first wave, for one of its two surfaces."""
+
+    slot: wp.array[int]
+    """Which of the ray's interactions it lights: 0, Gaussians, or 1, a mesh; -1: neither."""
+    diffuse: wp.array[wp.vec3]
+    """Unshadowed radiance that the surface, as if it were all of the pixel, reflects diffusely; linear."""
+    glossy: wp.array[wp.vec3]
+    """The rest of what it reflects."""
+    passes: wp.array[wp.bool]
+    """Whether the shadow ray passes shadow-only sets."""
+
+
+@struct
+class SurfaceLight:
+    """What surfaces of one kind receive and reflect, one element a pixel, row by row."""
+
+    is_sampled: wp.array[wp.bool]
+    """Whether there is a sample in this frame; if not, the other fields are undefined."""
+    diffuse: wp.array[wp.vec3]
+    """Diffusely reflected radiance over the albedo, linear."""
+    glossy: wp.array[wp.vec3]
+    """Radiance reflected otherwise, linear."""
+
+
+@struct
+class BouncedRays:
+    """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
+
+    seen: wp.array[wp.vec3]
+    """Radiance of captures, and of what shines and is no light; linear."""
+    share: wp.array[float]
+    """Of the surface that the ray meets, in the radiance of the ray; 0: it meets none."""
+    sampled: wp.array[wp.vec3]
+    """Radiance that this surface reflects of a sampled light, unshadowed; linear."""
+    passes: wp.array[wp.bool]
+    """Whether the shadow ray passes shadow-only sets."""

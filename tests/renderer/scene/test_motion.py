@@ -1,0 +1,269 @@
+"""Where what a frame shows was in the frame before: against transforms in float64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from support.probes.probe_motion_kernels import probe_meshes, probe_pixels, probe_splats
+from support.scenes.raster_scenes import front_camera, octahedron, random_gaussians, similarity
+
+Doubles = npt.NDArray[np.float64]
+
+CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
+LAMP = ls.LightPoint((0.0, 0.0, 0.0))
+HERE = similarity((1.0, 2.0, 0.5), 1.1, 0.9, (-0.8, 0.1, 4.0))
+MOVES = {
+    "moved": similarity(offset=(0.3, -0.2, 0.1)) @ HERE,
+    "turned": similarity((0.3, 1.0, 0.2), 0.7) @ HERE,
+    "scaled": HERE @ similarity(scale=1.7),
+    "all three": similarity((0.0, 1.0, 0.0), 2.5, 1.4, (0.9, -0.2, 4.6)),
+}
+SHARES = np.array([[0.2, 0.3], [0.0, 0.0], [1.0, 0.0], [0.4, 0.6]])
+"""Barycentric weights of second and third corners."""
+
+
+class Sequence:
+    """A scene on the device, frame after frame."""
+
+    def __init__(self) -> None:
+        self.scene = DeviceScene(Launcher("cpu", threads=1), Buffers("cpu"), CONFIG)
+        self._meshes: list[ls.MeshInstance] = []
+
+    def show(self, *instances: ls.SplatInstance | ls.MeshInstance, camera: ls.Camera | None = None) -> None:
+        """The next frame."""
+        splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
+        self._meshes = [instance for instance in instances if isinstance(instance, ls.MeshInstance)]
+        scene = ls.Scene(splats, self._meshes, [LAMP])
+        self.scene.sync(scene, camera or front_camera(), FramePlan.of(CONFIG, scene))
+
+    def splats_before(self, number: int, points: Doubles, gaussian: int = 0) -> Doubles:
+        """Where points were that move with a Gaussian of a splat instance."""
+        scene, points_in, out = self.scene, vectors(points), vectors(np.zeros_like(points))
+        tables = scene.splat_instances, scene.gaussians, scene.motion.splats, out
+        wp.launch(probe_splats, len(points), [number, gaussian, points_in, *tables], device="cpu")
+        return out.numpy().astype(np.float64)
+
+    def mesh_before(self, number: int, face: int, shares: Doubles = SHARES) -> Doubles:
+        """Where points of a mesh instance were, by weights in a triangle of it."""
+        instance = self._meshes[number]
+        points = points_of(instance, face, shares)
+        distinct = {id(other.mesh): other.mesh for other in self._meshes}
+        counts = [mesh.face_count for mesh in distinct.values()]
+        first = sum(counts[: list(distinct).index(id(instance.mesh))])
+        weights = wp.array(shares.astype(np.float32), dtype=wp.vec2, device="cpu")
+        out = vectors(np.zeros_like(points))
+        tables = vectors(points), weights, self.scene.mesh_data, self.scene.motion.meshes, out
+        wp.launch(probe_meshes, len(points), [number, first + face, *tables], device="cpu")
+        return out.numpy().astype(np.float64)
+
+
+def vectors(values: Doubles) -> wp.array[wp.vec3]:
+    """On the device."""
+    return wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu")
+
+
+def moved(transform: Doubles, points: Doubles) -> Doubles:
+    """Points by a transform, shape (4, 4)."""
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def points_of(instance: ls.MeshInstance, face: int, shares: Doubles = SHARES) -> Doubles:
+    """Points of a triangle, world space."""
+    corners = np.asarray(instance.mesh.positions, np.float64)[instance.mesh.indices[face]]
+    local = (1.0 - shares.sum(axis=1, keepdims=True)) * corners[0] + shares @ corners[1:]
+    return moved(instance.transform, local)
+
+
+def close(found: Doubles, truth: Doubles) -> None:
+    """To what float32 leaves of places some units away."""
+    np.testing.assert_allclose(found, truth, rtol=0.0, atol=4e-6)
+
+
+def capture(seed: int = 0, count: int = 20) -> ls.Gaussians:
+    """Some Gaussians about the origin."""
+    return random_gaussians(seed, count=count, center=(0.0, 0.0, 0.0), extent=(0.5, 0.5, 0.5))
+
+
+def points_near(transform: Doubles, count: int = 16) -> Doubles:
+    """Random points about an instance, world space."""
+    return moved(transform, np.random.default_rng(5).uniform(-0.5, 0.5, (count, 3)))
+
+
+@pytest.mark.parametrize("move", MOVES)
+def test_instances_that_move(move: str) -> None:
+    """A point was where the transform of then puts what the transform of now has put here; one frame later, here."""
+    gaussians, mesh, now = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES[move]
+    sequence = Sequence()
+    sequence.show(ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE))
+    sequence.show(ls.SplatInstance(gaussians, now), ls.MeshInstance(mesh, now))
+    points = points_near(now)
+    truth = moved(HERE @ np.linalg.inv(now), points)
+    assert np.abs(truth - points).max() > 0.1
+    close(sequence.splats_before(0, points), truth)
+    close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
+    sequence.show(ls.SplatInstance(gaussians, now), ls.MeshInstance(mesh, now))
+    close(sequence.splats_before(0, points), points)
+
+
+def test_what_stands_still_is_where_it_was_to_the_last_bit() -> None:
+    """Whatever its transform: histories must not be resampled."""
+    gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
+    sequence = Sequence()
+    for _ in range(2):
+        # Transforms that are equal, but other arrays.
+        sequence.show(ls.SplatInstance(gaussians, HERE.copy()), ls.MeshInstance(mesh, HERE.copy()))
+    points = points_near(HERE).astype(np.float32).astype(np.float64)
+    np.testing.assert_array_equal(sequence.splats_before(0, points), points)
+    shown = points_of(ls.MeshInstance(mesh, HERE), 2).astype(np.float32)
+    np.testing.assert_array_equal(sequence.mesh_before(0, 2), shown)
+
+
+def test_gaussians_that_move_on_their_own() -> None:
+    """A point keeps its place in the frame of its Gaussian, while that and the instance move and turn."""
+    before, now = capture(1), MOVES["all three"]
+    rng = np.random.default_rng(3)
+    after = replace(before, means=before.means + rng.normal(0.0, 0.2, (20, 3)), rotations_wxyz=rng.normal(size=(20, 4)))
+    sequence = Sequence()
+    sequence.show(ls.SplatInstance(before, HERE))
+    sequence.show(ls.SplatInstance(after, now))
+    local = rng.normal(0.0, 0.1, (16, 3))
+    for gaussian in (0, 7, 19):
+        points = moved(now @ of_gaussian(after, gaussian), local)
+        truth = moved(HERE @ of_gaussian(before, gaussian), local)
+        close(sequence.splats_before(0, points, gaussian), truth)
+
+
+def of_gaussian(gaussians: ls.Gaussians, i: int) -> Doubles:
+    """Object from the frame of a Gaussian, shape (4, 4)."""
+    w, x, y, z = np.asarray(gaussians.rotations_wxyz[i], np.float64) / np.linalg.norm(gaussians.rotations_wxyz[i])
+    angle = 2.0 * np.arctan2(np.linalg.norm([x, y, z]), w)
+    return similarity((x, y, z), angle, offset=tuple(gaussians.means[i]))
+
+
+def bent(mesh: ls.Mesh, seed: int = 4) -> ls.Mesh:
+    """The same with its vertices moved at random."""
+    rng = np.random.default_rng(seed)
+    return replace(mesh, positions=mesh.positions + rng.normal(0.0, 0.1, mesh.positions.shape))
+
+
+def test_meshes_whose_vertices_move() -> None:
+    """Points keep their weights in their triangle; a mesh before it in the scene stays as it is."""
+    still, mesh = octahedron((0.0, 0.3, 0.0), 0.4), octahedron((0.1, 0.0, 0.0), 0.5)
+    now = MOVES["all three"]
+    sequence = Sequence()
+    sequence.show(ls.MeshInstance(still), ls.MeshInstance(mesh, HERE))
+    sequence.show(ls.MeshInstance(still), ls.MeshInstance(bent(mesh), now))
+    for face in (0, 5):
+        close(sequence.mesh_before(1, face), points_of(ls.MeshInstance(mesh, HERE), face))
+        close(sequence.mesh_before(0, face), points_of(ls.MeshInstance(still), face))
+
+
+def test_vertices_are_those_of_the_mesh_that_was_there() -> None:
+    """Or it was nowhere: here all meshes are alike, and there are as many, but others."""
+    mesh, other, last = (octahedron((x, 0.0, 0.0), 0.4) for x in (0.0, 0.5, 1.0))
+    both = bent(other)
+    sequence = Sequence()
+    sequence.show(*map(ls.MeshInstance, (mesh, mesh, other, last)))
+    sequence.show(*map(ls.MeshInstance, (mesh, bent(mesh), both, both)))
+    for number, old in enumerate((mesh, mesh, other, last)):
+        found = sequence.mesh_before(number, 1)
+        assert np.isnan(found).all() or np.abs(found - points_of(ls.MeshInstance(old), 1)).max() < 4e-6
+    assert not np.isnan(sequence.mesh_before(0, 1)).any()
+
+
+def test_what_is_new_was_nowhere() -> None:
+    """In the first frame all of it; later new instances alone, and what has taken another one's place."""
+    gaussians, mesh = capture(), octahedron((0.1, 0.0, 0.0), 0.5)
+    old = ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE)
+    points = points_near(HERE)
+    sequence = Sequence()
+    sequence.show(*old)
+    assert np.isnan(sequence.splats_before(0, points)).all() and np.isnan(sequence.mesh_before(0, 0)).all()
+    sequence.show(*old, ls.SplatInstance(gaussians), ls.MeshInstance(mesh))
+    close(sequence.splats_before(0, points), points)
+    assert np.isnan(sequence.splats_before(1, points)).all() and np.isnan(sequence.mesh_before(1, 0)).all()
+    # Assets of another size.
+    rest = ls.Mesh(mesh.positions, mesh.indices[:-1])
+    sequence.show(ls.SplatInstance(capture(2, 21), HERE), ls.MeshInstance(rest, HERE))
+    assert np.isnan(sequence.splats_before(0, points)).all() and np.isnan(sequence.mesh_before(0, 0)).all()
+    sequence.scene.motion.forget()
+    sequence.show(ls.SplatInstance(capture(2, 21), HERE))
+    assert np.isnan(sequence.splats_before(0, points)).all()
+
+
+def test_instances_of_one_asset_are_the_same_in_their_order() -> None:
+    """Two that have exchanged their places count as moved; an instance removed before them changes nothing."""
+    gaussians, mesh, there = capture(), octahedron((0.1, 0.0, 0.0), 0.5), MOVES["all three"]
+    sequence = Sequence()
+    sequence.show(ls.SplatInstance(gaussians, HERE), ls.SplatInstance(gaussians, there))
+    sequence.show(ls.SplatInstance(gaussians, there), ls.SplatInstance(gaussians, HERE))
+    points = points_near(HERE)
+    close(sequence.splats_before(1, points), moved(there @ np.linalg.inv(HERE), points))
+    first, second = ls.SplatInstance(capture(8)), ls.MeshInstance(octahedron((0.0, 0.0, 0.0), 0.3))
+    sequence.show(first, second, ls.SplatInstance(gaussians, HERE), ls.MeshInstance(mesh, HERE))
+    sequence.show(ls.SplatInstance(gaussians, there), ls.MeshInstance(mesh, there))
+    points = points_near(there)
+    close(sequence.splats_before(0, points), moved(HERE @ np.linalg.inv(there), points))
+    close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
+
+
+LIT = ls.Scene(
+    [ls.SplatInstance(capture(), HERE)],
+    [octahedron((0.1, 0.0, 0.0), 0.5), octahedron((0.9, 0.0, 0.0), 0.2, material=ls.MaterialPbr(emissive=(1, 1, 1)))],
+    [LAMP, ls.LightEnvironment(np.ones((4, 8, 3), np.float32))],
+)
+SAME = {
+    "nothing": LIT,
+    "equal lights": replace(LIT, lights=[ls.LightPoint((0.0, 0.0, 0.0)), LIT.lights[1]]),
+    "a mesh that moves": replace(LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, HERE), LIT.meshes[1]]),
+    "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians)]),
+}
+OTHER = {
+    "a lamp's place": replace(LIT, lights=[ls.LightPoint((0.0, 0.1, 0.0)), LIT.lights[1]]),
+    "a lamp's strength": replace(LIT, lights=[ls.LightPoint((0.0, 0.0, 0.0), intensity=0.0), LIT.lights[1]]),
+    "a lamp that is gone": replace(LIT, lights=LIT.lights[:1]),
+    "a sky": replace(LIT, lights=[LAMP, ls.LightEnvironment(np.zeros((4, 8, 3), np.float32))]),
+    "what shines": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(LIT.meshes[1].mesh, HERE)]),
+    "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
+    "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
+}
+
+
+@pytest.mark.parametrize("change", SAME | OTHER)
+def test_what_light_comes_from_is_compared(change: str) -> None:
+    """Lights, what shines, materials and what there is; not where things are that only reflect."""
+    motion = Sequence().scene.motion
+    for number, scene in enumerate((LIT, (SAME | OTHER)[change])):
+        motion.sync(scene, front_camera(), wp.zeros(0, dtype=wp.vec3, device="cpu"))
+        assert motion.has_new_light == (number == 1 and change in OTHER)
+
+
+def test_pixels_are_those_of_the_camera_before() -> None:
+    """As it projects points itself, with the distance from its eye; what is behind it is nowhere."""
+    before = ls.Camera.look_at((0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9)
+    now = ls.Camera.look_at((0.5, 0.2, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0), width=70, height=50, fov_y=0.9)
+    sequence = Sequence()
+    sequence.show(ls.SplatInstance(capture()), camera=before)
+    sequence.show(ls.SplatInstance(capture()), camera=now)
+    points = np.random.default_rng(7).uniform((-1.0, -1.0, -3.0), (1.0, 1.0, 5.0), (200, 3))
+    out = vectors(np.zeros_like(points))
+    wp.launch(probe_pixels, len(points), [vectors(points), sequence.scene.motion.camera, out], device="cpu")
+    found, pose = out.numpy().astype(np.float64), before.camera_from_world
+    seen = moved(pose, points)
+    ahead = seen[:, 2] > before.near
+    assert 20 < ahead.sum() < 180
+    truth = seen[:, :2] / seen[:, 2:] * (before.fx, before.fy) + (before.cx, before.cy)
+    near = ahead & (seen[:, 2] > 0.2)
+    np.testing.assert_allclose(found[near, :2], truth[near], rtol=2e-6, atol=2e-4)
+    np.testing.assert_allclose(found[ahead, 2], np.linalg.norm(seen[ahead], axis=1), rtol=1e-6)
+    assert not found[~ahead].any()
