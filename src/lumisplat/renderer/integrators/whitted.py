@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 from lumisplat.config import RenderConfig
-from lumisplat.renderer.integrators.specular_waves import SpecularWaves
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
@@ -14,6 +13,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 

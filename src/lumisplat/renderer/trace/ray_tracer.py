@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from lumisplat.config import Pipeline, RenderConfig
+from lumisplat.config import RenderConfig
 from lumisplat.device.structs.rays import GaussianHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import bounces_light
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
 from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.path_gaussians import PathGaussians
@@ -27,7 +28,7 @@ class RayTracer:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher = launcher
         self._meshes = MeshTracer(launcher, buffers)
-        traces_paths = config.pipeline is Pipeline.PATH and config.lighting is not False
+        traces_paths = bounces_light(config) and config.lighting is not False
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def find_hits(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> PrimaryHits:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.integrators import specular_wave_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace import specular_wave_kernels as kernels
 from lumisplat.renderer.trace.ray_wave import Carried, RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
