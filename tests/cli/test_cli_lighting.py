@@ -16,6 +16,7 @@ from lumisplat.cli.options.lighting import LightOptions
 from lumisplat.cli.options.rays import RayOptions
 from lumisplat.cli.options.settings import changed_config
 from lumisplat.cli.options.unused import unused_options
+from lumisplat.cli.output.frame_source import WarmUp
 from lumisplat.constants import CREASE_ANGLE
 from lumisplat.io.images.exr import write_exr
 from support.files.cli_files import Workplace
@@ -383,6 +384,7 @@ def hints(options: type) -> dict[str, str]:
 CONFIG = ls.RenderConfig()
 DEFAULTS: dict[str, Any] = {
     "pipeline": CONFIG.pipeline,
+    "frames": WarmUp().frames,
     "crease_angle": 51.6,
     "background": "black" if CONFIG.background == (0.0, 0.0, 0.0) else CONFIG.background,
     "raster_strategy": CONFIG.raster.strategy,

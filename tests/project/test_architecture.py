@@ -30,6 +30,7 @@ LAYERS = (
     "device.material",
     "device.light",
     "device.path",
+    "device.gi",
     "device.film",
     "scene",
     "scene.sampling",
@@ -56,6 +57,8 @@ LAYERS = (
     "renderer.light",
     "renderer.film",
     "renderer.raster",
+    "renderer.gi",
+    "renderer.realtime",
     "renderer.integrators",
     "renderer",
     "relighting",
@@ -274,8 +277,8 @@ def test_public_code_is_documented() -> None:
 
 
 def test_files_stay_small() -> None:
-    """A file holds one idea in at most 400 lines; constants.py, the one place of all thresholds, in 800."""
-    limits = {path: 800 if path.name == "constants.py" else 400 for path in FILES}
+    """A file holds one idea in at most 400 lines; that of most thresholds in 800."""
+    limits = {path: 800 if path == PACKAGE / "constants" / "__init__.py" else 400 for path in FILES}
     assert not [path for path, limit in limits.items() if len(path.read_text().splitlines()) > limit]
 
 

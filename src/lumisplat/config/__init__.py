@@ -5,6 +5,7 @@ from __future__ import annotations
 from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.paths import PathConfig, PathPrimary
+from lumisplat.config.probes import ProbeConfig
 from lumisplat.config.raster import Antialiasing, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
     HitDistance,
@@ -15,6 +16,7 @@ from lumisplat.config.rays import (
     TraceConfig,
     TraceStrategy,
 )
+from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig
 from lumisplat.config.relighting import NormalEstimate, RelightConfig
 from lumisplat.config.render import AOVS, PATH_AOVS, PATH_PARTS, Pipeline, RenderConfig, Shadows, ToneMap
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
@@ -28,6 +30,7 @@ __all__ = [
     "AtlasLayout",
     "AvatarLightingConfig",
     "DeepShadowConfig",
+    "FilterConfig",
     "HitDistance",
     "LightEstimationConfig",
     "NormalEstimate",
@@ -35,8 +38,11 @@ __all__ = [
     "PathConfig",
     "PathPrimary",
     "Pipeline",
+    "ProbeConfig",
+    "RadianceCacheConfig",
     "RasterConfig",
     "RasterStrategy",
+    "RealtimeConfig",
     "ReceiverSampling",
     "RelightConfig",
     "RenderConfig",

@@ -19,6 +19,7 @@ from lumisplat.config.colors import display_color
 from lumisplat.config.paths import PathConfig
 from lumisplat.config.raster import RasterConfig
 from lumisplat.config.rays import ResponseConfig, ShadowConfig, TraceConfig
+from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.renamed import refuse_renamed
 from lumisplat.constants import SAMPLES_MAX
 from lumisplat.errors import ConfigError
@@ -35,6 +36,9 @@ class Pipeline(Enum):
     """Rasterised first; rays continue from there, for shadows, mirrors and glass."""
     PATH = "path"
     """Paths of light that bounces, in any direction and as often as ``max_bounces`` (docs/method/paths.md)."""
+    REALTIME = "realtime"
+    """A sequence of rasterised frames in which light bounces: each adds to what those before it have found
+    (docs/method/realtime.md)."""
 
 
 class Shadows(Enum):
@@ -80,7 +84,7 @@ class RenderConfig:
     Each group is read by the stage that it is named after and by no other. Which pipelines have that stage:
 
     ===============  =====================  ===========================  =================
-    group            ``RASTER``             ``HYBRID``                   ``TRACE``, ``PATH``
+    group            ``RASTER``             ``HYBRID``, ``REALTIME``     ``TRACE``, ``PATH``
     ===============  =====================  ===========================  =================
     ``raster``       all that is seen       what the camera sees first   not read
     ``trace``        not read               what mirrors and glass show  all that is seen
@@ -89,7 +93,8 @@ class RenderConfig:
     ===============  =====================  ===========================  =================
 
     ``path`` is read by ``PATH`` alone. Its paths meet relit Gaussians one at a time, whatever ``trace.strategy`` says,
-    and lights have the size that they have, whatever ``shadows`` says unless it is off.
+    and lights have the size that they have, whatever ``shadows`` says unless it is off. ``realtime`` is read by
+    ``REALTIME`` alone, whose frames have one sample a pixel.
 
     A choice may be given by its value, here and in all other settings: ``pipeline="hybrid"`` is
     ``pipeline=Pipeline.HYBRID``.
@@ -109,6 +114,8 @@ class RenderConfig:
     """Settings of the ray tracer."""
     path: PathConfig = field(default_factory=PathConfig)
     """Settings of paths."""
+    realtime: RealtimeConfig = field(default_factory=RealtimeConfig)
+    """Settings of frames in real time."""
     response: ResponseConfig = field(default_factory=ResponseConfig)
     """How Gaussians respond to rays of all kinds."""
     lighting: bool | None = None
@@ -153,8 +160,8 @@ class RenderConfig:
     """Of all random numbers, 0..2^32 - 1: the same seed gives the same image."""
     max_bounces: int | None = None
     """Reflections and refractions that a ray follows, 0..64, in the trace and hybrid pipelines, beyond which it sees
-    the background; in the path pipeline bounces of any kind, beyond which there is no light: 0 is direct light. None:
-    3, and 8 in the path pipeline."""
+    the background; in the path pipeline bounces of any kind, beyond which there is no light: 0 is direct light. In real
+    time those of reflections, and 0 is direct light, too. None: 3, and 8 in the path pipeline."""
 
     def __post_init__(self) -> None:
         take_enum(self, "pipeline", Pipeline)
@@ -163,6 +170,7 @@ class RenderConfig:
         check_kind("raster", self.raster, RasterConfig)
         check_kind("trace", self.trace, TraceConfig)
         check_kind("path", self.path, PathConfig)
+        check_kind("realtime", self.realtime, RealtimeConfig)
         check_kind("response", self.response, ResponseConfig)
         if self.lighting is not None:
             check_flag("lighting", self.lighting)

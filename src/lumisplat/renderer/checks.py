@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import Pipeline, RenderConfig, check_kind
+from lumisplat.config import PATH_AOVS, Pipeline, RenderConfig, check_kind
 from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
@@ -42,13 +42,35 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
     return config
 
 
+def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
+    """Raises ConfigError unless the pipeline has the images that its settings ask for."""
+    lacking: set[str] = {*PATH_AOVS}
+    others = "Pipeline.PATH does"
+    if plan.traces_paths:
+        lacking, others = {"reflection"}, "Pipeline.HYBRID does"
+    if plan.has_history:
+        lacking = {"bounces", "lights", "reflection", "sample_count", "variance"}
+        others = "Pipeline.PATH or Pipeline.HYBRID does"
+    if missing := plan.aovs & lacking:
+        names = ", ".join(sorted(missing))
+        raise ConfigError(f"Pipeline.{config.pipeline.name} has no {names} among its aovs: {others}")
+
+
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
     """Raises ConfigError unless a frame can have the samples that its settings ask for."""
+    if config.pipeline is Pipeline.REALTIME:
+        given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
+        if given:
+            raise ConfigError(
+                f"Pipeline.REALTIME has one sample a pixel, not {' and '.join(given)}: render more frames instead"
+            )
+        if resume is not None:
+            raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: the renderer's next frame goes on")
     if config.adaptive and not may_adapt(config):
         if config.pipeline in (Pipeline.TRACE, Pipeline.PATH):
             raise ConfigError("RenderConfig.adaptive=True needs pixels with draws of their own: not shared_draws")
         raise ConfigError("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH or Pipeline.TRACE")
-    if "variance" in plan.aovs and plan.samples == 1 and resume is None:
+    if "variance" in plan.aovs and plan.samples == 1 and resume is None and not plan.has_history:
         raise ConfigError("aovs has variance, which takes two samples or more: samples is 1")
 
 

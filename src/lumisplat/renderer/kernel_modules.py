@@ -5,7 +5,13 @@ from __future__ import annotations
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import adaptive_kernels, film_kernels, lit_picture_kernels, picture_kernels
-from lumisplat.renderer.integrators import path_kernels, specular_wave_kernels
+from lumisplat.renderer.gi import (
+    radiance_cache_kernels,
+    radiance_cache_tiles_kernels,
+    screen_probe_kernels,
+    screen_probe_light_kernels,
+)
+from lumisplat.renderer.integrators import path_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
 from lumisplat.renderer.raster import (
     binning_kernels,
@@ -18,6 +24,15 @@ from lumisplat.renderer.raster import (
     splat_raster_kernels,
     splat_tile_kernels,
 )
+from lumisplat.renderer.realtime import (
+    a_trous_filter_kernels,
+    bounced_light_kernels,
+    gbuffer_kernels,
+    indirect_light_kernels,
+    mirror_kernels,
+    pixel_light_kernels,
+    temporal_filter_kernels,
+)
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow import incoherent_shadow_kernels, mesh_shadow_kernels, stochastic_bvh_kernels
 from lumisplat.renderer.shadow.shadow_rays import draws_of, shadow_kernel_of
@@ -25,6 +40,7 @@ from lumisplat.renderer.trace import (
     camera_ray_kernels,
     mesh_trace_kernels,
     path_gaussians_kernels,
+    specular_wave_kernels,
     stochastic_hit_kernels,
 )
 from lumisplat.renderer.trace.gaussian_trace import trace_kernel_of
@@ -45,7 +61,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.traces_paths:
         modules += [path_kernels, path_gaussians_kernels, ray_order_kernels, stochastic_hit_kernels]
         modules += [incoherent_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
-    elif plan.spawns_shadow_rays:
+    modules += realtime_modules() if plan.has_history else []
+    if plan.spawns_shadow_rays and (plan.has_history or not plan.traces_paths):
         modules += [direct_light_kernels]
     modules += [gaussian_bvh_kernels] if plan.follows_rays else []
     modules += [box_tree_kernels] if plan.follows_rays or (plan.is_sampled and plan.has_meshes) else []
@@ -53,8 +70,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [unshadowed_light_kernels]
     if plan.rasterises:
         modules += raster_modules(plan, launcher, config)
-    if plan.max_bounces and not plan.traces_paths:
-        modules += [specular_wave_kernels]
+    if plan.max_bounces and (plan.has_history or not plan.traces_paths):
+        modules += [specular_wave_kernels, *[mirror_kernels] * plan.has_history]
     if plan.is_sampled:
         modules += [camera_ray_kernels, film_kernels, *[adaptive_kernels] * plan.adapts]
     if plan.traces_rays:
@@ -62,6 +79,14 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if launcher.is_cuda:
         modules += [lit_picture_kernels if plan.is_lit else picture_kernels]
     return modules
+
+
+def realtime_modules() -> list[KernelModule]:
+    """The kernel modules of frames that have a history, but for those that other frames need as well."""
+    modules: list[KernelModule] = [bounced_light_kernels, pixel_light_kernels, gbuffer_kernels, indirect_light_kernels]
+    modules += [temporal_filter_kernels, a_trous_filter_kernels]
+    modules += [screen_probe_kernels, screen_probe_light_kernels]
+    return [*modules, radiance_cache_kernels, radiance_cache_tiles_kernels]
 
 
 def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from lumisplat.config import PATH_AOVS, Pipeline, RenderConfig
+from lumisplat.config import Pipeline, RenderConfig
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
@@ -17,6 +17,7 @@ from lumisplat.frame.frame_data import FrameStats
 from lumisplat.frame.redistorted import redistorted, undistorted_camera
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import (
+    check_aovs,
     check_resumable,
     check_resumed_scene,
     check_samples,
@@ -80,6 +81,8 @@ class Renderer:
         self._warnings = RasterWarnings()
         self._grain = GrainWarning()
         self._media = MediaWarning()
+        self._frame_number = 0
+        """Of the next frame, where each adds to what those before it have found."""
         self._loaded: set[int] = set()
         self._load(frame_modules(FramePlan.of(config, Scene()), launcher, config), progress)
 
@@ -96,7 +99,8 @@ class Renderer:
         Args:
             scene: What to draw. Assets of the last frame are not uploaded again. If a capture replaces another one with
                 as many Gaussians, the ray tracer refits the hierarchy instead of building a new one.
-            camera: From where.
+            camera: From where. A frame of ``Pipeline.REALTIME`` is the next one of a sequence: it keeps what earlier
+                ones have found of the light, whatever has moved since; ``reset`` forgets it.
             resume: A frame of samples of the same scene, view and settings, but for ``samples`` and ``time_limit``:
                 more are added to it, as if all had been rendered at once.
             progress: Called after each sample with a label and the fraction done, 0..1. The label has the number of
@@ -131,6 +135,12 @@ class Renderer:
         self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
+    def reset(self) -> None:
+        """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""
+        self._frame_number = 0
+        self._integrators.forget()
+        self._scene.motion.forget()
+
     def _sampled(
         self, plan: FramePlan, exposure: float, resume: Frame | None, progress: Progress | None
     ) -> tuple[dict[str, Any], BinningCounts, SampleBudget]:
@@ -141,11 +151,12 @@ class Renderer:
         is_estimated = plan.noise is not None or plan.time_limit is not None or progress is not None
         budget = SampleBudget(plan, first, partial(self._film.noise, exposure) if is_estimated else None)
         while not budget.is_spent:
-            self._draw_sample(plan, exposure, budget.done)
+            self._draw_sample(plan, exposure, self._frame_number if plan.has_history else budget.done)
             budget.add()
             if progress:
                 progress(budget.label, budget.fraction)
         budget.close()
+        self._frame_number += plan.has_history
         self._film.finish(self._scene)
         with self._launcher.stage("download"):
             images = self._film.images(exposure, self.config)
@@ -211,10 +222,7 @@ class Renderer:
         if resume is not None:
             check_resumable(resume, camera, self.config, plan)
             check_resumed_scene(resume, scene)
-        if missing := plan.aovs & ({"reflection"} if plan.traces_paths else {*PATH_AOVS}):
-            others = "Pipeline.HYBRID does" if plan.traces_paths else "Pipeline.PATH does"
-            names = ", ".join(sorted(missing))
-            raise ConfigError(f"Pipeline.{self.config.pipeline.name} has no {names} among its aovs: {others}")
+        check_aovs(self.config, plan)
         if plan.rasterises:
             refuse_lens(camera)
             self._warnings.warn_of_degree(scene)

@@ -16,7 +16,7 @@ from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
-from lumisplat.cli.output.frame_source import FrameSource
+from lumisplat.cli.output.frame_source import FrameSource, WarmUp
 from lumisplat.cli.output.frame_writer import FrameWriter, ViewName
 from lumisplat.cli.output.pictures import Shot, check_writable, make_folder, plan_shots
 from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
@@ -41,6 +41,9 @@ class Render(FrameCommand):
     scene.toml that is rendered, else one that shows all of the scene from the front."""
     frame: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME")] = ()
     """Render only this frame of the camera file."""
+    frames: Annotated[int | None, setting("N", "32")] = None
+    """Of --pipeline realtime: frames before each picture, in which light finds its way; along --path only before the
+    first."""
     fps: Annotated[float, arg(metavar="FPS")] = 24.0
     """Frames a second along --path."""
     format: Literal["auto", "png", "exr", "npz"] = "auto"
@@ -94,7 +97,7 @@ class Render(FrameCommand):
             for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
             shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-            frame = self._render(shots, self.frame_source(renderer), scene, writer, report)
+            frame = self._render(shots, self.frame_source(renderer, self._warm_up()), scene, writer, report)
         print(_summary(shots, frame))
         if writer.legend:
             print(writer.legend)
@@ -114,6 +117,18 @@ class Render(FrameCommand):
         if self.stats:
             print_stats(frame, source.renderer.config.pipeline)
         return frame
+
+    def _warm_up(self) -> WarmUp:
+        """How frames in real time come to a picture.
+
+        Raises:
+            ConfigError: --frames is below 1.
+        """
+        if self.frames is None:
+            return WarmUp(each=self.path is None)
+        if self.frames < 1:
+            raise ls.ConfigError(f"--frames is {self.frames}, expected 1 or more")
+        return WarmUp(frames=self.frames, each=self.path is None)
 
     def _changes(self) -> Changes:
         """The settings of this command's own options that were given."""

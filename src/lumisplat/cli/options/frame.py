@@ -17,7 +17,7 @@ from lumisplat.cli.options.lighting import LightGroup, LightOptions
 from lumisplat.cli.options.rays import PipelineName, RayGroup, RayOptions
 from lumisplat.cli.options.settings import Changes, changed_config, setting, without_none
 from lumisplat.cli.options.viewpoint import ViewpointGroup, ViewpointOptions
-from lumisplat.cli.output.frame_source import FrameSource
+from lumisplat.cli.output.frame_source import FrameSource, WarmUp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,10 @@ class FrameCommand(LoadingCommand, DeviceCommand):
     path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Move the camera smoothly through the cameras of this file: nerfstudio's camera_path.json, a scene.toml with
     camera keyframes, or any other camera file, one second from each camera to the next."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "raster")] = None
+    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path,realtime}", "raster")] = None
     """raster: fast. trace: rays, exact through Gaussians, with mirrors, glass and fisheye cameras. hybrid: rasterised,
     and rays from there on for mirrors, glass and shadows. path: light that bounces, and captures that light what
-    stands in them; grainy, --samples average it."""
+    stands in them; grainy, --samples average it. realtime: a sequence of rasterised frames in which light bounces."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Image width; alone, it keeps the camera's aspect ratio."""
     height: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
@@ -91,13 +91,17 @@ class FrameCommand(LoadingCommand, DeviceCommand):
         ls.Frame.check_denoiser()
         return replace(config, aovs=(*config.aovs, "albedo"))
 
-    def frame_source(self, renderer: ls.Renderer) -> FrameSource:
+    def frame_source(self, renderer: ls.Renderer, warm_up: WarmUp | None = None) -> FrameSource:
         """What renders the frames of the command.
+
+        Args:
+            renderer: Renders them.
+            warm_up: Of ``--pipeline realtime``; None: of a sequence.
 
         Raises:
             ConfigError: --focus is no pixel.
         """
-        return FrameSource(renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise)
+        return FrameSource(renderer, self.lens.aperture, self.lens.pixel(), self.light.denoise, warm_up or WarmUp())
 
     def _check_size(self) -> None:
         """Refuses sizes that no camera has, before files are loaded and named as the ones to blame."""

@@ -11,7 +11,7 @@ import lumisplat as ls
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.options.settings import Changes, setting, without_none
 
-PipelineName = Literal["raster", "trace", "hybrid", "path"]
+PipelineName = Literal["raster", "trace", "hybrid", "path", "realtime"]
 _ADAPTIVE = {"auto": None, "on": True, "off": False}
 StrategyName = Literal["sorted", "stochastic-hit", "stochastic-pass"]
 

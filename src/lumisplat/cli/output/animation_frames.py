@@ -62,6 +62,8 @@ class AnimationFrames:
                 # Remarks are about the lit scene, as actors may bring light into a scene without any.
                 for line in (*self._remarks(scene), *self._light_remarks()):
                     _log.warning("%s", line)
+            if done == 1 or index != indices[done - 2] + 1:
+                self._source.cut()
             with self._timed("rendering"):
                 frame = self._source.frame(scene, self._cameras[index], report)
             with self._timed("writing"):

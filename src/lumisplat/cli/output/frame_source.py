@@ -14,6 +14,20 @@ GRAIN = 0.1
 """Noise of a frame of paths above which a line says what helps: 5 % of the pixels are off by a tenth or more."""
 
 
+REALTIME_FRAMES = 32
+"""Frames of a sequence in real time, of which the last is the first one that is shown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WarmUp:
+    """How frames in real time come to a picture."""
+
+    frames: int = REALTIME_FRAMES
+    """Of the same view, before what they have found is good enough to be shown: that of the last one is."""
+    each: bool = False
+    """Before every picture, which are of different places; else before the first of a sequence only."""
+
+
 @dataclass
 class FrameSource:
     """Renders frames."""
@@ -25,6 +39,8 @@ class FrameSource:
     """Column and row of the pixel that is in focus; None: the camera's focus stays."""
     denoises: bool = False
     """Whether the light of lit frames is denoised."""
+    warm_up: WarmUp = field(default_factory=WarmUp)
+    _is_warm: bool = field(default=False, init=False)
     _has_warned: bool = field(default=False, init=False)
 
     def frame(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
@@ -38,12 +54,31 @@ class FrameSource:
         camera = camera if self.aperture is None else replace(camera, aperture=self.aperture)
         if self.focus is not None:
             camera = self._focused(scene, camera, *self.focus)
-        frame = self.renderer.render(scene, camera, progress=report)
+        frame = self._rendered(scene, camera, report)
         if self.denoises and frame.has("light"):
             return frame.denoised()
         if not self._has_warned and (line := grain_line(frame)):
             self._has_warned = True
             _log.warning("%s", line)
+        return frame
+
+    def cut(self) -> None:
+        """The next frame does not follow the last one."""
+        self._is_warm = False
+
+    def _rendered(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> ls.Frame:
+        """One frame; in real time the last of those that it takes."""
+        if self.renderer.config.pipeline is not ls.Pipeline.REALTIME:
+            return self.renderer.render(scene, camera, progress=report)
+        if self._is_warm and not self.warm_up.each:
+            return self.renderer.render(scene, camera)
+        self.renderer.reset()
+        for number in range(1, self.warm_up.frames):
+            self.renderer.render(scene, camera)
+            report(f"finding light, {counted(number, 'frame')}", number / self.warm_up.frames)
+        self._is_warm = True
+        frame = self.renderer.render(scene, camera)
+        report(f"finding light, {counted(self.warm_up.frames, 'frame')}", 1.0)
         return frame
 
     def _focused(self, scene: ls.Scene, camera: ls.Camera, x: int, y: int) -> ls.Camera:

@@ -2,7 +2,17 @@
 
 import warp as wp
 
+from lumisplat.constants import LUMINANCE
+
 wp.set_module_options({"enable_backward": False})
+
+LUMINANCE_WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
+
+
+@wp.func
+def luminance(color: wp.vec3) -> float:
+    """Of a linear colour."""
+    return wp.dot(LUMINANCE_WEIGHTS, color)
 
 
 @wp.func

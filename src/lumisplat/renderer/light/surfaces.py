@@ -48,6 +48,7 @@ class Surfaces:
         *,
         carried: Carried | None = None,
         may_branch: bool,
+        on_paths: bool = True,
     ) -> RayWave:
         """A wave of rays, with its radiance before direct light and branches are added.
 
@@ -58,12 +59,13 @@ class Surfaces:
             number: How many specular bounces the rays have behind them.
             carried: What the rays bring along; None in the primary wave.
             may_branch: Whether smooth meshes reflect and refract rays that are worth tracing.
+            on_paths: Whether the rays are those of paths, in frames that trace paths.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:
                 self._unentered = self._buffers.get("wave.unentered", wp.int32, scene.mesh_instances.shape[0])
                 self._unentered.zero_()
-            wave = self._wave(plan, hits, number, carried or Carried(), may_branch)
+            wave = self._wave(plan, hits, number, carried or Carried(), may_branch=may_branch, on_paths=on_paths)
             self._launcher.run_banded(
                 kernels.shade_surfaces,
                 wave.count,
@@ -72,11 +74,13 @@ class Surfaces:
             )
         return wave
 
-    def _wave(self, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried, may_branch: bool) -> RayWave:
+    def _wave(
+        self, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried, *, may_branch: bool, on_paths: bool
+    ) -> RayWave:
         count, get = hits.count, self._buffers.get
         row = WaveData()
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
-        row.traces_paths = int(plan.traces_paths)
+        row.traces_paths = int(plan.traces_paths and on_paths)
         row.blends = int(not plan.draws_alpha)
         row.rays, row.meshes, row.gaussians = hits.rays, hits.meshes, hits.gaussians
         row.interactions = self._interactions(plan, count)

@@ -17,6 +17,7 @@ from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
+from lumisplat.renderer.scene.motion import Motion
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
@@ -49,6 +50,8 @@ class DeviceScene:
         self._mesh_bvh = MeshBvhScene(launcher)
         self.bvh = BvhScene(launcher)
         """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
+        self.motion = Motion(buffers, launcher.device)
+        """Where all was in the frame before; synced if the plan of the frame asks for it."""
         self.assets: list[SplatAsset] = []
         """The distinct Gaussian sets."""
         self.gaussians: DeviceArray
@@ -99,6 +102,11 @@ class DeviceScene:
         return self._shading.data
 
     @property
+    def has_emitters(self) -> bool:
+        """Whether some triangles shine, and are sampled as lights."""
+        return self._shading.has_emitters
+
+    @property
     def lights(self) -> ShadingTables:
         """The lights of the scene, and their names."""
         return self._shading
@@ -132,6 +140,8 @@ class DeviceScene:
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)
+            if plan.has_history:
+                self.motion.sync(scene, camera, self.mesh_data.positions)
             assign_table(self.camera, camera_table(camera, CENTER))
             if plan.is_sampled:
                 self._shading.sync(

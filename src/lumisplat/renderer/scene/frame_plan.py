@@ -133,6 +133,8 @@ class FramePlan:
     """Further images of the frame."""
     for_camera: bool
     """Rays are those of a camera's pixels, which see a background."""
+    has_history: bool
+    """Each frame adds to what those before it have found."""
 
     @property
     def has_path_layers(self) -> bool:
@@ -142,10 +144,12 @@ class FramePlan:
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of a frame of a scene."""
-        is_path = config.pipeline is Pipeline.PATH
+        is_path = bounces_light(config)
+        traces_all = config.pipeline is Pipeline.PATH
+        is_realtime = config.pipeline is Pipeline.REALTIME
         is_lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
         traces_paths = is_path and is_lit
-        rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
+        rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
         only_rasterises = config.pipeline is Pipeline.RASTER
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
@@ -157,7 +161,7 @@ class FramePlan:
         aovs = frozenset(config.aovs) if is_lit else UNLIT_AOVS & frozenset(config.aovs)
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
-        has_unshadowed = is_lit and not is_path and reflects and not all_cast
+        has_unshadowed = is_lit and not traces_all and reflects and not all_cast
         grain = random_light(config, scene) if not is_path and (has_unshadowed or casts_shadows) else ()
         follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
         has_lobes = config.glossy_reflections and follows and is_lit and reflects
@@ -165,7 +169,7 @@ class FramePlan:
         has_media = not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes)
         draws_alpha = traces_paths or only_rasterises
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
-        samples_wanted = SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
+        samples_wanted = 1 if is_realtime else SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
         samples_wanted = max(samples_wanted, SAMPLES_OF_RANDOM_LIGHT if is_dithered else 1)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
         is_open = config.time_limit is not None or config.noise is not None
@@ -184,11 +188,11 @@ class FramePlan:
             time_limit=config.time_limit,
             noise=config.noise,
             adapts=may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive),
-            jitters=config.jitter and (is_open or config.samples is not None or not keeps),
+            jitters=config.jitter and not is_realtime and (is_open or config.samples is not None or not keeps),
             samples_wanted=samples_wanted,
             grain=grain,
             has_lobes=has_lobes,
-            max_bounces=bounces_of(config, traces_paths=traces_paths, has_mirrors=has_mirrors, has_lobes=has_lobes),
+            max_bounces=bounces_of(config, is_lit=is_lit, has_mirrors=has_mirrors, has_lobes=has_lobes),
             has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             has_media=has_media,
@@ -198,12 +202,13 @@ class FramePlan:
             draws_alpha=draws_alpha,
             keeps_captures=keeps,
             relights=relights,
-            mixes_sets=is_lit and keeps and relights and not (is_path and config.path.primary is PathPrimary.PARTICLE),
-            has_shadow_only=is_lit and not is_path and any(instance.shadow_only for instance in scene.splats),
-            has_receivers=casts_shadows and traces_paths and adds_to_captures(scene),
+            mixes_sets=is_lit and keeps and relights and blends_first(config),
+            has_shadow_only=is_lit and not traces_all and any(instance.shadow_only for instance in scene.splats),
+            has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
             aovs=aovs,
             for_camera=True,
+            has_history=is_realtime and is_lit,
         )
 
     @classmethod
@@ -220,9 +225,19 @@ class FramePlan:
         return replace(plan, for_camera=False, has_headlight=has_headlight, has_receivers=False)
 
 
+def bounces_light(config: RenderConfig) -> bool:
+    """Whether light bounces in all directions."""
+    return config.pipeline in (Pipeline.PATH, Pipeline.REALTIME)
+
+
+def blends_first(config: RenderConfig) -> bool:
+    """Whether Gaussians on rays from the camera are blended, not met one at a time."""
+    return config.pipeline is not Pipeline.PATH or config.path.primary is PathPrimary.ISO
+
+
 def may_adapt(config: RenderConfig) -> bool:
     """Whether pixels may have different numbers of samples: rays find what they see, and each has its own chance."""
-    rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID)
+    rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
     shadows = config.shadow_rays
     return not rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
 
@@ -232,16 +247,15 @@ def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
     if config.shadows is Shadows.OFF:
         return False
     return any(light.enabled and light.casts_shadow for light in scene.lights) or (
-        config.pipeline is Pipeline.PATH and shines(scene)
+        bounces_light(config) and shines(scene)
     )
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
     """Whether rays of paths may show lights behind Gaussians that are blended, so that shadow rays say how much."""
-    if config.pipeline is not Pipeline.PATH or config.shadows is Shadows.OFF:
+    if not bounces_light(config) or config.shadows is Shadows.OFF:
         return False
-    blends = keeps_captures(scene) or config.path.primary is PathPrimary.ISO
-    return blends and any(map(is_visible, scene.lights))
+    return (keeps_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:
@@ -255,9 +269,9 @@ def is_visible(light: Light) -> bool:
     return isinstance(light, LightRect | LightSphere) and light.enabled and light.visible
 
 
-def bounces_of(config: RenderConfig, *, traces_paths: bool, has_mirrors: bool, has_lobes: bool) -> int:
-    """How often light bounces at most."""
-    if traces_paths:
+def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
+    """How often light bounces at most; in real time, by smooth surfaces."""
+    if config.pipeline is Pipeline.PATH and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
     if not has_mirrors or config.pipeline is Pipeline.RASTER:
         return int(has_lobes)

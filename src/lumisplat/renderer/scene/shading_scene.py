@@ -56,6 +56,11 @@ class ShadingTables:
         return self._table.names
 
     @property
+    def has_emitters(self) -> bool:
+        """Whether some triangles shine; in frames that trace paths."""
+        return len(self._emitters.data.ends) > 0
+
+    @property
     def graph_key(self) -> object:
         """What the passes of a frame depend on among its lights: which kernels run, and for which light."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]

@@ -1,0 +1,53 @@
+"""Which pixels of the frame before show the same surface (docs/method/realtime.md#reprojection)."""
+
+import warp as wp
+
+from lumisplat.constants.realtime import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import SurfacePixels
+
+wp.set_module_options({"enable_backward": False})
+
+SURFACE_PX = wp.constant(wp.float32(SAME_SURFACE_PX))
+NORMAL_MESH = wp.constant(wp.float32(SAME_NORMAL_MESH))
+NORMAL_SPLATS = wp.constant(wp.float32(SAME_NORMAL_SPLATS))
+
+
+@wp.func
+def least_cosine(extent: float) -> float:
+    """Between the normals of one surface; ``extent`` is above 0 for Gaussians."""
+    return wp.where(extent > 0.0, NORMAL_SPLATS, NORMAL_MESH)
+
+
+@wp.func
+def tolerance(distance: float, extent: float, camera: wp.array[CameraData]) -> float:
+    """How far points of one surface may be from each other's planes, scene units."""
+    return wp.max(SURFACE_PX * distance / camera[0].focal[0], extent)
+
+
+@wp.func
+def is_same_surface(
+    position: wp.vec3,
+    normal: wp.vec3,
+    tolerated: float,
+    cosine_min: float,
+    pixel: int,
+    surfaces: SurfacePixels,
+) -> bool:
+    """Whether a point with a normal is on the surface that a pixel shows.
+
+    Args:
+        position: The point, world space.
+        normal: Unit.
+        tolerated: Distance between each and the plane of the other, scene units.
+        cosine_min: Least cosine between the normals.
+        pixel: The pixel.
+        surfaces: Of its image.
+    """
+    if surfaces.share[pixel] <= 0.0:
+        return False
+    if wp.dot(normal, surfaces.normal[pixel]) < cosine_min:
+        return False
+    way = surfaces.position[pixel] - position
+    across = wp.max(wp.abs(wp.dot(way, normal)), wp.abs(wp.dot(way, surfaces.normal[pixel])))
+    return across <= tolerated

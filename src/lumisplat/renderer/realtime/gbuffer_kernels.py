@@ -1,0 +1,92 @@
+"""The surfaces that pixels show: what filters and probes read of the first wave (docs/method/realtime.md#surfaces)."""
+
+import warp as wp
+
+from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, highlight_width
+from lumisplat.device.gi.motion import mesh_before, splat_before
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.splat_surface import splat_surface
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import InstanceMotion, SurfacePixels
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options(SHADE_OPTIONS)
+
+
+@wp.func
+def store_surface(j: int, pixel: int, wave: wp.array[WaveData], out: SurfacePixels):
+    """Writes what both kinds of surfaces have, of interaction ``j``."""
+    out.share[pixel] = wave[0].interactions.weight[j]
+    out.position[pixel] = wave[0].interactions.position[j]
+    out.normal[pixel] = wave[0].interactions.normal[j]
+    interaction = load_interaction(j, wave)
+    cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
+    out.albedo[pixel] = diffuse_albedo(interaction.bsdf, cosine)
+    out.glossy_albedo[pixel] = glossy_albedo(interaction.bsdf, cosine)
+    out.alpha[pixel] = highlight_width(interaction.bsdf)
+
+
+@wp.kernel
+def store_splat_surfaces(
+    start: int,
+    camera: wp.array[CameraData],
+    scene: wp.array[ShadingScene],
+    assets: wp.array[GaussianData],
+    motions: wp.array[InstanceMotion],
+    wave: wp.array[WaveData],
+    surfaces_out: SurfacePixels,
+):
+    """Item = ray: the surface of the Gaussians in its pixel."""
+    i = start + wp.tid()
+    at = pixel_of_ray(camera[0].width, i)
+    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+        return
+    pixel = at[1] * camera[0].width + at[0]
+    surfaces_out.share[pixel] = 0.0
+    if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[i]) or wave[0].interactions.shadow_only[i]:
+        return
+    surface = splat_surface(i, True, scene, wave)
+    store_surface(i, pixel, wave, surfaces_out)
+    position = wave[0].interactions.position[i]
+    surfaces_out.distance[pixel] = wp.length(position - camera[0].eye)
+    asset = scene[0].splats[surface.instance].asset
+    largest = wp.max(scene[0].attributes[asset].scales[surface.gaussian])
+    surfaces_out.extent[pixel] = scene[0].splats[surface.instance].scale * largest
+    surfaces_out.previous[pixel] = splat_before(
+        position, surface.instance, surface.gaussian, scene[0].splats, assets, motions
+    )
+
+
+@wp.kernel
+def store_mesh_surfaces(
+    start: int,
+    camera: wp.array[CameraData],
+    scene: wp.array[ShadingScene],
+    motions: wp.array[InstanceMotion],
+    wave: wp.array[WaveData],
+    surfaces_out: SurfacePixels,
+):
+    """Item = ray: the surface of the mesh in its pixel."""
+    i = start + wp.tid()
+    at = pixel_of_ray(camera[0].width, i)
+    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+        return
+    pixel = at[1] * camera[0].width + at[0]
+    surfaces_out.share[pixel] = 0.0
+    j = wave[0].rays.is_active.shape[0] + i
+    if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[j]):
+        return
+    store_surface(j, pixel, wave, surfaces_out)
+    position = wave[0].interactions.position[j]
+    surfaces_out.distance[pixel] = wp.length(position - camera[0].eye)
+    surfaces_out.extent[pixel] = 0.0
+    surfaces_out.previous[pixel] = mesh_before(
+        position,
+        wave[0].meshes.instance[i],
+        wave[0].meshes.face[i],
+        wave[0].meshes.weights[i],
+        scene[0].meshes,
+        motions,
+    )

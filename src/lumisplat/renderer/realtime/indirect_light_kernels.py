@@ -1,0 +1,124 @@
+"""Between the surfaces that pixels show, screen probes and the radiance cache (docs/method/realtime.md)."""
+
+import warp as wp
+
+from lumisplat.constants.realtime import RAY_LIFT
+from lumisplat.device.gi.screen_probes import gathered_light
+from lumisplat.device.material.bsdf import facet_mirrored
+from lumisplat.device.material.ggx import ALPHA_GGX_MIN
+from lumisplat.device.math.color import is_black
+from lumisplat.device.math.directions import INV_PI, around
+from lumisplat.device.math.random import branch_key, pixel_key_of, sobol_2d
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import SurfaceLight, SurfacePixels
+from lumisplat.device.structs.radiance_cache import CachePoints
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.screen_probes import ProbeData, ProbeGrid, ProbeLight
+
+wp.set_module_options({"enable_backward": False})
+
+LIFT = wp.constant(wp.float32(RAY_LIFT))
+GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
+"""Mixed into the seed: other numbers than those of other look-ups."""
+
+
+@wp.kernel
+def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, shown_out: SurfacePixels):
+    """Item = pixel: the surface that is the most of it."""
+    pixel = start + wp.tid()
+    chosen = splats
+    if meshes.share[pixel] > splats.share[pixel]:
+        chosen = meshes
+    shown_out.share[pixel] = chosen.share[pixel]
+    shown_out.position[pixel] = chosen.position[pixel]
+    shown_out.normal[pixel] = chosen.normal[pixel]
+    shown_out.distance[pixel] = chosen.distance[pixel]
+    shown_out.extent[pixel] = chosen.extent[pixel]
+    shown_out.previous[pixel] = chosen.previous[pixel]
+
+
+@wp.kernel
+def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
+    """Item = ray: leaves a point of the cache, by the cosine of its normal.
+
+    Args:
+        start: First item.
+        offset: Scales of a Gaussian within which Gaussians do not block the ray.
+        points: Those of the cache.
+        rays_out: The rays; behind those of the points none is active.
+    """
+    i = start + wp.tid()
+    rays_out.is_active[i] = False
+    if i >= points.is_active.shape[0]:
+        return
+    if not points.is_active[i]:
+        return
+    key = points.key[i]
+    rays_out.is_active[i] = True
+    normal = points.normal[i]
+    position = points.position[i]
+    lift = LIFT * wp.max(wp.abs(position))
+    u = sobol_2d(branch_key(key, 0), 0)
+    rays_out.origin[i] = position + wp.where(points.extent[i] > 0.0, 0.0, lift) * normal
+    rays_out.direction[i] = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+    rays_out.t_min[i] = offset * points.extent[i]
+    rays_out.t_max[i] = wp.inf
+    rays_out.path_length[i] = 0.0
+    rays_out.spread[i] = 0.0
+    rays_out.sample_key[i] = key
+    rays_out.pixel_key[i] = key
+    rays_out.sample[i] = 0
+
+
+@wp.func
+def reflected_direction(pixel: int, key: wp.uint32, frame: int, view: wp.vec3, surfaces: SurfacePixels) -> wp.vec3:
+    """A direction from which the highlight of a pixel's surface reflects light, unit."""
+    normal = surfaces.normal[pixel]
+    alpha = wp.max(surfaces.alpha[pixel], ALPHA_GGX_MIN)
+    facet = facet_mirrored(normal, view, alpha, sobol_2d(key, frame))
+    direction = 2.0 * wp.dot(view, facet) * facet - view
+    if wp.dot(direction, normal) <= 0.0:
+        direction = 2.0 * wp.dot(view, normal) * normal - view
+    return direction
+
+
+@wp.kernel
+def receive_light(
+    start: int,
+    grids: wp.array[ProbeGrid],
+    camera: wp.array[CameraData],
+    surfaces: SurfacePixels,
+    probes: ProbeData,
+    adaptive_of: wp.array[int],
+    seen: ProbeLight,
+    irradiance: wp.array[wp.vec3],
+    light_out: SurfaceLight,
+):
+    """Item = pixel: what its surface reflects of what probes see.
+
+    Args:
+        start: First item.
+        grids: How the probes lie on the pixels.
+        camera: Of the frame.
+        surfaces: What the pixels show.
+        probes: The probes.
+        adaptive_of: Adaptive probes of tiles.
+        seen: What the probes see.
+        irradiance: Of the surfaces, by the probes.
+        light_out: Diffuse over the albedo, and glossy.
+    """
+    pixel = start + wp.tid()
+    light_out.is_sampled[pixel] = surfaces.share[pixel] > 0.0
+    light_out.diffuse[pixel] = INV_PI * irradiance[pixel]
+    light_out.glossy[pixel] = wp.vec3(0.0)
+    if surfaces.share[pixel] <= 0.0 or is_black(surfaces.glossy_albedo[pixel]):
+        return
+    view = wp.normalize(camera[0].eye - surfaces.position[pixel])
+    key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
+    direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
+    x = float(pixel % grids[0].width) + 0.5
+    y = float(pixel // grids[0].width) + 0.5
+    mirrored = gathered_light(
+        pixel, wp.vec2(x, y), direction, True, grids[0], camera[0], surfaces, probes, adaptive_of, seen
+    )
+    light_out.glossy[pixel] = wp.cw_mul(surfaces.glossy_albedo[pixel], mirrored.total)

@@ -1,0 +1,85 @@
+"""Host pass: light of surfaces without its noise, by means over frames and neighbours (Schied et al. 2017)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.config import FilterConfig
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.structs.gi import FilteredLight, LightHistory, SurfaceLight
+from lumisplat.renderer.realtime import a_trous_filter_kernels, temporal_filter_kernels
+from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.launcher import Kernel, Launcher
+
+
+class LightFilter:
+    """Filters the noisy light of the surfaces of one kind, frame by frame.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        name: Of the light; that of its history.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str) -> None:
+        self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
+        self._has_history = False
+
+    def forget(self) -> None:
+        """Drops the history."""
+        self._has_history = False
+
+    def filter(self, scene: DeviceScene, surfaces: Surfaces, light: SurfaceLight, frame: int) -> FilteredLight:
+        """The light without noise.
+
+        Args:
+            scene: With the camera, and that of the frame before.
+            surfaces: What the pixels show, of the kind that the light is of.
+            light: The samples of the frame.
+            frame: Its number.
+        """
+        with self._launcher.stage("accumulate"):
+            history = self._accumulate(scene, surfaces, light, frame)
+        with self._launcher.stage("filter"):
+            return self._smooth(scene, surfaces, history)
+
+    def _accumulate(self, scene: DeviceScene, surfaces: Surfaces, light: SurfaceLight, frame: int) -> LightHistory:
+        """Means over frames."""
+        before, now = self._history(scene, frame - 1), self._history(scene, frame)
+        if not self._has_history:
+            device_array(before.frames).zero_()
+        self._has_history = True
+        found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
+        inputs = surfaces.now, surfaces.before, scene.motion.camera, before, found
+        self._run(scene, temporal_filter_kernels.reproject, *inputs)
+        inputs = float(self._config.frames), surfaces.now, scene.camera, light, found, now
+        self._run(scene, temporal_filter_kernels.accumulate, *inputs)
+        return now
+
+    def _smooth(self, scene: DeviceScene, surfaces: Surfaces, history: LightHistory) -> FilteredLight:
+        """Means over neighbours, twice as far apart from pass to pass."""
+        light = FilteredLight()
+        light.diffuse, light.glossy = history.diffuse, history.glossy
+        light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))
+        self._run(scene, a_trous_filter_kernels.estimate_variance, surfaces.now, scene.camera, history, light.variance)
+        for number in range(self._config.passes):
+            is_last = number == self._config.passes - 1
+            name = f"{self._name}.filtered" if is_last else f"filter.pass{number % 2}"
+            filtered = self._buffers.struct(name, FilteredLight, len(history.frames))
+            inputs = self._config.radius, 2**number, surfaces.now, scene.camera, history.frames, light, filtered
+            self._run(scene, a_trous_filter_kernels.filter_pass, *inputs)
+            light = filtered
+        return light
+
+    def _run(self, scene: DeviceScene, kernel: Kernel, *inputs: object) -> None:
+        """An item a pixel."""
+        width, height = scene.image_size
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        self._launcher.run_banded(kernel, width * height, wp.vec2i(width, height), *inputs, bands=bands)
+
+    def _history(self, scene: DeviceScene, frame: int) -> LightHistory:
+        width, height = scene.image_size
+        return self._buffers.struct(f"{self._name}.history{frame % 2}", LightHistory, width * height)

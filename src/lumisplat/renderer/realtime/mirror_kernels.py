@@ -1,0 +1,122 @@
+"""Indirect light of what smooth surfaces show in real time (docs/method/realtime.md#mirrors)."""
+
+import warp as wp
+
+from lumisplat.device.gi.albedo import diffuse_albedo
+from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
+from lumisplat.device.light.shadow_ray import start_shadow_ray
+from lumisplat.device.math.color import is_black
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.path.sampled_light import sampled_light
+from lumisplat.device.path.steps import scattering_share
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.path import LightChoice
+from lumisplat.device.structs.radiance_cache import CacheSamples
+from lumisplat.device.structs.rays import RayData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options(SHADE_OPTIONS)
+
+EMITTER_BRANCH = wp.constant(8)
+"""Branch of a ray's key by which it samples triangles that shine."""
+
+
+@wp.kernel
+def list_surfaces(start: int, camera: wp.array[CameraData], wave: wp.array[WaveData], samples_out: CacheSamples):
+    """Item = interaction: its surface, as the cache is asked for it."""
+    j = start + wp.tid()
+    ray = j % wave[0].rays.is_active.shape[0]
+    exists = wave[0].rays.is_active[ray] and wave[0].interactions.exists[j]
+    samples_out.is_active[j] = exists
+    if not exists:
+        return
+    interaction = load_interaction(j, wave)
+    cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
+    samples_out.position[j] = interaction.position
+    samples_out.normal[j] = interaction.normal
+    samples_out.direction[j] = -interaction.wo
+    samples_out.distance[j] = wp.length(interaction.position - wave[0].rays.origin[ray])
+    samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
+    samples_out.albedo[j] = diffuse_albedo(interaction.bsdf, cosine)
+    samples_out.radiance[j] = wp.vec3(0.0)
+    samples_out.extent[j] = 0.0
+
+
+@wp.kernel
+def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
+    """Item = ray: adds indirect light of the surfaces that it meets.
+
+    Args:
+        start: First item.
+        indirect: What they reflect of it, one element an interaction.
+        wave_inout: Of the rays.
+    """
+    i = start + wp.tid()
+    count = wave_inout[0].rays.is_active.shape[0]
+    if not wave_inout[0].rays.is_active[i]:
+        return
+    for slot in range(2):
+        j = slot * count + i
+        if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
+            wave_inout[0].radiance.light[i] += wave_inout[0].interactions.weight[j] * indirect[j]
+
+
+@wp.kernel
+def sample_emitters(
+    start: int,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    contributions_out: wp.array[wp.vec3],
+    passes_out: wp.array[wp.bool],
+    rays_out: RayData,
+):
+    """Item = ray: unshadowed light of one point of the triangles that shine, at one of its surfaces; its shadow ray."""
+    i = start + wp.tid()
+    contributions_out[i] = wp.vec3(0.0)
+    passes_out[i] = False
+    rays_out.is_active[i] = False
+    if not wave[0].rays.is_active[i]:
+        return
+    count = wave[0].rays.is_active.shape[0]
+    of_splats = scattering_share(i, False, wave)
+    total = of_splats + scattering_share(count + i, False, wave)
+    if not (total > 0.0 and total < wp.inf):
+        return
+    key = branch_key(wave[0].rays.pixel_key[i], EMITTER_BRANCH)
+    sample = wave[0].rays.sample[i]
+    which = sobol_2d(branch_key(key, 0), sample)
+    j = wp.where(which[0] * total < of_splats, i, count + i)
+    chance = wp.where(j == i, of_splats, total - of_splats) / total
+    choice = LightChoice()
+    choice.number = scene[0].settings[0].light_count
+    choice.probability = chance
+    u = sobol_2d(branch_key(key, 1), sample)
+    light = sampled_light(choice, load_interaction(j, wave), u, which[1], False, scene)
+    contributions_out[i] = light.contribution.color
+    if is_black(light.contribution.color):
+        return
+    start_shadow_ray(i, j, choice.number, light.contribution, scene, wave, rays_out)
+    rays_out.pixel_key[i] = branch_key(key, 2)
+    rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], EMITTER_BRANCH)
+    rays_out.sample[i] = sample
+
+
+@wp.kernel
+def add_emitters(
+    start: int,
+    contributions: wp.array[wp.vec3],
+    rays: RayData,
+    visibility: wp.array[wp.vec3],
+    wave_inout: wp.array[WaveData],
+):
+    """Item = ray: adds what arrives of these."""
+    i = start + wp.tid()
+    if rays.is_active[i]:
+        wave_inout[0].radiance.light[i] += wp.cw_mul(contributions[i], visibility[i])
+
+
+@wp.kernel
+def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
+    """Item = ray: by how much more light it shows than before."""
+    i = start + wp.tid()
+    difference_out[i] = wave[0].radiance.light[i] - before[i]

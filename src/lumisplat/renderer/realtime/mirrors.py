@@ -1,0 +1,111 @@
+"""Host pass: what smooth surfaces reflect and refract in real time: as in hybrid frames, and with indirect light."""
+
+from __future__ import annotations
+
+import itertools
+
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.device.structs.radiance_cache import CacheSamples
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.gi.radiance_cache import RadianceCache
+from lumisplat.renderer.light.direct_light import DirectLight
+from lumisplat.renderer.light.surfaces import Surfaces
+from lumisplat.renderer.realtime import mirror_kernels as kernels
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.renderer.trace.specular_waves import SpecularWaves
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+
+
+class Mirrors:
+    """Follows the rays that smooth surfaces send on.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        tracer: Finds their hits.
+        shadows: Follows shadow rays; its sample has begun.
+        cache: Has indirect light.
+    """
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        config: RenderConfig,
+        *,
+        tracer: RayTracer,
+        shadows: ShadowRays,
+        cache: RadianceCache,
+    ) -> None:
+        self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
+        self._shadows, self._cache = shadows, cache
+        self._surfaces = Surfaces(launcher, buffers)
+        self._direct_light = DirectLight(launcher, buffers, config)
+        self._specular = SpecularWaves(launcher, buffers)
+
+    def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
+        """Adds what they show to the first wave; that alone, linear, one element a ray.
+
+        Args:
+            scene: The scene on the device.
+            plan: Plan of the frame.
+            first: The first wave, which may branch.
+            sample: Number of the frame.
+        """
+        shown = self._buffers.get("mirrors.shown", wp.vec3, first.count)
+        before = self._buffers.get("mirrors.before", wp.vec3, first.count)
+        before.assign(first.row.radiance.light)
+        self._direct_light.begin_sample(sample)
+        with self._launcher.stage("mirrors"):
+            waves = self._waves(scene, plan, first)
+            for near, far in reversed(list(itertools.pairwise(waves))):
+                self._specular.gather(scene, near, far)
+            self._launcher.run_banded(kernels.subtract, first.count, first.data, before, shown)
+        return shown
+
+    def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:
+        """The first wave, and those that branch off it."""
+        waves = [first]
+        for number in range(1, plan.max_bounces + 1):
+            self._specular.number(waves[-1])
+            capacity = self._specular.capacity(waves[-1])
+            if capacity == 0:
+                break
+            rays, carried = self._specular.spawn(scene, plan, waves[-1], capacity)
+            hits = self._tracer.find_hits(scene, rays, "wave")
+            may_branch = number < plan.max_bounces
+            wave = self._surfaces.shade(
+                scene, plan, hits, number, carried=carried, may_branch=may_branch, on_paths=False
+            )
+            self._direct_light.add(scene, plan, wave)
+            if scene.has_emitters and plan.casts_shadows:
+                self._add_emitters(scene, plan, wave)
+            self._add_cached(scene, wave)
+            waves.append(wave)
+        return waves
+
+    def _add_emitters(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Adds direct light of triangles that shine, which is none of the lights."""
+        count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
+        sampled, passes = get("mirrors.sampled", wp.vec3, count), get("mirrors.passes", wp.bool, count)
+        rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
+        run(kernels.sample_emitters, count, scene.shading, wave.data, sampled, passes, rays)
+        visibility = self._shadows.trace(
+            scene, rays, passes, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
+        )
+        run(kernels.add_emitters, count, sampled, rays, visibility, wave.data)
+
+    def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
+        """Adds the indirect light of what a wave meets."""
+        samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
+        self._launcher.run_banded(kernels.list_surfaces, 2 * wave.count, scene.camera, wave.data, samples)
+        indirect = self._cache.look_up_indirect(samples)
+        self._launcher.run_banded(kernels.add_cached, wave.count, indirect, wave.data)

@@ -1,0 +1,106 @@
+"""Host pass: direct light of the surfaces that pixels show, by one shadow ray a pixel."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight
+from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.light.direct_light import DirectLight
+from lumisplat.renderer.realtime import pixel_light_kernels as kernels
+from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+
+
+class PixelLights:
+    """Samples direct light.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        shadows: Follows shadow rays; its sample has begun.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays) -> None:
+        self._launcher, self._buffers, self._shadows = launcher, buffers, shadows
+        self._direct_light = DirectLight(launcher, buffers, config)
+
+    def sample(
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces]
+    ) -> list[SurfaceLight]:
+        """One sample of the light of each pixel, for one of its surfaces; those of each kind of surfaces.
+
+        Args:
+            scene: The scene on the device.
+            plan: Plan of the frame.
+            wave: The first wave.
+            surfaces: What its pixels show.
+        """
+        count, run = wave.count, self._launcher.run_banded
+        light = self._buffers.struct("pixel_light", PixelLight, count)
+        rays = self._buffers.struct("pixel_light.rays", RayData, count)
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        with self._launcher.stage("direct"):
+            inputs = not plan.casts_shadows, scene.shading, wave.data, light, rays
+            run(kernels.sample_lights, count, *inputs, bands=bands)
+        visibility = self._visibility(scene, plan, light, rays)
+        with self._launcher.stage("direct"):
+            return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
+
+    def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
+        """Writes what shadows leave of captures that are shadow-only; the wave's other interactions are gone then.
+
+        Args:
+            scene: The scene on the device.
+            plan: Plan of the frame.
+            wave: The first wave.
+            sample: Number of the frame.
+        """
+        self._launcher.run_banded(kernels.keep_shadow_only, 2 * wave.count, wave.data)
+        self._direct_light.begin_sample(sample)
+        self._direct_light.add(scene, plan, wave)
+
+    def add(
+        self,
+        scene: DeviceScene,
+        wave: RayWave,
+        kind: Surfaces,
+        light: FilteredLight,
+        layers: tuple[DeviceArray, DeviceArray],
+    ) -> None:
+        """Adds filtered light of one kind of surfaces to what rays see.
+
+        Args:
+            scene: The scene on the device.
+            wave: The first wave.
+            kind: The surfaces.
+            light: What they reflect.
+            layers: Diffuse and glossy, one element a ray; receive the same.
+        """
+        inputs = scene.camera, wave.data, kind.now, light, *layers
+        self._launcher.run_banded(kernels.add_surface_light, wave.count, *inputs)
+
+    def _visibility(self, scene: DeviceScene, plan: FramePlan, light: PixelLight, rays: RayData) -> DeviceArray:
+        if not plan.casts_shadows:
+            return self._buffers.get("pixel_light.visibility", wp.vec3, len(rays.t_max))
+        with self._launcher.stage("shadow"):
+            return self._shadows.trace(
+                scene, rays, light.passes, "pixel_light.visibility", of_splats=plan.splat_shadows
+            )
+
+    def _store(
+        self, scene: DeviceScene, kind: Surfaces, light: PixelLight, rays: RayData, visibility: DeviceArray
+    ) -> SurfaceLight:
+        width, height = scene.image_size
+        sampled = self._buffers.struct(f"surface_light.{kind.kind}", SurfaceLight, width * height)
+        inputs = kind.kind, scene.camera, light, rays, visibility, kind.now.albedo, sampled
+        self._launcher.run_banded(kernels.store_light, len(rays.t_max), *inputs)
+        return sampled

@@ -1,0 +1,106 @@
+"""Host pass: radiance of primary hits in a sequence of frames, in which light bounces (docs/method/realtime.md)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import warp as wp
+
+from lumisplat.config import PATH_PARTS, RenderConfig
+from lumisplat.renderer.light.light_images import LightImages
+from lumisplat.renderer.light.surfaces import Surfaces
+from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, GBuffer
+from lumisplat.renderer.realtime.indirect_light import IndirectLight
+from lumisplat.renderer.realtime.light_filter import LightFilter
+from lumisplat.renderer.realtime.mirrors import Mirrors
+from lumisplat.renderer.realtime.pixel_light import PixelLights
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+
+
+class RealtimeIntegrator:
+    """Computes the radiance of a camera's rays, frame after frame.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays, and what is kept from frame to frame.
+        config: Settings.
+        tracer: Finds the hits of the rays on which light bounces.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
+        self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
+        self._surfaces = Surfaces(launcher, buffers)
+        self._shadows = ShadowRays(launcher, buffers, config)
+        self._gbuffer = GBuffer(launcher, buffers)
+        self._lights = PixelLights(launcher, buffers, config, self._shadows)
+        self._indirect = IndirectLight(launcher, buffers, config, tracer, self._shadows)
+        self._mirrors = Mirrors(
+            launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
+        )
+        self._bounces = config.max_bounces != 0
+        settings = config.realtime.filter
+        frames = {"direct": settings.frames, "indirect": min(settings.frames, settings.indirect_frames)}
+        self._filters = {
+            (name, kind): LightFilter(launcher, buffers, replace(settings, frames=count), f"{name}{kind}")
+            for name, count in frames.items()
+            for kind in (SPLATS, MESHES)
+        }
+        self._size = (0, 0)
+        self._layers: dict[str, DeviceArray] = {}
+
+    def forget(self) -> None:
+        """Drops all that earlier frames have found."""
+        self._gbuffer.forget()
+        self._indirect.forget()
+        for light in self._filters.values():
+            light.forget()
+
+    def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
+        """The first wave, with the radiance of its rays.
+
+        Args:
+            scene: The scene on the device, synced.
+            plan: Plan of the frame.
+            hits: The rays, and what they hit.
+            sample: Number of the frame.
+        """
+        if scene.image_size != self._size:
+            self.forget()
+        self._size = scene.image_size
+        self._shadows.begin_sample(sample)
+        with self._launcher.stage("light"):
+            wave = self._surfaces.shade(scene, plan, hits, 0, may_branch=plan.max_bounces > 0, on_paths=False)
+            self._begin_layers(wave)
+            surfaces = self._gbuffer.store(scene, wave, sample)
+            direct = self._lights.sample(scene, plan, wave, surfaces)
+            if plan.max_bounces > 0:
+                self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
+            if plan.has_shadow_only and plan.casts_shadows:
+                self._lights.darken(scene, plan, wave, sample)
+            light = {"direct": direct}
+            if self._bounces:
+                light["indirect"] = self._indirect.find(scene, plan, surfaces, sample)
+            for name, samples in light.items():
+                layers = self._layers[f"{name}_diffuse"], self._layers[f"{name}_glossy"]
+                for kind, noisy in zip(surfaces, samples, strict=True):
+                    filtered = self._filters[name, kind.kind].filter(scene, kind, noisy, sample)
+                    self._lights.add(scene, wave, kind, filtered, layers)
+        return wave
+
+    def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
+        """The layers of these hits that the frame asks for."""
+        return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
+
+    def _begin_layers(self, wave: RayWave) -> None:
+        """The layers, without light but for what surfaces emit."""
+        self._layers = {name: self._buffers.get(f"realtime.{name}", wp.vec3, wave.count) for name in PATH_PARTS}
+        for image in self._layers.values():
+            image.zero_()
+        self._layers["emission"].assign(wave.row.radiance.light)

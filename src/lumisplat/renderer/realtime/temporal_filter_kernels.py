@@ -1,0 +1,218 @@
+"""Means over frames of the light of surfaces (Schied et al. 2017; docs/method/realtime.md#filters)."""
+
+import warp as wp
+
+from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, STILL_PX, YOUNG_FRAMES
+from lumisplat.device.gi.motion import pixel_before
+from lumisplat.device.gi.reprojection import is_same_surface, least_cosine, tolerance
+from lumisplat.device.math.color import luminance
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import LightChange, LightHistory, PixelHistory, SurfaceLight, SurfacePixels
+
+wp.set_module_options({"enable_backward": False})
+
+SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
+LEAST = wp.constant(wp.float32(CHANGE_LEAST))
+YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
+MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
+STILL = wp.constant(wp.float32(STILL_PX))
+
+
+@wp.func
+def with_tap(history: PixelHistory, weight: float, pixel: int, image: LightHistory) -> PixelHistory:
+    """A history with that of one more pixel, weighted."""
+    history.frames += weight * image.frames[pixel]
+    history.diffuse += weight * image.diffuse[pixel]
+    history.glossy += weight * image.glossy[pixel]
+    history.moments += weight * image.moments[pixel]
+    return history
+
+
+@wp.func
+def scaled(history: PixelHistory, factor: float) -> PixelHistory:
+    """A history times a factor."""
+    history.frames *= factor
+    history.diffuse *= factor
+    history.glossy *= factor
+    history.moments *= factor
+    return history
+
+
+@wp.func
+def unless_still(x: float) -> float:
+    """A coordinate in pixels; that of the pixel's centre, if it is there but for rounding."""
+    return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
+
+
+@wp.func
+def history_of(
+    pixel: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    before: SurfacePixels,
+    camera_before: wp.array[CameraData],
+    image: LightHistory,
+) -> PixelHistory:
+    """The history of the surface that a pixel shows: of those of the four pixels around where it was that showed it."""
+    history = PixelHistory()
+    position = surfaces.previous[pixel]
+    if wp.isnan(position[0]):
+        return history
+    at = pixel_before(position, camera_before)
+    if at[2] <= 0.0:
+        return history
+    x = unless_still(at[0] - 0.5)
+    y = unless_still(at[1] - 0.5)
+    left = int(wp.floor(x))
+    top = int(wp.floor(y))
+    extent = surfaces.extent[pixel]
+    tolerated = tolerance(at[2], extent, camera_before)
+    cosine_min = least_cosine(extent)
+    total = float(0.0)
+    for row in range(top, top + 2):
+        for column in range(left, left + 2):
+            weight = (1.0 - wp.abs(x - float(column))) * (1.0 - wp.abs(y - float(row)))
+            if weight > 0.0 and column >= 0 and column < size[0] and row >= 0 and row < size[1]:
+                tap = row * size[0] + column
+                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
+                if is_same and image.frames[tap] > 0.0:
+                    history = with_tap(history, weight, tap, image)
+                    total += weight
+    if total > 0.0:
+        history = scaled(history, 1.0 / total)
+    return history
+
+
+@wp.func
+def with_sample(history: PixelHistory, diffuse: wp.vec3, glossy: wp.vec3, frames_max: float) -> PixelHistory:
+    """A history with the sample of one more frame."""
+    count = history.frames + 1.0
+    bright = wp.vec2(luminance(diffuse), luminance(glossy))
+    moments = wp.vec4(bright[0], bright[0] * bright[0], bright[1], bright[1] * bright[1])
+    history.diffuse += (diffuse - history.diffuse) / count
+    history.glossy += (glossy - history.glossy) / count
+    history.moments += (moments - history.moments) / wp.min(count, MOMENTS)
+    history.frames = wp.min(count, frames_max)
+    return history
+
+
+@wp.kernel
+def reproject(
+    start: int,
+    size: wp.vec2i,
+    surfaces: SurfacePixels,
+    before: SurfacePixels,
+    camera_before: wp.array[CameraData],
+    history: LightHistory,
+    history_out: LightHistory,
+):
+    """Item = pixel: the history of its surface.
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        surfaces: What the pixels show.
+        before: What they showed in the frame before.
+        camera_before: The camera then.
+        history: That of the frame before.
+        history_out: Where its surfaces are now.
+    """
+    pixel = start + wp.tid()
+    own = PixelHistory()
+    if surfaces.share[pixel] > 0.0:
+        own = history_of(pixel, size, surfaces, before, camera_before, history)
+    history_out.frames[pixel] = own.frames
+    history_out.diffuse[pixel] = own.diffuse
+    history_out.glossy[pixel] = own.glossy
+    history_out.moments[pixel] = own.moments
+
+
+@wp.func
+def with_pixel(change: LightChange, sampled: float, expected: float, mean: float, square: float) -> LightChange:
+    """A change with that of one more pixel, by luminances and their moments."""
+    change.sampled += sampled
+    change.expected += expected
+    change.variance += wp.max(square - mean * mean, 0.0)
+    change.brighter += wp.where(sampled > expected, 1.0, 0.0)
+    change.count += 1.0
+    return change
+
+
+@wp.func
+def kept_share(change: LightChange) -> float:
+    """Share of its history that a pixel keeps: all of it unless the light around it has changed.
+
+    What becomes darker does so if the sum of the samples is too low for chance; what becomes brighter, if most samples
+    are brighter besides: a few may be so by chance, and by far.
+    """
+    difference = change.sampled - change.expected
+    if difference > 0.0 and change.brighter < 0.5 * change.count:
+        return 1.0
+    least = LEAST * change.expected
+    by_chance = SIGMAS * wp.sqrt(change.variance + least * least)
+    if wp.abs(difference) <= by_chance:
+        return 1.0
+    ratio = by_chance / wp.abs(difference)
+    return ratio * ratio * ratio * ratio
+
+
+@wp.kernel
+def accumulate(
+    start: int,
+    size: wp.vec2i,
+    frames_max: float,
+    surfaces: SurfacePixels,
+    camera: wp.array[CameraData],
+    light: SurfaceLight,
+    history: LightHistory,
+    history_out: LightHistory,
+):
+    """Item = pixel: adds its sample of this frame to its history, which is the shorter the more the light has changed.
+
+    Whether it has is told by the 5 x 5 pixels around (docs/method/realtime.md#filters).
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        frames_max: Frames after which old samples fade.
+        surfaces: What the pixels show.
+        camera: Of the frame.
+        light: The samples.
+        history: Of the surfaces that the pixels show.
+        history_out: With the samples.
+    """
+    pixel = start + wp.tid()
+    own = PixelHistory()
+    own.frames = history.frames[pixel]
+    own.diffuse = history.diffuse[pixel]
+    own.glossy = history.glossy[pixel]
+    own.moments = history.moments[pixel]
+    if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
+        if own.frames >= YOUNG:
+            x = pixel % size[0]
+            y = pixel // size[0]
+            extent = surfaces.extent[pixel]
+            tolerated = tolerance(surfaces.distance[pixel], extent, camera)
+            cosine_min = least_cosine(extent)
+            position = surfaces.position[pixel]
+            normal = surfaces.normal[pixel]
+            diffuse = LightChange()
+            glossy = LightChange()
+            for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
+                for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
+                    tap = row * size[0] + column
+                    if history.frames[tap] >= YOUNG and light.is_sampled[tap]:
+                        if is_same_surface(position, normal, tolerated, cosine_min, tap, surfaces):
+                            moments = history.moments[tap]
+                            found = luminance(light.diffuse[tap])
+                            held = luminance(history.diffuse[tap])
+                            diffuse = with_pixel(diffuse, found, held, moments[0], moments[1])
+                            found = luminance(light.glossy[tap])
+                            held = luminance(history.glossy[tap])
+                            glossy = with_pixel(glossy, found, held, moments[2], moments[3])
+            own.frames *= wp.min(kept_share(diffuse), kept_share(glossy))
+        own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
+    history_out.frames[pixel] = own.frames
+    history_out.diffuse[pixel] = own.diffuse
+    history_out.glossy[pixel] = own.glossy
+    history_out.moments[pixel] = own.moments

@@ -1,0 +1,115 @@
+"""Direct light of frames in real time: what is known in closed form, layers, and pixels with two surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.config import PATH_PARTS
+from lumisplat.scene.lights import Light
+from support.scenes.lit_scene import LAMPS, SKY, camera, scene
+from support.scenes.path_scenes import (
+    assert_is,
+    cube_without_ceiling,
+    diffuse,
+    irradiance,
+    paths,
+    quad,
+    wide_sheet,
+)
+
+DOWN = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=16, fov_y=0.02)
+FLOOR = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
+PANEL = 0.239456
+"""Form factor from a point to the unit square above it at the distance 1."""
+
+
+def sequence(scene: ls.Scene, camera: ls.Camera, frames: int, max_bounces: int, **changes: Any) -> Any:
+    """The last of some frames of one renderer."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=max_bounces)
+    renderer = ls.create_renderer(replace(config, **changes), device="cpu")
+    for _ in range(frames - 1):
+        renderer.render(scene, camera)
+    return renderer.render(scene, camera)
+
+
+def half_sky() -> ls.LightEnvironment:
+    """Radiance 1 from all directions with x > 0 or from those with x < 0."""
+    around = np.arange(64) < 32
+    return ls.LightEnvironment(np.broadcast_to(around[None, :, None], (32, 64, 3)).astype(np.float32))
+
+
+SHINING: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
+    "point": ([], [ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0)], 0.75),
+    "rect": ([], [ls.LightRect((0.0, 1.0, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)], np.pi * PANEL),
+    "mesh": ([quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))], [], np.pi * PANEL),
+    "sky": ([], [half_sky()], 0.5 * np.pi),
+    "two lamps": (
+        [],
+        [ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0), ls.LightPoint((0.0, 1.0, 0.0), intensity=0.2)],
+        0.95,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SHINING)
+def test_means_of_samples_are_what_is_known(name: str) -> None:
+    """Irradiance of a floor as the mean of 256 frames, without neighbours: its error is noise."""
+    meshes, lights, truth = SHINING[name]
+    settings = ls.RealtimeConfig(filter=ls.FilterConfig(frames=256, passes=0))
+    shown = ls.Scene(meshes=[FLOOR, *meshes], lights=lights)
+    assert_is(irradiance(sequence(shown, DOWN, 256, 0, realtime=settings), 0.5), truth)
+
+
+def test_layers_add_up_to_the_picture() -> None:
+    """The five of them, of which one has the captured colours; and they do not change it."""
+    lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
+    lit = scene(*LAMPS, SKY, lamp)
+    frame, plain = (sequence(lit, camera(), 3, 3, aovs=aovs) for aovs in (PATH_PARTS, ()))
+    np.testing.assert_array_equal(frame.color, plain.color)
+    parts = [getattr(frame, name).astype(np.float64) for name in PATH_PARTS]
+    assert all(part.any() for part in parts)
+    assert (frame.color - frame.light).max() > 0.1
+    np.testing.assert_allclose(np.maximum(sum(parts), 0.0), frame.color, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["point", "rect"])
+def test_two_surfaces_in_a_pixel(name: str) -> None:
+    """A relit sheet of opacity 0.6 before a coloured mesh: per channel the light of paths, to 1 %."""
+    lamps: dict[str, Light] = {
+        "point": ls.LightPoint((0.5, 0.0, -2.0), intensity=4.0),
+        "rect": ls.LightRect((0.0, 0.0, -1.5), (0.5, 0, 0), (0, 0.5, 0), intensity=6.0),
+    }
+    wall = quad((-3, -3, 1), (0, 6, 0), (6, 0, 0), replace(diffuse(0.5), base_color=(0.9, 0.5, 0.1)))
+    shown = ls.Scene([wide_sheet(0.0, 0.6, 0.4)], [wall], [lamps[name]])
+    front = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=24, height=16, fov_y=0.02)
+    settings = ls.RealtimeConfig(filter=ls.FilterConfig(frames=256, passes=0))
+    found = sequence(shown, front, 64, 0, realtime=settings).color.mean(axis=(0, 1), dtype=np.float64)
+    truth = paths(shown, front, 64, 0, path=ls.PathConfig(primary=ls.PathPrimary.ISO))
+    truth = truth.color.mean(axis=(0, 1), dtype=np.float64)
+    assert truth[0] > 1.15 * truth[2] > 0.0
+    np.testing.assert_allclose(found, truth, rtol=0.01)
+
+
+@pytest.mark.parametrize("lamp", ["point", "rect"])
+def test_a_lamp_that_goes_out(lamp: str) -> None:
+    """In a box whose walls reflect half: nine tenths of direct light are gone after 8 frames, of bounced after 24."""
+    lamps: dict[str, Any] = {
+        "point": ls.LightPoint((0.5, 0.8, 0.5), intensity=0.5),
+        "rect": ls.LightRect((0.5, 0.99, 0.5), (0.4, 0, 0), (0, 0, 0.4), intensity=4.0),
+    }
+    room = cube_without_ceiling(diffuse(0.5))
+    inside = ls.Camera.look_at((0.5, 0.6, 0.1), (0.5, 0.3, 1.0), width=48, height=32, fov_y=1.0)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=PATH_PARTS)
+    renderer = ls.create_renderer(config, device="cpu")
+    lit: Any = [renderer.render(ls.Scene(meshes=room, lights=[lamps[lamp]]), inside) for _ in range(32)][-1]
+    out = ls.Scene(meshes=room, lights=[replace(lamps[lamp], intensity=0.0)])
+    dark: list[Any] = [renderer.render(out, inside) for _ in range(24)]
+    for name, frames in (("direct_diffuse", 8), ("indirect_diffuse", 24)):
+        before, after = getattr(lit, name).mean(), getattr(dark[frames - 1], name).mean()
+        assert before > 0.01
+        assert after < 0.1 * before, f"{name}: {after / before}"

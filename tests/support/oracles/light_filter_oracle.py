@@ -1,0 +1,212 @@
+"""The filter of light of frames in real time, in float64, image by image (docs/method/realtime.md#filters)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants import LUMINANCE
+from lumisplat.constants import realtime as limits
+from support.scenes.gi_surfaces import Doubles, Seen
+
+Mask = npt.NDArray[np.bool_]
+Whole = npt.NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Light:
+    """Means of each pixel: diffuse and glossy light, shape (pixels, 2, 3)."""
+
+    frames: Doubles
+    """In the means, shape (pixels,)."""
+    light: Doubles
+    moments: Doubles
+    """Of luminances: mean and mean of squares, shape (pixels, 2, 2)."""
+
+
+def luminance(light: Doubles) -> Doubles:
+    """Of linear colours, shape (..., 3)."""
+    return np.asarray(light) @ np.array(LUMINANCE)
+
+
+def empty(count: int) -> Light:
+    """Without history."""
+    return Light(np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 2, 2)))
+
+
+def tolerance(seen: Seen, distance: Doubles) -> Doubles:
+    """How far points of one surface may be from each other's planes, scene units."""
+    return np.maximum(limits.SAME_SURFACE_PX * distance / seen.camera.fx, seen.extent)
+
+
+def least_cosine(seen: Seen) -> Doubles:
+    """Between normals of one surface."""
+    return np.where(seen.extent > 0.0, limits.SAME_NORMAL_SPLATS, limits.SAME_NORMAL_MESH)
+
+
+def is_same(seen: Seen, points: Doubles, tolerated: Doubles, image: Seen, taps: Whole) -> Mask:
+    """Whether points with the normals that pixels show are on the surfaces that other pixels of an image show."""
+    normals, way = image.normal[taps], image.position[taps] - points
+    cosine = (seen.normal * normals).sum(axis=1)
+    across = np.abs([(way * seen.normal).sum(axis=1), (way * normals).sum(axis=1)]).max(axis=0)
+    return (image.share[taps] > 0.0) & (cosine >= least_cosine(seen)) & (across <= tolerated)
+
+
+def neighbours(seen: Seen, radius: int, step: int = 1) -> Iterator[tuple[int, int, Whole, Mask]]:
+    """Offsets in rows and columns of steps, the pixels there, and whether they are in the image."""
+    width, height = seen.camera.width, seen.camera.height
+    y, x = np.divmod(np.arange(width * height), width)
+    for row in range(-radius, radius + 1):
+        for column in range(-radius, radius + 1):
+            at_x, at_y = x + step * column, y + step * row
+            inside = (at_x >= 0) & (at_x < width) & (at_y >= 0) & (at_y < height)
+            yield row, column, np.where(inside, at_y * width + at_x, 0), inside
+
+
+def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
+    """The history of the surfaces that pixels show, by bilinear weights of those pixels that showed them."""
+    camera, found = before.camera, empty(len(seen.share))
+    known = np.where(np.isnan(seen.previous), camera.eye, seen.previous)
+    way = known - camera.eye
+    local = way @ camera.camera_from_world[:3, :3].T
+    ahead = (seen.share > 0.0) & (local[:, 2] > camera.near)
+    depth = np.where(ahead, local[:, 2], 1.0)
+    x = camera.fx * local[:, 0] / depth + camera.cx - 0.5
+    y = camera.fy * local[:, 1] / depth + camera.cy - 0.5
+    x, y = (np.where(np.abs(u - np.round(u)) < limits.STILL_PX, np.round(u), u) for u in (x, y))
+    tolerated = np.maximum(limits.SAME_SURFACE_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
+    total = np.zeros(len(way))
+    for row in (0, 1):
+        for column in (0, 1):
+            at_x, at_y = np.floor(x) + column, np.floor(y) + row
+            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y))
+            inside = ahead & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
+            taps = np.where(inside, at_y * camera.width + at_x, 0).astype(np.int64)
+            counts = inside & is_same(seen, known, tolerated, before, taps) & (history.frames[taps] > 0.0)
+            weight = np.where(counts, weight, 0.0)
+            total += weight
+            found.frames += weight * history.frames[taps]
+            found.light += weight[:, None, None] * history.light[taps]
+            found.moments += weight[:, None, None] * history.moments[taps]
+    scale = 1.0 / np.where(total > 0.0, total, 1.0)
+    return Light(scale * found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
+
+
+def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
+    """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
+    found, expected = luminance(samples), luminance(history.light)
+    variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
+    old = sampled & (history.frames >= limits.YOUNG_FRAMES)
+    sums = np.zeros((5, len(old), 2))
+    for _, _, taps, inside in neighbours(seen, 2):
+        counts = inside & old[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+        values = found[taps], expected[taps], variance[taps], found[taps] > expected[taps], np.ones((len(old), 2))
+        sums += np.where(counts[:, None], values, 0.0)
+    sampled_sum, expected_sum, noise, brighter, count = sums
+    difference = sampled_sum - expected_sum
+    by_chance = limits.CHANGE_SIGMAS * np.sqrt(noise + (limits.CHANGE_LEAST * expected_sum) ** 2)
+    is_change = (np.abs(difference) > by_chance) & ((difference <= 0.0) | (brighter >= 0.5 * count))
+    ratio = by_chance / np.where(is_change, np.abs(difference), 1.0)
+    return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
+
+
+def accumulated(seen: Seen, history: Light, samples: Doubles, sampled: Mask, frames_max: int) -> Light:
+    """A history with the samples of one more frame."""
+    sampled = sampled & (seen.share > 0.0)
+    samples = np.where(sampled[:, None, None], samples, 0.0)
+    count = kept_shares(seen, history, samples, sampled) * history.frames + 1.0
+    bright = luminance(samples)
+    moments = np.stack([bright, bright * bright], axis=-1)
+    add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]
+    add_moments = np.where(sampled, 1.0 / np.minimum(count, limits.MOMENT_FRAMES), 0.0)[:, None, None]
+    return Light(
+        np.where(sampled, np.minimum(count, frames_max), history.frames),
+        history.light + add * (samples - history.light),
+        history.moments + add_moments * (moments - history.moments),
+    )
+
+
+def variances(seen: Seen, history: Light) -> Doubles:
+    """Of the mean over frames of each pixel, shape (pixels, 2); 0 where there is no history."""
+    young = history.frames < limits.YOUNG_FRAMES
+    each = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
+    moments, variance, count = np.zeros_like(history.moments), np.zeros_like(each), np.zeros(len(each))
+    for row, column, taps, inside in neighbours(seen, 3):
+        counts = inside & (young | (max(abs(row), abs(column)) <= 1)) & (history.frames[taps] > 0.0)
+        counts &= is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+        moments += np.where(counts[:, None, None], history.moments[taps], 0.0)
+        variance += np.where(counts[:, None], each[taps], 0.0)
+        count += counts
+    some = np.maximum(count, 1.0)
+    moments /= some[:, None, None]
+    around = some[:, None] * np.maximum(moments[..., 1] - moments[..., 0] ** 2, 0.0)
+    frames = np.where(history.frames > 0.0, history.frames, np.inf)
+    return np.where(young[:, None], around, variance) / (some * frames)[:, None]
+
+
+def falloff(x: Doubles | float) -> Doubles:
+    """About exp(-x^2 / 3), but 0 from 3 on."""
+    return np.maximum(1.0 - np.square(x) / 9.0, 0.0) ** 3
+
+
+def smoothed(
+    seen: Seen, frames: Doubles, light: Doubles, variance: Doubles, radius: int, step: int
+) -> tuple[Doubles, Doubles]:
+    """One pass: light and variances as means over neighbours some steps apart."""
+    own = np.repeat((frames > 0.0)[:, None] * 1.0, 2, axis=1)
+    bright = luminance(light)
+    per_bright = own / (limits.LUMINANCE_SIGMAS * np.sqrt(variance) + 1e-8)
+    shown = seen.share > 0.0
+    per_distance = 1.0 / np.where(shown, tolerance(seen, seen.distance), 1.0)
+    power = np.where(seen.extent > 0.0, 8, 64)
+    weights, sums, squares = own.copy(), own[..., None] * light, own * variance
+    for row, column, taps, inside in neighbours(seen, radius, step):
+        if row == column == 0:
+            continue
+        counts = inside & shown & (frames[taps] > 0.0)
+        cosine = np.where(counts, (seen.normal * seen.normal[taps]).sum(axis=1), 0.0)
+        across = per_distance * ((seen.position[taps] - seen.position) * seen.normal).sum(axis=1)
+        weight = counts * np.maximum(cosine, 0.0) ** power * falloff(np.where(counts, across, 3.0))
+        weight = np.where(weight <= limits.WEIGHT_LEAST, 0.0, weight)
+        weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
+        of_each = weight[:, None] * falloff(per_bright * (bright[taps] - bright))
+        weights += of_each
+        sums += of_each[..., None] * light[taps]
+        squares += of_each * of_each * variance[taps]
+    some = (weights > 0.0) & shown[:, None]
+    divisor = np.where(some, weights, 1.0)
+    return (
+        np.where(some[..., None], sums / divisor[..., None], light),
+        np.where(some, squares / divisor**2, variance),
+    )
+
+
+class Filter:
+    """The whole filter, frame after frame.
+
+    Args:
+        frames: Like the others of `FilterConfig`.
+        passes: Of each frame.
+        radius: Of each pass.
+    """
+
+    def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1) -> None:
+        self._frames, self._passes, self._radius = frames, passes, radius
+        self._before: Seen | None = None
+        self.history = empty(0)
+
+    def render(self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask) -> Doubles:
+        """The filtered light of the next frame, shape (pixels, 2, 3), of its samples."""
+        history = empty(len(sampled))
+        if self._before is not None:
+            history = reprojected(seen, self._before, self.history)
+        samples = np.stack([diffuse, glossy], axis=1)
+        self.history = accumulated(seen, history, samples, sampled, self._frames)
+        self._before = seen
+        light, variance = self.history.light, variances(seen, self.history)
+        for number in range(self._passes):
+            light, variance = smoothed(seen, self.history.frames, light, variance, self._radius, 2**number)
+        return light

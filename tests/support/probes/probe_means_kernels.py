@@ -1,0 +1,14 @@
+"""A kernel that calls the weight of means over frames, for its test."""
+
+import warp as wp
+
+from lumisplat.device.gi.means import mean_weight
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def probe_weights(counts: wp.array[float], histories: wp.array[float], weights_out: wp.array[float]):
+    """The weight of a mean of so many samples."""
+    i = wp.tid()
+    weights_out[i] = mean_weight(counts[i], histories[i])

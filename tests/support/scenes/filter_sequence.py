@@ -1,0 +1,82 @@
+"""Sequences of frames of the filter of light, whose surfaces and samples are given: no scene, no tracer."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+import lumisplat as ls
+from lumisplat.device.structs.gi import LightHistory, SurfaceLight, SurfacePixels
+from lumisplat.renderer.realtime.gbuffer import Surfaces
+from lumisplat.renderer.realtime.light_filter import LightFilter
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.launcher import Launcher
+from support.scenes.gi_surfaces import Doubles, Seen, camera_rows
+
+Mask = npt.NDArray[np.bool_]
+
+
+class FilterSequence:
+    """A filter, frame after frame.
+
+    Args:
+        threads: CPU threads.
+        parallel: Of `Launcher`.
+        **settings: Of `FilterConfig`.
+    """
+
+    def __init__(self, threads: int = 1, parallel: bool = False, **settings: int) -> None:
+        self._buffers = Buffers("cpu")
+        launcher = Launcher("cpu", threads=threads, parallel=parallel)
+        self.filter = LightFilter(launcher, self._buffers, ls.FilterConfig(**settings), "light")
+        self.frame = 0
+        self._seen: Seen | None = None
+        self._before: SurfacePixels | None = None
+
+    def render(
+        self, seen: Seen, diffuse: Doubles, glossy: Doubles | None = None, sampled: Mask | None = None
+    ) -> Doubles:
+        """The filtered light of the next frame, shape (pixels, 2, 3): diffuse, glossy.
+
+        Args:
+            seen: What the pixels show; ``previous`` is where that was in the last frame.
+            diffuse: Samples, shape (pixels, 3).
+            glossy: As many; None: half of the others.
+            sampled: Which pixels have a sample; None: all.
+        """
+        light = SurfaceLight()
+        samples = diffuse, 0.5 * diffuse if glossy is None else glossy
+        light.is_sampled = wp.array(np.ones(len(diffuse), bool) if sampled is None else sampled, dtype=wp.bool)
+        light.diffuse, light.glossy = (wp.array(x.astype(np.float32), dtype=wp.vec3) for x in samples)
+        before = self._seen or seen
+        now = seen.upload()
+        scene = SimpleNamespace(
+            camera=camera_rows(seen.camera),
+            motion=SimpleNamespace(camera=camera_rows(before.camera)),
+            image_size=(seen.camera.width, seen.camera.height),
+        )
+        surfaces = Surfaces(1, now, self._before or now)
+        found = self.filter.filter(cast(DeviceScene, scene), surfaces, light, self.frame)
+        self._seen, self._before = seen, now
+        self.frame += 1
+        return np.stack([values(found.diffuse), values(found.glossy)], axis=1)
+
+    def history(self) -> LightHistory:
+        """That of the last frame."""
+        assert self._before is not None
+        count = len(device_array(self._before.share))
+        return self._buffers.struct(f"light.history{(self.frame - 1) % 2}", LightHistory, count)
+
+    def ages(self) -> Doubles:
+        """Frames in the history of each pixel."""
+        return values(self.history().frames)
+
+
+def values(array: wp.array[Any]) -> Doubles:
+    """A copy of a device array."""
+    return device_array(array).numpy().astype(np.float64)
