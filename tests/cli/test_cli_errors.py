@@ -182,7 +182,7 @@ def test_output_that_cannot_be_written(work, output, named):
         (("render", "x.ply", "--kernel-degree", "two"), "--kernel-degree is 'two', expected a whole number"),
         (
             ("bench", "x.ply", "--pipeline", "rays"),
-            "argument '--pipeline'. Expected one of hybrid, path, raster, trace.",
+            "argument '--pipeline'. Expected one of hybrid, path, raster, realtime, trace.",
         ),
         (("render", "x.ply", "--shadows", "dark"), "argument '--shadows'. Expected one of hard, off, soft."),
         (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
