@@ -57,10 +57,16 @@ class Twins:
             self.missing += 1
             return now
         assert now.keys() == found.keys()
+        pixels = decided(now)
         for name, values in now.items():
             message = f"{name} of a stored twin is not what {compute.__module__} computes: {COMMAND}"
-            np.testing.assert_allclose(found[name], values, rtol=1e-5, atol=1e-6, err_msg=message)
+            np.testing.assert_allclose(found[name][pixels], values[pixels], rtol=1e-5, atol=1e-6, err_msg=message)
         return now
+
+
+def decided(result: Result) -> Any:
+    """The pixels of a result that are the same on every machine: at others its oracle leaves all room to rounding."""
+    return np.isfinite(result["slack"]) if "slack" in result else ...
 
 
 TWINS = Twins()
