@@ -60,6 +60,8 @@ def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -
     """Raises ConfigError unless a frame can have the samples that its settings ask for."""
     if config.pipeline is Pipeline.REALTIME:
         given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
+        if config.samples == 1:
+            given.remove("samples")
         if given:
             raise ConfigError(
                 f"Pipeline.REALTIME has one sample a pixel, not {' and '.join(given)}: render more frames instead"

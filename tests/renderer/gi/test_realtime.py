@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from support.compare.graph_launcher import GraphLauncher
 from support.scenes.light_scenes import box, matte
 from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
 
@@ -87,6 +91,17 @@ def test_threads_do_not_matter() -> None:
     one, two, five = (sequence(scene, 3, threads=threads)[1].color for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(one, five)
+
+
+@pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
+def test_schedules_do_not_matter(launcher: Callable[[], Launcher]) -> None:
+    """Frame by frame the same with the kernels of CUDA, replayed as graphs or not, but for what rounding does."""
+    scene, settings = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene, ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
+    direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
+    for _ in range(5):
+        error = np.abs(other.render(scene, VIEW).color - direct.render(scene, VIEW).color).max(axis=2)
+        assert error.mean() < 1e-4
+        assert (error > 1e-3).mean() < 0.01
 
 
 def test_reset_is_a_new_renderer() -> None:

@@ -12,7 +12,7 @@ from lumisplat.demo.shapes import sphere
 from lumisplat.math.color import decode_srgb
 from support.compare.ways import WAYS, renderer_of
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
-from support.scenes.pipelines import DIRECT
+from support.scenes.pipelines import DIRECT, SAMPLED
 from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaussians, similarity
 
 
@@ -53,7 +53,7 @@ def all_aovs() -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("shadows", list(ls.Shadows))
-@pytest.mark.parametrize("pipeline", list(ls.Pipeline))
+@pytest.mark.parametrize("pipeline", SAMPLED)
 def test_every_way_shows_the_same(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
     """The schedule of CUDA, its graphs and any number of threads; twice the same renderer."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
@@ -69,7 +69,7 @@ def test_every_way_shows_the_same(pipeline: ls.Pipeline, shadows: ls.Shadows) ->
 
 def test_samples_go_on_where_they_stopped() -> None:
     """2 + 3 samples are 5, in every image, for every pipeline."""
-    for pipeline in ls.Pipeline:
+    for pipeline in SAMPLED:
         settings = config(pipeline, shadows=ls.Shadows.SOFT, samples=5)
         at_once = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
         first = ls.render(scene(*LAMPS, SKY), camera(), replace(settings, samples=2), device="cpu")
