@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.constants import RAY_BLOCK_PX
+from lumisplat.device.structs.camera import CameraData
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,3 +26,12 @@ def ray_of_pixel(width: int, x: int, y: int) -> int:
     blocks_x = (width + BLOCK - 1) // BLOCK
     block = (y // BLOCK) * blocks_x + x // BLOCK
     return block * BLOCK_RAYS + (y % BLOCK) * BLOCK + x % BLOCK
+
+
+@wp.func
+def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
+    """Number of a ray's pixel, row by row; -1: it lies outside the image."""
+    at = pixel_of_ray(camera[0].width, ray)
+    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+        return -1
+    return at[1] * camera[0].width + at[0]

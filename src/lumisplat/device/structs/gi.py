@@ -115,8 +115,6 @@ class PixelLight:
     """Unshadowed radiance that the surface, as if it were all of the pixel, reflects diffusely; linear."""
     glossy: wp.array[wp.vec3]
     """The rest of what it reflects."""
-    passes: wp.array[wp.bool]
-    """Whether the shadow ray passes shadow-only sets."""
 
 
 @struct
@@ -141,5 +139,3 @@ class BouncedRays:
     """Of the surface that the ray meets, in the radiance of the ray; 0: it meets none."""
     sampled: wp.array[wp.vec3]
     """Radiance that this surface reflects of a sampled light, unshadowed; linear."""
-    passes: wp.array[wp.bool]
-    """Whether the shadow ray passes shadow-only sets."""

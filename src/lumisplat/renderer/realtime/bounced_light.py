@@ -68,7 +68,7 @@ class BouncedLight:
             visibility = bounced.sampled
             if plan.casts_shadows:
                 visibility = self._shadows.trace(
-                    scene, shadow_rays, bounced.passes, f"{name}.visibility", of_splats=plan.splat_shadows, part=True
+                    scene, shadow_rays, None, f"{name}.visibility", of_splats=plan.splat_shadows, part=True
                 )
             run(kernels.light_samples, count, bounced, shadow_rays, visibility, samples)
         return BouncedHits(bounced, samples)

@@ -3,32 +3,19 @@
 import warp as wp
 
 from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo
+from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.light_choice import casts_shadow, chosen_light, vertex_at
 from lumisplat.device.light.mesh_interaction import mesh_emission
-from lumisplat.device.light.shadow_ray import start_shadow_ray
-from lumisplat.device.math.color import captured_color, is_black
-from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.sampled_light import sampled_light
-from lumisplat.device.path.steps import scattering_share
+from lumisplat.device.math.color import captured_color
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import BouncedRays
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
+from lumisplat.device.structs.path import BRANCH_SPLATS
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Interaction, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
-
-# Branches of a ray's key.
-POINT_BRANCH = wp.constant(2)
-"""Which point of a light."""
-LIGHT_BRANCH = wp.constant(3)
-"""Which light, and which triangle of those that shine."""
-SHADOW_BRANCH = wp.constant(5)
-"""What blocks it."""
-SURFACE_BRANCH = wp.constant(7)
-"""Which surface of the ray."""
 
 
 @wp.func
@@ -83,25 +70,15 @@ def meet_surfaces(
     bounced_out.seen[i] = wp.vec3(0.0)
     bounced_out.share[i] = 0.0
     bounced_out.sampled[i] = wp.vec3(0.0)
-    bounced_out.passes[i] = False
     if not wave[0].rays.is_active[i]:
         return
     bounced_out.seen[i] = unsampled_light(i, scene, wave)
-    count = wave[0].rays.is_active.shape[0]
-    key = wave[0].rays.pixel_key[i]
-    sample = wave[0].rays.sample[i]
-    of_splats = scattering_share(i, False, wave)
-    total = of_splats + scattering_share(count + i, False, wave)
-    if not (total > 0.0 and total < wp.inf):
+    surface = lit_surface(i, wave)
+    if surface.kind < 0:
         return
-    slot = int(0)
-    chance = of_splats / total
-    if sobol_2d(branch_key(key, SURFACE_BRANCH), sample)[0] >= chance:
-        slot = 1
-        chance = 1.0 - chance
-    j = slot * count + i
+    j = surface.kind * wave[0].rays.is_active.shape[0] + i
     interaction = load_interaction(j, wave)
-    bounced_out.share[i] = interaction.weight / chance
+    bounced_out.share[i] = interaction.weight / surface.probability
     interaction = matte(interaction)
     samples_out.is_active[i] = True
     samples_out.position[i] = interaction.position
@@ -111,21 +88,9 @@ def meet_surfaces(
     samples_out.from_eye[i] = wp.length(interaction.position - camera[0].eye)
     samples_out.albedo[i] = interaction.bsdf.diffuse
     samples_out.extent[i] = 0.0
-    if slot == 0 and scene[0].settings[0].shadow_offset > 0.0:
+    if surface.kind == BRANCH_SPLATS and scene[0].settings[0].shadow_offset > 0.0:
         samples_out.extent[i] = wave[0].interactions.spawn_t_min[j] / scene[0].settings[0].shadow_offset
-    which = sobol_2d(branch_key(key, LIGHT_BRANCH), sample)
-    choice = chosen_light(which[0], vertex_at(interaction, scene), scene)
-    if choice.number < 0:
-        return
-    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
-    contribution = sampled_light(choice, interaction, u, which[1], False, scene).contribution
-    bounced_out.sampled[i] = contribution.color
-    if is_black(contribution.color) or no_shadows or not casts_shadow(choice.number, scene):
-        return
-    start_shadow_ray(i, j, choice.number, contribution, scene, wave, rays_out)
-    rays_out.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
-    rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
-    rays_out.sample[i] = sample
+    bounced_out.sampled[i] = sample_light_of(i, surface.kind, interaction, no_shadows, scene, wave, rays_out).color
 
 
 @wp.kernel

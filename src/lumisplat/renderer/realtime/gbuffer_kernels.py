@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.camera.ray_blocks import pixel_number
 from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, highlight_width
 from lumisplat.device.gi.motion import mesh_before, splat_before
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
@@ -40,10 +40,9 @@ def store_splat_surfaces(
 ):
     """Item = ray: the surface of the Gaussians in its pixel."""
     i = start + wp.tid()
-    at = pixel_of_ray(camera[0].width, i)
-    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
         return
-    pixel = at[1] * camera[0].width + at[0]
     surfaces_out.share[pixel] = 0.0
     if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[i]) or wave[0].interactions.shadow_only[i]:
         return
@@ -70,10 +69,9 @@ def store_mesh_surfaces(
 ):
     """Item = ray: the surface of the mesh in its pixel."""
     i = start + wp.tid()
-    at = pixel_of_ray(camera[0].width, i)
-    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
         return
-    pixel = at[1] * camera[0].width + at[0]
     surfaces_out.share[pixel] = 0.0
     j = wave[0].rays.is_active.shape[0] + i
     if not (wave[0].rays.is_active[i] and wave[0].interactions.exists[j]):

@@ -3,12 +3,8 @@
 import warp as wp
 
 from lumisplat.device.gi.albedo import diffuse_albedo
+from lumisplat.device.gi.light_sample import lit_surface, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.shadow_ray import start_shadow_ray
-from lumisplat.device.math.color import is_black
-from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.sampled_light import sampled_light
-from lumisplat.device.path.steps import scattering_share
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.path import LightChoice
 from lumisplat.device.structs.radiance_cache import CacheSamples
@@ -16,9 +12,6 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
-
-EMITTER_BRANCH = wp.constant(8)
-"""Branch of a ray's key by which it samples triangles that shine."""
 
 
 @wp.kernel
@@ -67,38 +60,23 @@ def sample_emitters(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     contributions_out: wp.array[wp.vec3],
-    passes_out: wp.array[wp.bool],
     rays_out: RayData,
 ):
     """Item = ray: unshadowed light of one point of the triangles that shine, at one of its surfaces; its shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
-    passes_out[i] = False
     rays_out.is_active[i] = False
     if not wave[0].rays.is_active[i]:
         return
-    count = wave[0].rays.is_active.shape[0]
-    of_splats = scattering_share(i, False, wave)
-    total = of_splats + scattering_share(count + i, False, wave)
-    if not (total > 0.0 and total < wp.inf):
+    surface = lit_surface(i, wave)
+    if surface.kind < 0:
         return
-    key = branch_key(wave[0].rays.pixel_key[i], EMITTER_BRANCH)
-    sample = wave[0].rays.sample[i]
-    which = sobol_2d(branch_key(key, 0), sample)
-    j = wp.where(which[0] * total < of_splats, i, count + i)
-    chance = wp.where(j == i, of_splats, total - of_splats) / total
     choice = LightChoice()
     choice.number = scene[0].settings[0].light_count
-    choice.probability = chance
-    u = sobol_2d(branch_key(key, 1), sample)
-    light = sampled_light(choice, load_interaction(j, wave), u, which[1], False, scene)
-    contributions_out[i] = light.contribution.color
-    if is_black(light.contribution.color):
-        return
-    start_shadow_ray(i, j, choice.number, light.contribution, scene, wave, rays_out)
-    rays_out.pixel_key[i] = branch_key(key, 2)
-    rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], EMITTER_BRANCH)
-    rays_out.sample[i] = sample
+    choice.probability = surface.probability
+    interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
+    contribution = sample_choice(i, surface.kind, choice, interaction, False, scene, wave, rays_out)
+    contributions_out[i] = contribution.color
 
 
 @wp.kernel

@@ -95,11 +95,11 @@ class Mirrors:
     def _add_emitters(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Adds direct light of triangles that shine, which is none of the lights."""
         count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
-        sampled, passes = get("mirrors.sampled", wp.vec3, count), get("mirrors.passes", wp.bool, count)
+        sampled = get("mirrors.sampled", wp.vec3, count)
         rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
-        run(kernels.sample_emitters, count, scene.shading, wave.data, sampled, passes, rays)
+        run(kernels.sample_emitters, count, scene.shading, wave.data, sampled, rays)
         visibility = self._shadows.trace(
-            scene, rays, passes, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
+            scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
         )
         run(kernels.add_emitters, count, sampled, rays, visibility, wave.data)
 

@@ -51,7 +51,7 @@ class PixelLights:
         with self._launcher.stage("direct"):
             inputs = not plan.casts_shadows, scene.shading, wave.data, light, rays
             run(kernels.sample_lights, count, *inputs, bands=bands)
-        visibility = self._visibility(scene, plan, light, rays)
+        visibility = self._visibility(scene, plan, rays)
         with self._launcher.stage("direct"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
@@ -88,13 +88,11 @@ class PixelLights:
         inputs = scene.camera, wave.data, kind.now, light, *layers
         self._launcher.run_banded(kernels.add_surface_light, wave.count, *inputs)
 
-    def _visibility(self, scene: DeviceScene, plan: FramePlan, light: PixelLight, rays: RayData) -> DeviceArray:
+    def _visibility(self, scene: DeviceScene, plan: FramePlan, rays: RayData) -> DeviceArray:
         if not plan.casts_shadows:
             return self._buffers.get("pixel_light.visibility", wp.vec3, len(rays.t_max))
         with self._launcher.stage("shadow"):
-            return self._shadows.trace(
-                scene, rays, light.passes, "pixel_light.visibility", of_splats=plan.splat_shadows
-            )
+            return self._shadows.trace(scene, rays, None, "pixel_light.visibility", of_splats=plan.splat_shadows)
 
     def _store(
         self, scene: DeviceScene, kind: Surfaces, light: PixelLight, rays: RayData, visibility: DeviceArray

@@ -3,15 +3,11 @@
 import warp as wp
 
 from lumisplat.constants.realtime import ALBEDO_MIN
-from lumisplat.device.camera.ray_blocks import pixel_of_ray
+from lumisplat.device.camera.ray_blocks import pixel_number
+from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
-from lumisplat.device.light.light_choice import casts_shadow, chosen_light, vertex_at
-from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
-from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.path.sampled_light import sampled_light
-from lumisplat.device.path.steps import scattering_share
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
@@ -20,26 +16,6 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 wp.set_module_options(SHADE_OPTIONS)
 
 LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
-
-# Branches of a ray's key.
-POINT_BRANCH = wp.constant(2)
-"""Which point of a light."""
-LIGHT_BRANCH = wp.constant(3)
-"""Which light, and which triangle of those that shine."""
-SHADOW_BRANCH = wp.constant(5)
-"""What blocks it."""
-SURFACE_BRANCH = wp.constant(7)
-"""Which surface of the pixel."""
-
-
-@wp.func
-def lit_slot(i: int, u: float, wave: wp.array[WaveData]) -> int:
-    """Which of the surfaces on ray ``i`` is lit in this frame, in proportion to what about each reflects; -1: none."""
-    of_splats = scattering_share(i, False, wave)
-    total = of_splats + scattering_share(wave[0].rays.is_active.shape[0] + i, False, wave)
-    if not (total > 0.0 and total < wp.inf):
-        return -1
-    return wp.where(u * total < of_splats, 0, 1)
 
 
 @wp.kernel
@@ -57,36 +33,21 @@ def sample_lights(
     light_out.slot[i] = -1
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
-    light_out.passes[i] = False
     if not wave[0].rays.is_active[i]:
         return
-    count = wave[0].rays.is_active.shape[0]
-    key = wave[0].rays.pixel_key[i]
-    sample = wave[0].rays.sample[i]
-    slot = lit_slot(i, sobol_2d(branch_key(key, SURFACE_BRANCH), sample)[0], wave)
+    slot = lit_surface(i, wave).kind
     light_out.slot[i] = slot
     if slot < 0:
         return
-    interaction = load_interaction(slot * count + i, wave)
+    interaction = load_interaction(slot * wave[0].rays.is_active.shape[0] + i, wave)
     interaction.weight = 1.0
-    which = sobol_2d(branch_key(key, LIGHT_BRANCH), sample)
-    choice = chosen_light(which[0], vertex_at(interaction, scene), scene)
-    if choice.number < 0:
-        return
-    u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
-    contribution = sampled_light(choice, interaction, u, which[1], False, scene).contribution
+    contribution = sample_light_of(i, slot, interaction, no_shadows, scene, wave, rays_out)
     if is_black(contribution.color):
         return
     share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)
     diffuse = wp.cw_mul(share, contribution.color)
     light_out.diffuse[i] = diffuse
     light_out.glossy[i] = contribution.color - diffuse
-    if no_shadows or not casts_shadow(choice.number, scene):
-        return
-    start_shadow_ray(i, slot * count + i, choice.number, contribution, scene, wave, rays_out)
-    rays_out.pixel_key[i] = branch_key(key, SHADOW_BRANCH)
-    rays_out.sample_key[i] = branch_key(wave[0].rays.sample_key[i], SHADOW_BRANCH)
-    rays_out.sample[i] = sample
 
 
 @wp.kernel
@@ -113,10 +74,9 @@ def store_light(
         light_out: Receives the samples.
     """
     i = start + wp.tid()
-    at = pixel_of_ray(camera[0].width, i)
-    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
         return
-    pixel = at[1] * camera[0].width + at[0]
     light_out.is_sampled[pixel] = light.slot[i] == slot
     if light.slot[i] != slot:
         return
@@ -161,10 +121,9 @@ def add_surface_light(
         glossy_inout: Layer.
     """
     i = start + wp.tid()
-    at = pixel_of_ray(camera[0].width, i)
-    if at[0] >= camera[0].width or at[1] >= camera[0].height:
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
         return
-    pixel = at[1] * camera[0].width + at[0]
     share = surfaces.share[pixel]
     if share <= 0.0:
         return

@@ -35,7 +35,7 @@ class RealtimeIntegrator:
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
-        self._launcher, self._buffers, self._tracer = launcher, buffers, tracer
+        self._launcher, self._buffers = launcher, buffers
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
         self._gbuffer = GBuffer(launcher, buffers)

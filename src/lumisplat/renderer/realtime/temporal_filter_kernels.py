@@ -39,7 +39,16 @@ def scaled(history: PixelHistory, factor: float) -> PixelHistory:
 
 
 @wp.func
-def unless_still(x: float) -> float:
+def store_history(pixel: int, own: PixelHistory, history: LightHistory):
+    """Writes the history of a pixel."""
+    history.frames[pixel] = own.frames
+    history.diffuse[pixel] = own.diffuse
+    history.glossy[pixel] = own.glossy
+    history.moments[pixel] = own.moments
+
+
+@wp.func
+def snapped(x: float) -> float:
     """A coordinate in pixels; that of the pixel's centre, if it is there but for rounding."""
     return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
 
@@ -61,8 +70,8 @@ def history_of(
     at = pixel_before(position, camera_before)
     if at[2] <= 0.0:
         return history
-    x = unless_still(at[0] - 0.5)
-    y = unless_still(at[1] - 0.5)
+    x = snapped(at[0] - 0.5)
+    y = snapped(at[1] - 0.5)
     left = int(wp.floor(x))
     top = int(wp.floor(y))
     extent = surfaces.extent[pixel]
@@ -121,10 +130,7 @@ def reproject(
     own = PixelHistory()
     if surfaces.share[pixel] > 0.0:
         own = history_of(pixel, size, surfaces, before, camera_before, history)
-    history_out.frames[pixel] = own.frames
-    history_out.diffuse[pixel] = own.diffuse
-    history_out.glossy[pixel] = own.glossy
-    history_out.moments[pixel] = own.moments
+    store_history(pixel, own, history_out)
 
 
 @wp.func
@@ -182,11 +188,7 @@ def accumulate(
         history_out: With the samples.
     """
     pixel = start + wp.tid()
-    own = PixelHistory()
-    own.frames = history.frames[pixel]
-    own.diffuse = history.diffuse[pixel]
-    own.glossy = history.glossy[pixel]
-    own.moments = history.moments[pixel]
+    own = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         if own.frames >= YOUNG:
             x = pixel % size[0]
@@ -212,7 +214,4 @@ def accumulate(
                             glossy = with_pixel(glossy, found, held, moments[2], moments[3])
             own.frames *= wp.min(kept_share(diffuse), kept_share(glossy))
         own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
-    history_out.frames[pixel] = own.frames
-    history_out.diffuse[pixel] = own.diffuse
-    history_out.glossy[pixel] = own.glossy
-    history_out.moments[pixel] = own.moments
+    store_history(pixel, own, history_out)

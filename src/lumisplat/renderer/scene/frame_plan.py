@@ -144,11 +144,11 @@ class FramePlan:
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
         """The plan of a frame of a scene."""
-        is_path = bounces_light(config)
-        traces_all = config.pipeline is Pipeline.PATH
+        bounces = bounces_light(config)
+        is_path = config.pipeline is Pipeline.PATH
         is_realtime = config.pipeline is Pipeline.REALTIME
-        is_lit = scene.is_lit_by_default or is_path if config.lighting is None else config.lighting
-        traces_paths = is_path and is_lit
+        is_lit = scene.is_lit_by_default or bounces if config.lighting is None else config.lighting
+        traces_paths = bounces and is_lit
         rasterises = config.pipeline in (Pipeline.RASTER, Pipeline.HYBRID, Pipeline.REALTIME)
         only_rasterises = config.pipeline is Pipeline.RASTER
         keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
@@ -161,8 +161,8 @@ class FramePlan:
         aovs = frozenset(config.aovs) if is_lit else UNLIT_AOVS & frozenset(config.aovs)
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
-        has_unshadowed = is_lit and not traces_all and reflects and not all_cast
-        grain = random_light(config, scene) if not is_path and (has_unshadowed or casts_shadows) else ()
+        has_unshadowed = is_lit and not is_path and reflects and not all_cast
+        grain = random_light(config, scene) if not bounces and (has_unshadowed or casts_shadows) else ()
         follows = config.pipeline in (Pipeline.TRACE, Pipeline.HYBRID) and config.max_bounces != 0
         has_lobes = config.glossy_reflections and follows and is_lit and reflects
         grain += (SURROUNDINGS,) * has_lobes
@@ -193,7 +193,7 @@ class FramePlan:
             grain=grain,
             has_lobes=has_lobes,
             max_bounces=bounces_of(config, is_lit=is_lit, has_mirrors=has_mirrors, has_lobes=has_lobes),
-            has_headlight=is_lit and not scene.lights and not (is_path and config.lighting is None and shines(scene)),
+            has_headlight=is_lit and not scene.lights and not (bounces and config.lighting is None and shines(scene)),
             has_meshes=bool(scene.meshes),
             has_media=has_media,
             absorbs=has_media and any(map(absorbs, scene.meshes)),
@@ -203,7 +203,7 @@ class FramePlan:
             keeps_captures=keeps,
             relights=relights,
             mixes_sets=is_lit and keeps and relights and blends_first(config),
-            has_shadow_only=is_lit and not traces_all and any(instance.shadow_only for instance in scene.splats),
+            has_shadow_only=is_lit and not is_path and any(instance.shadow_only for instance in scene.splats),
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
             aovs=aovs,
