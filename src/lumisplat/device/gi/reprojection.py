@@ -26,6 +26,32 @@ def tolerance(distance: float, extent: float, camera: wp.array[CameraData]) -> f
 
 
 @wp.func
+def is_near(
+    position: wp.vec3,
+    normal: wp.vec3,
+    tolerated: float,
+    cosine_min: float,
+    other_position: wp.vec3,
+    other_normal: wp.vec3,
+) -> bool:
+    """Whether two points with normals are on one surface.
+
+    Args:
+        position: The point, world space.
+        normal: Unit.
+        tolerated: Distance between each and the plane of the other, scene units.
+        cosine_min: Least cosine between the normals.
+        other_position: The other point.
+        other_normal: Unit.
+    """
+    if wp.dot(normal, other_normal) < cosine_min:
+        return False
+    way = other_position - position
+    across = wp.max(wp.abs(wp.dot(way, normal)), wp.abs(wp.dot(way, other_normal)))
+    return across <= tolerated
+
+
+@wp.func
 def is_same_surface(
     position: wp.vec3,
     normal: wp.vec3,
@@ -34,20 +60,7 @@ def is_same_surface(
     pixel: int,
     surfaces: SurfacePixels,
 ) -> bool:
-    """Whether a point with a normal is on the surface that a pixel shows.
-
-    Args:
-        position: The point, world space.
-        normal: Unit.
-        tolerated: Distance between each and the plane of the other, scene units.
-        cosine_min: Least cosine between the normals.
-        pixel: The pixel.
-        surfaces: Of its image.
-    """
+    """Whether a point with a normal is on the surface that a pixel shows: as `is_near`, with that of its image."""
     if surfaces.share[pixel] <= 0.0:
         return False
-    if wp.dot(normal, surfaces.normal[pixel]) < cosine_min:
-        return False
-    way = surfaces.position[pixel] - position
-    across = wp.max(wp.abs(wp.dot(way, normal)), wp.abs(wp.dot(way, surfaces.normal[pixel])))
-    return across <= tolerated
+    return is_near(position, normal, tolerated, cosine_min, surfaces.position[pixel], surfaces.normal[pixel])

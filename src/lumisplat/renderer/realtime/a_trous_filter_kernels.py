@@ -7,7 +7,7 @@ The weights are those of Schied et al. 2017, each with a reach beyond which noth
 import warp as wp
 
 from lumisplat.constants.realtime import LUMINANCE_SIGMAS, WEIGHT_LEAST, YOUNG_FRAMES
-from lumisplat.device.gi.reprojection import is_same_surface, least_cosine, tolerance
+from lumisplat.device.gi.reprojection import is_near, least_cosine, tolerance
 from lumisplat.device.math.color import luminance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import FilteredLight, LightHistory, SurfacePixels
@@ -59,13 +59,20 @@ def estimate_variance(
     variance = wp.vec2(0.0)
     moments = wp.vec4(0.0)
     count = float(0.0)
+    # By name: through the structs, the compiler copies their descriptors for each neighbour.
+    shares = surfaces.share
+    positions = surfaces.position
+    normals = surfaces.normal
+    of_frames = history.frames
+    of_moments = history.moments
     for row in range(wp.max(y - reach, 0), wp.min(y + reach + 1, size[1])):
         for column in range(wp.max(x - reach, 0), wp.min(x + reach + 1, size[0])):
             tap = row * size[0] + column
-            if history.frames[tap] > 0.0:
-                if is_same_surface(position, normal, tolerated, cosine_min, tap, surfaces):
-                    moments += history.moments[tap]
-                    variance += variance_of(history.moments[tap])
+            if of_frames[tap] > 0.0 and shares[tap] > 0.0:
+                if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                    tap_moments = of_moments[tap]
+                    moments += tap_moments
+                    variance += variance_of(tap_moments)
                     count += 1.0
     if is_young:
         variance = count * variance_of(moments / count)
@@ -134,7 +141,7 @@ def filter_pass(
     extent = surfaces.extent[pixel]
     per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
-    # By name: through the structs, the compiler copies their descriptors for each neighbour.
+    # By name, as above.
     normals = surfaces.normal
     positions = surfaces.position
     of_diffuses = light.diffuse

@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, STILL_PX, YOUNG_FRAMES
 from lumisplat.device.gi.motion import pixel_before
-from lumisplat.device.gi.reprojection import is_same_surface, least_cosine, tolerance
+from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, tolerance
 from lumisplat.device.math.color import luminance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import LightChange, LightHistory, PixelHistory, SurfaceLight, SurfacePixels
@@ -200,17 +200,28 @@ def accumulate(
             normal = surfaces.normal[pixel]
             diffuse = LightChange()
             glossy = LightChange()
+            # By name: through the structs, the compiler copies their descriptors for each neighbour.
+            shares = surfaces.share
+            positions = surfaces.position
+            normals = surfaces.normal
+            is_sampled = light.is_sampled
+            of_diffuses = light.diffuse
+            of_glossies = light.glossy
+            frames = history.frames
+            held_diffuses = history.diffuse
+            held_glossies = history.glossy
+            held_moments = history.moments
             for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
                 for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
                     tap = row * size[0] + column
-                    if history.frames[tap] >= YOUNG and light.is_sampled[tap]:
-                        if is_same_surface(position, normal, tolerated, cosine_min, tap, surfaces):
-                            moments = history.moments[tap]
-                            found = luminance(light.diffuse[tap])
-                            held = luminance(history.diffuse[tap])
+                    if frames[tap] >= YOUNG and is_sampled[tap] and shares[tap] > 0.0:
+                        if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                            moments = held_moments[tap]
+                            found = luminance(of_diffuses[tap])
+                            held = luminance(held_diffuses[tap])
                             diffuse = with_pixel(diffuse, found, held, moments[0], moments[1])
-                            found = luminance(light.glossy[tap])
-                            held = luminance(history.glossy[tap])
+                            found = luminance(of_glossies[tap])
+                            held = luminance(held_glossies[tap])
                             glossy = with_pixel(glossy, found, held, moments[2], moments[3])
             own.frames *= wp.min(kept_share(diffuse), kept_share(glossy))
         own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
