@@ -399,6 +399,7 @@ DEFAULTS: dict[str, Any] = {
     "seed": CONFIG.seed,
     "max_bounces": "auto" if CONFIG.max_bounces is None else CONFIG.max_bounces,
     "primary": CONFIG.path.primary,
+    "quality": CONFIG.realtime.quality,
     "min_response": CONFIG.response.min_response,
     "hit_distance": "auto" if CONFIG.trace.hit_distance is None else CONFIG.trace.hit_distance,
     "normals": CONFIG.trace.normal_method,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import warp as wp
 
@@ -30,6 +31,9 @@ height = 16
 pipeline = "realtime"
 max_bounces = 0
 """
+
+PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
+"""Those of docs/method/realtime.md, in its order, of a scene without mirrors."""
 
 
 @pytest.fixture
@@ -76,6 +80,49 @@ def test_what_frames_in_real_time_do_not_have(work, options, message):
     assert message in outcome.err
     assert outcome.err.strip().count("\n") == 0
     assert "out/a.exr" not in work.files()
+
+
+def test_qualities_differ_and_are_of_real_time(work, caplog):
+    """Previews are other pictures; other pipelines say that they have none."""
+    for name in ("preview", "high"):
+        options = ("--frames", "2", "--quality", name, "--device", "cpu")
+        outcome = work.run("render", "@scene.toml", "-o", f"@{name}.png", *options)
+        assert (outcome.status, outcome.err) == (0, "")
+    assert not np.array_equal(read_image(work.path("preview.png"))["srgb"], read_image(work.path("high.png"))["srgb"])
+    for pipeline in ("raster", "path"):
+        options = ("--pipeline", pipeline, "--quality", "preview", "--samples", "1", "--device", "cpu")
+        outcome = work.run("render", "@scene.toml", "-o", "@other.png", *options)
+        assert outcome.status == 0
+        assert f"not used by --pipeline {pipeline}: --quality (it is of --pipeline realtime)" in caplog.text
+
+
+def test_stats_are_by_pass(work):
+    """In the order of the method, the stages of each below it."""
+    work.path("scene.toml").write_text(SCENE.replace("max_bounces = 0", ""))
+    out = work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "2", "--stats", "--device", "cpu").out
+    shown = [line.split("  ")[0] for line in out.splitlines() if line.endswith("ms") and not line.startswith("  ")]
+    assert [name for name in shown if name in PASSES] == list(PASSES)
+    indirect = out.partition("\nindirect")[2].partition("\nfilters")[0]
+    assert "\n  probes" in indirect
+    assert "\n  cache" in indirect
+
+
+@pytest.mark.parametrize("view", ["history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
+def test_views_of_frames_in_real_time(work, view):
+    """One picture each; what the colours mean is printed where they are a scale."""
+    outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "2", "--view", view, "--device", "cpu")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
+    assert ("(violet) to" in outcome.out) == (view in ("history", "probes"))
+
+
+def test_a_view_of_another_pipeline_is_refused(work):
+    """One line says which pipeline has it."""
+    options = ("--pipeline", "hybrid", "--view", "probes", "--device", "cpu")
+    outcome = work.run("render", "@scene.toml", "-o", "@out/a.png", *options)
+    assert outcome.status == 2
+    assert "--pipeline hybrid has no probes among its aovs: --pipeline realtime does" in outcome.err
+    assert outcome.err.strip().count("\n") == 0
 
 
 def test_frames_in_real_time_are_not_resumed():

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.config import PATH_AOVS
+from lumisplat.config import PATH_AOVS, REALTIME_AOVS
 from lumisplat.frame.views import layer_pictures
 from lumisplat.math.color import decode_srgb, encode_srgb
 from support.files.image_files import read_image
 from support.scenes.lit_frames import ball_frame
 
 BLUE = (0.09, 0.13, 0.32)
+
+
+OF_ALL_PIPELINES = ("normal", "depth", "index", "shadow", "hits", "transmittance")
+"""Views of the frame here; those of frames in real time are tested with these."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,7 @@ def oklab(srgb: np.ndarray) -> np.ndarray:
     return np.cbrt(decode_srgb(srgb) @ np.array(cone).T) @ np.array(lab).T
 
 
-@pytest.mark.parametrize("view", ls.Frame.VIEWS)
+@pytest.mark.parametrize("view", OF_ALL_PIPELINES)
 def test_views_are_pictures(frame: ls.Frame, view: str, tmp_path: Path) -> None:
     """Each is of the image's size and in 0..1, shows something, and is saved as it is."""
     picture = frame.view(view)
@@ -151,7 +155,7 @@ def test_positions_fill_their_box(frame: ls.Frame) -> None:
 
 def test_every_layer_has_a_picture(frame: ls.Frame) -> None:
     """All that the frame names can be looked at, NaN in it as black."""
-    layers = [layer for layer in ls.Frame.LAYERS if layer not in PATH_AOVS]
+    layers = [layer for layer in ls.Frame.LAYERS if layer not in (*PATH_AOVS, *REALTIME_AOVS)]
     for layer in layers:
         for picture in layer_pictures(frame, layer).values():
             assert picture.shape == (27, 48, 3) and picture.dtype == np.float32

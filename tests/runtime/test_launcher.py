@@ -109,6 +109,18 @@ def test_stages_within_a_stage_are_not_counted_twice() -> None:
     assert sum(launcher.stage_ms.values()) <= passed
 
 
+def test_stages_are_those_of_their_pass():
+    """The same stage in two passes is timed twice, what is in no stage as the pass."""
+    launcher = Launcher("cpu", threads=1)
+    for name in ("first", "second"):
+        with launcher.frame_pass(name), launcher.stage("work"):
+            time.sleep(0.001)
+    with launcher.stage("work"):
+        pass
+    assert set(launcher.stage_ms) == {"first", "first: work", "second", "second: work", "work"}
+    assert launcher.stage_ms["first: work"] >= 1.0
+
+
 def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that cannot allocate while it captures runs the work each time: the third frame is as the first."""
     launcher, runs = Launcher("cpu"), []

@@ -16,15 +16,16 @@ from lumisplat.config.rays import (
     TraceConfig,
     TraceStrategy,
 )
-from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig
+from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
 from lumisplat.config.relighting import NormalEstimate, RelightConfig
-from lumisplat.config.render import AOVS, PATH_AOVS, PATH_PARTS, Pipeline, RenderConfig, Shadows, ToneMap
+from lumisplat.config.render import AOVS, PATH_AOVS, PATH_PARTS, REALTIME_AOVS, Pipeline, RenderConfig, Shadows, ToneMap
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 
 __all__ = [
     "AOVS",
     "PATH_AOVS",
     "PATH_PARTS",
+    "REALTIME_AOVS",
     "Absorption",
     "Antialiasing",
     "AtlasLayout",
@@ -43,6 +44,7 @@ __all__ = [
     "RasterConfig",
     "RasterStrategy",
     "RealtimeConfig",
+    "RealtimeQuality",
     "ReceiverSampling",
     "RelightConfig",
     "RenderConfig",

@@ -2,10 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from lumisplat.config.checks import check_between, check_kind, check_whole
+from lumisplat.config.checks import check_between, check_kind, check_whole, take_enum
 from lumisplat.config.probes import ProbeConfig
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Settings = TypeVar("_Settings", bound="DataclassInstance")
+
+
+class RealtimeQuality(Enum):
+    """How good a frame in real time is, and how long it takes (docs/guide/realtime.md)."""
+
+    PREVIEW = "preview"
+    """To see how a scene is lit: fewer samples, rays and passes of the filter."""
+    BALANCED = "balanced"
+    """For animations: the settings as they are by default."""
+    HIGH = "high"
+    """For pictures to keep: more probes, and means over more frames, which follow changes more slowly."""
+
+
+_OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
+    RealtimeQuality.PREVIEW: {
+        "": {"light_interval": 2},
+        "filter": {"passes": 2},
+        "probes": {"refreshed": 0.125},
+        "cache": {"bounces": 4096},
+    },
+    RealtimeQuality.BALANCED: {},
+    RealtimeQuality.HIGH: {
+        "filter": {"frames": 64, "indirect_frames": 16},
+        "probes": {"tile": 8},
+        "cache": {"bounces": 16_384},
+    },
+}
+"""Settings that take the place of defaults, by group; those of ``RealtimeConfig`` itself under no name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +112,11 @@ class RealtimeConfig:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
+    quality: RealtimeQuality = RealtimeQuality.BALANCED
+    """What all other settings here are that have their defaults; those that differ from them stay as they are."""
+    light_interval: int = 1
+    """Frames in which each pixel has one sample of direct light, 1 or 2: with 2, half of the blocks of 4 x 4 pixels in
+    one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be black."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """How the noise is taken out."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)
@@ -84,6 +125,27 @@ class RealtimeConfig:
     """What is kept of the surfaces around."""
 
     def __post_init__(self) -> None:
+        take_enum(self, "quality", RealtimeQuality)
+        check_whole("light_interval", self.light_interval, 1, 2)
         check_kind("filter", self.filter, FilterConfig)
         check_kind("probes", self.probes, ProbeConfig)
         check_kind("cache", self.cache, RadianceCacheConfig)
+
+    @property
+    def of_quality(self) -> RealtimeConfig:
+        """The settings that frames have: what ``quality`` says in place of defaults."""
+        changes = _OF_QUALITY[self.quality]
+        groups = {
+            "filter": _changed(self.filter, changes.get("filter", {})),
+            "probes": _changed(self.probes, changes.get("probes", {})),
+            "cache": _changed(self.cache, changes.get("cache", {})),
+        }
+        chosen = replace(_changed(self, changes.get("", {})), **groups)
+        return chosen if chosen.filter.passes >= 2 else replace(chosen, light_interval=1)
+
+
+def _changed(settings: _Settings, changes: Mapping[str, Any]) -> _Settings:
+    """Settings with changes, except of those that are not at their defaults."""
+    defaults = type(settings)()
+    free = {name: value for name, value in changes.items() if getattr(settings, name) == getattr(defaults, name)}
+    return replace(settings, **free)

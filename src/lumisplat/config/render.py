@@ -69,9 +69,13 @@ PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_g
 PATH_AOVS = (*PATH_PARTS[:4], "bounces")
 """Images that only frames of paths have."""
 
+REALTIME_AOVS = ("history", "probes", "cache", "cache_cells")
+"""Images that only frames in real time have: what they keep for the next one."""
+
 AOVS = (
     *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count"),
     *PATH_AOVS,
+    *REALTIME_AOVS,
 )
 """Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
 
@@ -130,7 +134,8 @@ class RenderConfig:
     aovs: tuple[str, ...] = ()
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
     ``variance``, ``sample_count``; the last three of an unlit one, too. Paths have no ``reflection``, but also
-    ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and ``bounces``. A single name, or
+    ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and ``bounces``. Frames in real
+    time have these but ``bounces``, and ``history``, ``probes``, ``cache`` and ``cache_cells``. A single name, or
     several with commas, becomes a tuple."""
     samples: int | None = None
     """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment

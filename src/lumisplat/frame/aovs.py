@@ -32,8 +32,13 @@ RADIANCE = (
     "variance",
     *PATH_PARTS[:4],
     "bounces",
+    "history",
+    "cache",
 )
 """Fields of a frame that hold the layers of `AOVS`, as floats."""
+
+COUNTS = ("sample_count", "probes", "cache_cells")
+"""Those that hold them as integers."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
@@ -101,10 +106,10 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
             assert frame.bounces is not None
             for number, image in enumerate(frame.bounces):
                 channels |= _planes(f"bounce.{number}", _finite(image), "RGB")
-        elif layer == "sample_count":
-            channels["sample_count.Y"] = getattr(frame, layer)
-        elif layer == "hits":
-            channels["hits.Y"] = _finite(getattr(frame, layer))
+        elif layer in COUNTS:
+            channels[f"{layer}.Y"] = getattr(frame, layer)
+        elif layer in ("hits", "history"):
+            channels[f"{layer}.Y"] = _finite(getattr(frame, layer))
         else:
             channels |= _planes(layer, _finite(getattr(frame, layer)), "RGB")
     return channels

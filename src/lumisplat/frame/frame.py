@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from lumisplat.config import AOVS, ToneMap
 from lumisplat.errors import FormatError
-from lumisplat.frame.aovs import LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
+from lumisplat.frame.aovs import COUNTS, LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
 from lumisplat.frame.denoise import check_denoiser, denoised_light
 from lumisplat.frame.depth_png import depth_range, write_depth_png
 from lumisplat.frame.frame_data import FrameData, unpremultiplied
@@ -161,8 +161,14 @@ class Frame(FrameData):
                 the direct light of all lights that arrives, from black (none) to white (all); blue where no light would
                 arrive without shadows either. ``hits``: Gaussians that a ray blends, from violet over red to yellow on
                 a logarithmic scale, black for none. ``transmittance``: share of the background that is seen, from
-                violet (none) to yellow (all).
-            limits: Values at the ends of the colour map of ``depth`` and ``hits``; None: ``view_limits(name)``.
+                violet (none) to yellow (all). ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
+                ``indirect_glossy`` and ``emission``: this part of the light, exposed. Of frames in real time
+                ``history``: frames that direct light is the mean of, from violet to yellow; ``probes``: screen probes
+                on the frame in grey, by how often they were refreshed, from violet over red to yellow on a logarithmic
+                scale; ``cache``: what the radiance cache has there, exposed; ``cache_cells``: a colour for each cell of
+                it, black without one.
+            limits: Values at the ends of the colour map of ``depth``, ``hits``, ``history`` and ``probes``; None:
+                ``view_limits(name)``.
 
         Raises:
             ConfigError: There is no such view, or the frame was rendered without what it needs, see `NEEDS`.
@@ -280,7 +286,7 @@ class Frame(FrameData):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Every image by name, and the lights' names if there are any."""
         always = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
-        present = [name for name in (*_LIT_PARTS, *RADIANCE, "sample_count") if self.has(name)]
+        present = [name for name in (*_LIT_PARTS, *RADIANCE, *COUNTS) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*always, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 
@@ -327,7 +333,7 @@ class Frame(FrameData):
         for name in fields:
             values: FloatArray | None = getattr(self, name)
             if values is not None:
-                per_light = values.reshape(-1, *bad.shape, 1 if name == "hits" else 3)
+                per_light = values.reshape(-1, *bad.shape, 1 if name in ("hits", "history") else 3)
                 bad |= ~np.isfinite(per_light).all(axis=(0, 3))
         if count := np.count_nonzero(bad):
             fate = "kept" if Path(path).suffix.lower() == ".npz" else "black"

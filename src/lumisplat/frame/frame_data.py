@@ -118,6 +118,15 @@ class FrameData:
     bounces: FloatArray | None = None
     """Linear radiance of a frame of paths by how often surfaces have scattered it, (max_bounces + 2, H, W, 3); the sum
     is ``light``, but for what light changes of shadow-only captures."""
+    history: FloatArray | None = None
+    """Of a frame in real time, frames that the direct light of the surface is a mean of, (H, W); 0: no surface."""
+    probes: IntArray | None = None
+    """Of a frame in real time, how often the screen probe at the pixel has been refreshed, (H, W); -1: none is here."""
+    cache: FloatArray | None = None
+    """Of a frame in real time, linear radiance that the radiance cache has where the surface is, (H, W, 3)."""
+    cache_cells: IntArray | None = None
+    """Of a frame in real time, number of the cache's cell in which the surface is, 0..2^24 - 1, (H, W); different cells
+    seldom have the same; -1: there is no cell."""
     draws_meshes: bool = False
     """Whether rays met some meshes by chance, by their alpha: then ``albedo`` and ``normal`` have noise."""
     is_denoised: bool = False

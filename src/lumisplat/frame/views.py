@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config import PATH_PARTS
 from lumisplat.constants import LUMINANCE
 from lumisplat.errors import ConfigError
 from lumisplat.frame.aovs import Image, check_layer, light_layers
@@ -17,7 +18,10 @@ from lumisplat.math.color import encode_srgb
 Limits = tuple[float, float]
 """Values at the two ends of a colour map."""
 
-VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance")
+_KEPT = ("history", "probes", "cache", "cache_cells")
+"""Views of what frames in real time keep."""
+
+VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance", *PATH_PARTS, *_KEPT)
 
 _DEPTH_RAMP = np.array(
     [
@@ -48,6 +52,12 @@ _HEAT_RAMP = np.array(
 
 _HITS_TOP = 255.0
 """Gaussians a ray at the hot end of the colour map; more have the same colour."""
+_REFRESHES_TOP = 64.0
+"""Refreshes of a probe at the hot end of the colour map."""
+_PROBE_PX = 2
+"""Pixels to each side of a probe that show it."""
+_DIMMED = 0.35
+"""Of the frame behind probes."""
 _UNLIT = (0.09, 0.13, 0.32)
 """Colour of pixels that no light would reach without shadows either: a blue, as shadows are shades of grey."""
 
@@ -82,7 +92,7 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     elif layer == "bounces":
         assert frame.bounces is not None
         pictures = {f"bounce.{number}": _radiance_picture(frame, image) for number, image in enumerate(frame.bounces)}
-    elif layer in ("depth", "normal", "hits"):
+    elif layer in ("depth", "normal", "hits", *_KEPT):
         pictures = {layer: view_picture(frame, layer)}
     elif layer == "position":
         pictures = {layer: _position_picture(frame)}
@@ -103,12 +113,18 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
 def view_limits(frame: FrameData, view: str) -> Limits:
     """Values at the ends of a view's colour map: of depth its percentiles 1 and 99, of the others always the same.
 
+    Of the history it is the most frames that the settings allow.
+
     Raises:
         ConfigError: There is no such view.
     """
     _check_view(view)
     if view == "hits":
         return 0.0, _HITS_TOP
+    if view == "probes":
+        return 0.0, _REFRESHES_TOP
+    if view == "history" and frame.config is not None:
+        return 0.0, float(frame.config.realtime.of_quality.filter.frames)
     surface = frame.depth[np.isfinite(frame.depth)]
     if view != "depth" or not surface.size:
         return 0.0, 1.0
@@ -122,7 +138,8 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
     Args:
         frame: The rendered frame.
         view: One of `VIEWS`, see ``Frame.view``.
-        limits: Values at the ends of the colour map of ``depth`` and ``hits``; None: those of `view_limits`.
+        limits: Values at the ends of the colour map of ``depth``, ``hits``, ``history`` and ``probes``; None: those of
+            `view_limits`.
 
     Raises:
         ConfigError: There is no such view, or the frame was rendered without what it needs.
@@ -140,6 +157,17 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
         picture = _shadow_picture(frame)
     elif view == "hits":
         picture = _hits_picture(frame, low, high)
+    elif view in (*PATH_PARTS, "cache"):
+        check_layer(frame, view)
+        picture = _radiance_picture(frame, getattr(frame, view))
+    elif view == "history":
+        picture = _history_picture(frame, low, high)
+    elif view == "probes":
+        picture = _probes_picture(frame, low, high)
+    elif view == "cache_cells":
+        check_layer(frame, view)
+        cells: Image = np.asarray(frame.cache_cells)
+        picture = _index_picture(cells, cells >= 0)
     else:
         _check_view(view)
         picture = _ramp(_HEAT_RAMP, 1.0 - frame.alpha)
@@ -173,6 +201,30 @@ def _hits_picture(frame: FrameData, low: float, high: float) -> Image:
     start, end = np.log2(1.0 + low), np.log2(1.0 + high)
     heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + hits) - start) / max(end - start, 1e-9))
     return np.where(hits[..., None] > 0.0, heat, 0.0)
+
+
+def _history_picture(frame: FrameData, low: float, high: float) -> Image:
+    check_layer(frame, "history")
+    history = np.nan_to_num(np.asarray(frame.history, np.float64))
+    heat = _ramp(_HEAT_RAMP, (history - low) / max(high - low, 1e-9))
+    return np.where(history[..., None] > 0.0, heat, 0.0)
+
+
+def _probes_picture(frame: FrameData, low: float, high: float) -> Image:
+    """Squares around probes, by how often these have been refreshed, on the frame in grey."""
+    check_layer(frame, "probes")
+    refreshes = np.asarray(frame.probes)
+    grey = encode_srgb(
+        _DIMMED * np.exp2(np.float32(frame.camera.exposure)) * (frame.color @ np.array(LUMINANCE, np.float32))
+    )
+    picture = np.repeat(np.clip(grey, 0.0, 1.0)[..., None], 3, axis=2)
+    height, width = refreshes.shape
+    start, end = np.log2(1.0 + low), np.log2(1.0 + high)
+    for y, x in np.argwhere(refreshes >= 0):
+        heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + refreshes[y, x]) - start) / max(end - start, 1e-9))
+        rows = slice(max(y - _PROBE_PX, 0), min(y + _PROBE_PX + 1, height))
+        picture[rows, max(x - _PROBE_PX, 0) : min(x + _PROBE_PX + 1, width)] = heat
+    return picture
 
 
 def _sample_count_picture(frame: FrameData) -> Image:

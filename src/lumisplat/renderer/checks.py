@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lumisplat.config import PATH_AOVS, Pipeline, RenderConfig, check_kind
+from lumisplat.config import PATH_AOVS, REALTIME_AOVS, Pipeline, RenderConfig, check_kind
 from lumisplat.constants import ITEMS_MAX, SAMPLES_MAX
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
@@ -51,7 +51,10 @@ def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
     if plan.has_history:
         lacking = {"bounces", "lights", "reflection", "sample_count", "variance"}
         others = "Pipeline.PATH or Pipeline.HYBRID does"
-    if missing := plan.aovs & lacking:
+    missing = plan.aovs & lacking
+    if not missing and not plan.has_history:
+        missing, others = plan.aovs & {*REALTIME_AOVS}, "Pipeline.REALTIME does"
+    if missing:
         names = ", ".join(sorted(missing))
         raise ConfigError(f"Pipeline.{config.pipeline.name} has no {names} among its aovs: {others}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lumisplat.config import RasterStrategy, RenderConfig
+from lumisplat.config import REALTIME_AOVS, RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import adaptive_kernels, film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.gi import (
@@ -29,6 +29,7 @@ from lumisplat.renderer.realtime import (
     bounced_light_kernels,
     gbuffer_kernels,
     indirect_light_kernels,
+    kept_kernels,
     mirror_kernels,
     pixel_light_kernels,
     temporal_filter_kernels,
@@ -61,7 +62,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.traces_paths:
         modules += [path_kernels, path_gaussians_kernels, ray_order_kernels, stochastic_hit_kernels]
         modules += [incoherent_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
-    modules += realtime_modules() if plan.has_history else []
+    if plan.has_history:
+        modules += [*realtime_modules(), *[kept_kernels] * bool(plan.aovs & {*REALTIME_AOVS})]
     if plan.spawns_shadow_rays and (plan.has_history or not plan.traces_paths):
         modules += [direct_light_kernels]
     modules += [gaussian_bvh_kernels] if plan.follows_rays else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -169,7 +170,9 @@ class Renderer:
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
         """Adds a sample of each pixel to the film."""
         self._scene.begin_sample(sample)
-        hits = self._find_hits(plan, self._film.rays_of(sample, exposure))
+        rays = self._film.rays_of(sample, exposure)
+        with self._launcher.frame_pass("surfaces") if plan.has_history else nullcontext():
+            hits = self._find_hits(plan, rays)
         integrator = self._integrators.of(plan)
         wave = integrator.shade(self._scene, plan, hits, sample)
         self._film.add(self._scene, wave, integrator.light_images(self._scene, plan, hits))

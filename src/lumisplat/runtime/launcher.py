@@ -136,6 +136,7 @@ class Launcher:
         self.profile = profile
         self.stage_ms: dict[str, float] = {}
         """Wall time of each stage of the last frame, milliseconds, in the order they ran."""
+        self._pass = ""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
         self._banded: set[object] = set()
@@ -250,6 +251,23 @@ class Launcher:
 
         The time of inner stages is not part of the outer one's.
         """
+        name = f"{self._pass}: {name}" if self._pass else name
+        with self._timed(name):
+            yield
+
+    @contextmanager
+    def frame_pass(self, name: str) -> Generator[None]:
+        """Times a pass of a frame under ``name``, and the stages in it under ``name: stage``."""
+        outer, self._pass = self._pass, name
+        try:
+            with self._timed(name):
+                yield
+        finally:
+            self._pass = outer
+
+    @contextmanager
+    def _timed(self, name: str) -> Generator[None]:
+        """Adds the time of a block of work, without those inside it, to that of ``name``."""
         timed = not self.is_cuda or self.profile
         started, before = time.perf_counter(), sum(self.stage_ms.values())
         try:

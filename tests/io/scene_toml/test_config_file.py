@@ -77,7 +77,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "bounces": st.integers(64, 2**20),
         "unused_frames": st.integers(1, 10_000),
     },
-    ls.RealtimeConfig: {},
+    ls.RealtimeConfig: {"light_interval": st.integers(1, 2)},
     ls.RenderConfig: {
         "background": st.none() | st.tuples(*[between(0.0, 1.0)] * 3),
         "lighting": st.none() | st.booleans(),

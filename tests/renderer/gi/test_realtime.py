@@ -218,3 +218,16 @@ def test_a_long_walk_holds_its_memory() -> None:
         assert stats is not None
         sizes.append(stats.memory_bytes)
     assert sizes[-1] == sizes[10]
+
+
+def test_light_in_every_second_frame_has_the_same_mean() -> None:
+    """After 64 frames with half of the samples in each; what a camera uncovers then is not black."""
+    settings = ls.RealtimeConfig(light_interval=2)
+    truth = sequence(ROOM, 64, max_bounces=0)[1].color
+    renderer, frame = sequence(ROOM, 64, max_bounces=0, realtime=settings)
+    assert frame.color.mean() == pytest.approx(truth.mean(), rel=0.01)
+    np.testing.assert_allclose(blocks(frame.color), blocks(truth), rtol=0.1, atol=0.02 * truth.mean())
+    aside = ls.Camera.look_at((2.6, 1.5, 4.9), (2.45, 1.15, 0.0), (0.1, 1.0, 0.0), width=96, height=72, fov_y=0.8)
+    uncovered = frame_after(renderer, ROOM, 1, aside).color.max(axis=2)
+    lit = sequence(ROOM, 64, aside, max_bounces=0)[1].color.max(axis=2)
+    assert uncovered[lit > 0.1 * lit.mean()].min() > 0.0

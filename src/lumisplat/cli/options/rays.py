@@ -13,6 +13,7 @@ from lumisplat.cli.options.settings import Changes, setting, without_none
 
 PipelineName = Literal["raster", "trace", "hybrid", "path", "realtime"]
 _ADAPTIVE = {"auto": None, "on": True, "off": False}
+QualityName = Literal["preview", "balanced", "high"]
 StrategyName = Literal["sorted", "stochastic-hit", "stochastic-pass"]
 
 
@@ -40,6 +41,9 @@ class RayOptions:
     primary: Annotated[Literal["particle", "iso"] | None, setting("{particle,iso}", "particle")] = None
     """What paths meet first where the camera sees relit Gaussians. particle: one of them, drawn by opacity. iso: their
     blended surface, as in the other pipelines."""
+    quality: Annotated[QualityName | None, setting("{preview,balanced,high}", "balanced")] = None
+    """Of frames in real time. preview: the quickest. high: more probes, and light averaged over more frames. Settings
+    of the scene file that differ from the defaults stay."""
     glossy_reflections: Flag = False
     """Rough metals and glossy surfaces reflect what is around them, not lights alone: grainy, --samples average it."""
     kernel_degree: Annotated[int | None, arg(metavar="0..5", help_behavior_hint="")] = None
@@ -83,6 +87,7 @@ class RayOptions:
                 "acceptance_scale": self.acceptance_scale,
             },
             "path": {"primary": self.primary and ls.PathPrimary(self.primary)},
+            "realtime": {"quality": self.quality and ls.RealtimeQuality(self.quality)},
             "response": {
                 "kernel_degree": self.kernel_degree,
                 "min_response": self.min_response,

@@ -12,6 +12,7 @@ from lumisplat.cli.options.settings import given_options
 _OF_SAMPLES = ("samples", "time", "noise", "seed", "no_jitter")
 _OF_SHADOW_RAYS = ("kernel_degree", "min_response", "no_adaptive_clamping")
 _OF_PATHS = ("primary",)
+_OF_REALTIME = ("quality",)
 _REFUSED = ("adaptive",)  # where it is on and has no effect
 _NOT_OF_PATHS = ("strategy", "glossy_reflections")
 _OF_SHADOWS = (
@@ -37,12 +38,15 @@ def unused_options(
     if config.pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH) and raster:
         yield not_used(config, raster, "raster and hybrid")
     if config.pipeline is ls.Pipeline.RASTER:
-        used = given_options(rays, [*_used_by_raster(config, lit=lit, shadowed=shadowed), *_OF_PATHS, *_REFUSED])
+        others = *_OF_PATHS, *_OF_REALTIME, *_REFUSED
+        used = given_options(rays, [*_used_by_raster(config, lit=lit, shadowed=shadowed), *others])
         unused = [option for option in given_options(rays) if option not in used]
         if unused:
             yield not_used(config, unused, "trace and hybrid")
     if not is_path and (unused := given_options(rays, _OF_PATHS)):
         yield not_used(config, unused, "path")
+    if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(rays, _OF_REALTIME)):
+        yield not_used(config, unused, "realtime")
     if is_path and (unused := given_options(rays, _NOT_OF_PATHS)):
         yield (
             f"not used by --pipeline path: {', '.join(unused)} (its rays meet one relit Gaussian, by chance, blend "

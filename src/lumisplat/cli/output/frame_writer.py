@@ -8,10 +8,15 @@ from typing import Literal
 
 import lumisplat as ls
 
-ViewName = Literal["normal", "depth", "index", "shadow", "hits", "transmittance"]
+ViewName = Literal[
+    "normal", "depth", "index", "shadow", "hits", "transmittance", "direct_diffuse", "indirect_diffuse",
+    "direct_glossy", "indirect_glossy", "emission", "history", "probes", "cache", "cache_cells",
+]  # fmt: skip
 
 _LEGENDS = {
     "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
+    "history": "frames that direct light is the mean of, from {:.0f} (violet) to {:.0f} (yellow); no surface: black",
+    "probes": "refreshes of screen probes from {:.0f} (violet) to {:.0f} (yellow), logarithmic",
     "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",
 }
 """What the colours of a view mean, of views whose colours depend on the scene."""

@@ -17,11 +17,22 @@ def stage_times(frame: ls.Frame) -> dict[str, float]:
 
 
 def stage_rows(stage_ms: dict[str, float]) -> list[tuple[str, str]]:
-    """Milliseconds of each stage, then their sum; no rows if stages were not timed."""
+    """Milliseconds of each stage, then their sum; no rows if stages were not timed.
+
+    Of a frame that is made by passes, those of each pass, and below it those of the stages in it.
+    """
     if not stage_ms:
         return []
-    rows = [(name, f"{milliseconds:8.2f} ms") for name, milliseconds in stage_ms.items()]
-    return [*rows, ("all stages", f"{sum(stage_ms.values()):8.2f} ms")]
+    passes: dict[str, dict[str, float]] = {}
+    for name, milliseconds in stage_ms.items():
+        pass_name, _, stage = name.partition(": ")
+        passes.setdefault(pass_name, {})[stage] = milliseconds
+    rows: list[tuple[str, float]] = []
+    for name, stages in passes.items():
+        rows.append((name, sum(stages.values())))
+        rows += [(f"  {stage}", milliseconds) for stage, milliseconds in stages.items() if stage]
+    rows.append(("all stages", sum(stage_ms.values())))
+    return [(name, f"{milliseconds:8.2f} ms") for name, milliseconds in rows]
 
 
 def count_rows(frame: ls.Frame, pipeline: ls.Pipeline) -> list[tuple[str, str]]:

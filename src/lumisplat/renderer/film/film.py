@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.config import PATH_PARTS, RenderConfig
+from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
 from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.film import FilmData, LitPixels, PixelData, PixelSums
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels
 from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
 from lumisplat.renderer.film.noise import least_luminance, quantile
@@ -174,12 +174,16 @@ class Film:
         """The layers that the frame asks for."""
         images: dict[str, Any] = {}
         size, light_count = self._size, self._light_count
-        for name in ("albedo", "reflection", "variance", *PATH_PARTS):
+        for name in ("albedo", "reflection", "variance", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
                 shown = "emission_shown" if name == "emission" and self._shows_captured else name
                 images[name] = copies.give(partial(self._layer, size, copies, shown))
-        if "hits" in self._plan.aovs:
-            images["hits"] = copies.give(lambda: self._layer(size, copies, "hits")[..., 0])
+        for name in ("hits", "history"):
+            if name in self._plan.aovs:
+                images[name] = copies.give(partial(self._channel, size, copies, name))
+        for name in ("probes", "cache_cells"):
+            if name in self._plan.aovs:
+                images[name] = copies.give(partial(self._whole, size, copies, name))
         if "sample_count" in self._plan.aovs:
             images["sample_count"] = copies.give(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
         if "lights" in self._plan.aovs:
@@ -220,7 +224,9 @@ class Film:
 
     def _accumulated(self) -> dict[str, DeviceArray]:
         """What samples are added to, by name."""
-        names = [name for name in ("albedo", "reflection", "hits", *PATH_PARTS) if name in self._plan.aovs]
+        names = [
+            name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
+        ]
         names += ["capture_factor"] * self._plan.has_shadow_only
         names += RECEIVED if self._plan.has_receivers else ()
         if "bounces" in self._plan.aovs:
@@ -254,6 +260,16 @@ class Film:
     @staticmethod
     def _layer(size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
         return copies.words(name).reshape(*reversed(size), 3)
+
+    @classmethod
+    def _channel(cls, size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
+        """A layer of one number."""
+        return cls._layer(size, copies, name)[..., 0]
+
+    @classmethod
+    def _whole(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
+        """A layer of one whole number."""
+        return cls._channel(size, copies, name).astype(np.int32)
 
     @classmethod
     def _layers(cls, size: tuple[int, int], copies: Copies, kind: str, count: int) -> FloatArray:

@@ -40,7 +40,7 @@ _log = logging.getLogger("lumisplat")
 HISTORY_CUDA, HISTORY_CPU = 16, 32
 """Frames of a mean, where settings leave it open."""
 
-_STAGE = "radiance cache"
+_STAGE = "cache"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +120,14 @@ class RadianceCache:
         with self._launcher.stage(_STAGE):
             self._launcher.run_banded(kernels.look_up_indirect, count, self._grid, samples, self._tiles, radiance)
         return radiance
+
+    def cell_numbers(self, samples: CacheSamples) -> DeviceArray:
+        """A number of the cell that each sample is in, 0..2^24 - 1; -1: there is none. Others seldom have the same."""
+        count = len(device_array(samples.is_active))
+        numbers = self._get("cell_numbers", wp.int32, count)
+        with self._launcher.stage(_STAGE):
+            self._launcher.run_banded(kernels.number_cells, count, self._grid, samples, self._tiles, numbers)
+        return numbers
 
     def bounce_points(self, frame: int) -> CachePoints:
         """Points of a share of the cells, of those that wait longest, for a ray each.

@@ -194,6 +194,17 @@ def look_up_indirect(
 
 
 @wp.kernel
+def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, numbers_out: wp.array[int]):
+    """Item = sample: a number of its cell, of 24 bits; -1: it is in none."""
+    i = start + wp.tid()
+    numbers_out[i] = -1
+    if samples.is_active[i]:
+        place = cell_of_sample(grid, samples, i)
+        if slot_of(tiles, place.key) >= 0:
+            numbers_out[i] = int(cell_key(place.key, place.cell, 0) & wp.uint32(0xFFFFFF))
+
+
+@wp.kernel
 def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
     """When rays last left from each tile; sorted by it, those come first that wait longest."""
     rank = start + wp.tid()

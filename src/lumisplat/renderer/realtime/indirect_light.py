@@ -38,12 +38,13 @@ class IndirectLight:
         self._offset = config.shadow_rays.offset
         self.cache = RadianceCache(launcher, buffers, config.realtime.cache)
         """What surfaces around reflect."""
-        self._probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed)
+        self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed)
+        """What sees light from other surfaces."""
 
     def forget(self) -> None:
         """Drops all that earlier frames have found."""
         self.cache.reset()
-        self._probes.reset()
+        self.probes.reset()
 
     def find(self, scene: DeviceScene, plan: FramePlan, surfaces: list[Surfaces], frame: int) -> list[SurfaceLight]:
         """The light of this frame, for the surfaces of each kind.
@@ -56,17 +57,17 @@ class IndirectLight:
         """
         with self._launcher.stage("probes"):
             shown = self._shown(surfaces)
-            self._probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
+            self.probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
             if scene.motion.has_new_light:
-                self._probes.outdate()
+                self.probes.outdate()
                 self.cache.outdate()
-            rays = self._probes.rays(frame)
+            rays = self.probes.rays(frame)
         hits = self._bounced.find(scene, plan, rays, "probe_rays")
         self.cache.insert(hits.samples, frame)
         self._bounce(scene, plan, frame)
         reflected = self.cache.look_up(hits.samples)
         with self._launcher.stage("probes"):
-            self._probes.update(*self._bounced.seen(hits, reflected, "probe_rays"))
+            self.probes.update(*self._bounced.seen(hits, reflected, "probe_rays"))
             light = [self._received(scene, kind) for kind in surfaces]
         self.cache.evict(frame)
         return light
@@ -93,7 +94,7 @@ class IndirectLight:
 
     def _received(self, scene: DeviceScene, kind: Surfaces) -> SurfaceLight:
         """What surfaces of one kind reflect of what the probes see."""
-        probes = self._probes
+        probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
         seen = probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light

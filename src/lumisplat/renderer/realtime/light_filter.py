@@ -10,7 +10,7 @@ from lumisplat.device.structs.gi import FilteredLight, LightHistory, SurfaceLigh
 from lumisplat.renderer.realtime import a_trous_filter_kernels, temporal_filter_kernels
 from lumisplat.renderer.realtime.gbuffer import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.runtime.buffers import Buffers, device_array
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Kernel, Launcher
 
 
@@ -45,6 +45,10 @@ class LightFilter:
             history = self._accumulate(scene, surfaces, light, frame)
         with self._launcher.stage("filter"):
             return self._smooth(scene, surfaces, history)
+
+    def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
+        """Frames that the light of each pixel is a mean of, as filtered in a frame; float."""
+        return device_array(self._history(scene, frame).frames)
 
     def _accumulate(self, scene: DeviceScene, surfaces: Surfaces, light: SurfaceLight, frame: int) -> LightHistory:
         """Means over frames."""

@@ -64,11 +64,10 @@ class Mirrors:
         before = self._buffers.get("mirrors.before", wp.vec3, first.count)
         before.assign(first.row.radiance.light)
         self._direct_light.begin_sample(sample)
-        with self._launcher.stage("mirrors"):
-            waves = self._waves(scene, plan, first)
-            for near, far in reversed(list(itertools.pairwise(waves))):
-                self._specular.gather(scene, near, far)
-            self._launcher.run_banded(kernels.subtract, first.count, first.data, before, shown)
+        waves = self._waves(scene, plan, first)
+        for near, far in reversed(list(itertools.pairwise(waves))):
+            self._specular.gather(scene, near, far)
+        self._launcher.run_banded(kernels.subtract, first.count, first.data, before, shown)
         return shown
 
     def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:

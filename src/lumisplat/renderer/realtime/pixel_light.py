@@ -31,28 +31,30 @@ class PixelLights:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays) -> None:
         self._launcher, self._buffers, self._shadows = launcher, buffers, shadows
+        self._interval = config.realtime.light_interval
         self._direct_light = DirectLight(launcher, buffers, config)
 
     def sample(
-        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces]
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[Surfaces], frame: int
     ) -> list[SurfaceLight]:
-        """One sample of the light of each pixel, for one of its surfaces; those of each kind of surfaces.
+        """One sample of the light of each pixel whose turn it is, for one of its surfaces; those of each kind.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
             wave: The first wave.
             surfaces: What its pixels show.
+            frame: Number of the frame.
         """
         count, run = wave.count, self._launcher.run_banded
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
-        with self._launcher.stage("direct"):
-            inputs = not plan.casts_shadows, scene.shading, wave.data, light, rays
+        with self._launcher.stage("lights"):
+            inputs = not plan.casts_shadows, self._interval, frame, scene.camera, scene.shading, wave.data, light, rays
             run(kernels.sample_lights, count, *inputs, bands=bands)
         visibility = self._visibility(scene, plan, rays)
-        with self._launcher.stage("direct"):
+        with self._launcher.stage("lights"):
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:

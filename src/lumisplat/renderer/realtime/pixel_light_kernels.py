@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.constants import RAY_BLOCK_PX
 from lumisplat.constants.realtime import ALBEDO_MIN
 from lumisplat.device.camera.ray_blocks import pixel_number
 from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
@@ -15,33 +16,60 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
+BLOCK_PX = wp.constant(RAY_BLOCK_PX)
+BLOCK_RAYS = wp.constant(RAY_BLOCK_PX * RAY_BLOCK_PX)
 LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
+
+
+@wp.func
+def has_turn(i: int, width: int, interval: int, frame: int) -> bool:
+    """Whether a ray's pixel has a sample in this frame: all have in the first one, then every ``interval``-th block."""
+    block = i // BLOCK_RAYS
+    across = (width + BLOCK_PX - 1) // BLOCK_PX
+    return frame == 0 or (block % across + block // across + frame) % interval == 0
 
 
 @wp.kernel
 def sample_lights(
     start: int,
     no_shadows: bool,
+    interval: int,
+    frame: int,
+    camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
-    wave: wp.array[WaveData],
+    wave_inout: wp.array[WaveData],
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Item = ray: chooses one of its surfaces and a light, and starts the shadow ray."""
+    """Item = ray: chooses one of its surfaces and a light, and starts the shadow ray.
+
+    Args:
+        start: First item.
+        no_shadows: Whether nothing blocks light.
+        interval: Frames in which each pixel has a sample, 1 or 2.
+        frame: Number of the frame.
+        camera: The camera.
+        scene: The scene.
+        wave_inout: The first wave; the numbers of its rays' samples become those of the pixels' samples of light.
+        light_out: The samples, unshadowed.
+        rays_out: The shadow rays.
+    """
     i = start + wp.tid()
     rays_out.is_active[i] = False
     light_out.slot[i] = -1
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
-    if not wave[0].rays.is_active[i]:
+    if not wave_inout[0].rays.is_active[i] or not has_turn(i, camera[0].width, interval, frame):
         return
-    slot = lit_surface(i, wave).kind
+    # Without gaps, as low-discrepancy sequences are made.
+    wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval
+    slot = lit_surface(i, wave_inout).kind
     light_out.slot[i] = slot
     if slot < 0:
         return
-    interaction = load_interaction(slot * wave[0].rays.is_active.shape[0] + i, wave)
+    interaction = load_interaction(slot * wave_inout[0].rays.is_active.shape[0] + i, wave_inout)
     interaction.weight = 1.0
-    contribution = sample_light_of(i, slot, interaction, no_shadows, scene, wave, rays_out)
+    contribution = sample_light_of(i, slot, interaction, no_shadows, scene, wave_inout, rays_out)
     if is_black(contribution.color):
         return
     share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)

@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import warp as wp
 
-from lumisplat.config import PATH_PARTS, RenderConfig
+from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, GBuffer
+from lumisplat.renderer.realtime.gbuffer import Surfaces as PixelSurfaces
 from lumisplat.renderer.realtime.indirect_light import IndirectLight
+from lumisplat.renderer.realtime.kept import Kept
 from lumisplat.renderer.realtime.light_filter import LightFilter
 from lumisplat.renderer.realtime.mirrors import Mirrors
 from lumisplat.renderer.realtime.pixel_light import PixelLights
@@ -35,6 +37,8 @@ class RealtimeIntegrator:
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
+        config = replace(config, realtime=config.realtime.of_quality)
+        settings = config.realtime.filter
         self._launcher, self._buffers = launcher, buffers
         self._surfaces = Surfaces(launcher, buffers)
         self._shadows = ShadowRays(launcher, buffers, config)
@@ -44,8 +48,8 @@ class RealtimeIntegrator:
         self._mirrors = Mirrors(
             launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
         )
+        self._kept = Kept(launcher, buffers)
         self._bounces = config.max_bounces != 0
-        settings = config.realtime.filter
         frames = {"direct": settings.frames, "indirect": min(settings.frames, settings.indirect_frames)}
         self._filters = {
             (name, kind): LightFilter(launcher, buffers, replace(settings, frames=count), f"{name}{kind}")
@@ -75,28 +79,56 @@ class RealtimeIntegrator:
             self.forget()
         self._size = scene.image_size
         self._shadows.begin_sample(sample)
-        with self._launcher.stage("light"):
+        frame_pass = self._launcher.frame_pass
+        with frame_pass("surfaces"):
             wave = self._surfaces.shade(scene, plan, hits, 0, may_branch=plan.max_bounces > 0, on_paths=False)
             self._begin_layers(wave)
             surfaces = self._gbuffer.store(scene, wave, sample)
-            direct = self._lights.sample(scene, plan, wave, surfaces)
-            if plan.max_bounces > 0:
+        with frame_pass("direct"):
+            light = {"direct": self._lights.sample(scene, plan, wave, surfaces, sample)}
+        if plan.max_bounces > 0:
+            with frame_pass("mirrors"):
                 self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
-            if plan.has_shadow_only and plan.casts_shadows:
+        if plan.has_shadow_only and plan.casts_shadows:
+            with frame_pass("direct"):
                 self._lights.darken(scene, plan, wave, sample)
-            light = {"direct": direct}
-            if self._bounces:
+        if self._bounces:
+            with frame_pass("indirect"):
                 light["indirect"] = self._indirect.find(scene, plan, surfaces, sample)
-            for name, samples in light.items():
-                layers = self._layers[f"{name}_diffuse"], self._layers[f"{name}_glossy"]
-                for kind, noisy in zip(surfaces, samples, strict=True):
+        for name, samples in light.items():
+            for kind, noisy in zip(surfaces, samples, strict=True):
+                with frame_pass("filters"):
                     filtered = self._filters[name, kind.kind].filter(scene, kind, noisy, sample)
+                with frame_pass("sum"):
+                    layers = self._layers[f"{name}_diffuse"], self._layers[f"{name}_glossy"]
                     self._lights.add(scene, wave, kind, filtered, layers)
+        if explaining := sorted(plan.aovs & {*REALTIME_AOVS}):
+            with frame_pass("views"):
+                self._layers |= self._explained(explaining, scene, surfaces, wave.count, sample)
         return wave
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """The layers of these hits that the frame asks for."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
+
+    def _explained(
+        self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int
+    ) -> dict[str, DeviceArray]:
+        """Images of what the frame keeps, by their names."""
+        kept, images, indirect = self._kept, dict[str, DeviceArray](), self._indirect
+        for name in names:
+            if name == "history":
+                frames = [self._filters["direct", kind.kind].frames(scene, frame) for kind in surfaces]
+                images[name] = kept.history(scene, surfaces, frames, count)
+            elif not self._bounces or not surfaces:
+                images[name] = kept.nothing(name, count)
+            elif name == "probes":
+                images[name] = kept.probes(scene, indirect.probes, count)
+            elif name == "cache":
+                images[name] = kept.cache(scene, indirect.cache, surfaces, count)
+            else:
+                images[name] = kept.cache_cells(scene, indirect.cache, surfaces, count)
+        return images
 
     def _begin_layers(self, wave: RayWave) -> None:
         """The layers, without light but for what surfaces emit."""

@@ -1,0 +1,41 @@
+"""Qualities of frames in real time: what they change, and what they leave."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lumisplat as ls
+
+PREVIEW, HIGH = ls.RealtimeQuality.PREVIEW, ls.RealtimeQuality.HIGH
+
+
+def test_balanced_is_as_by_default() -> None:
+    """Nothing changes."""
+    assert ls.RealtimeConfig().of_quality == ls.RealtimeConfig()
+
+
+def test_previews_take_less_and_high_more() -> None:
+    """Rays, passes and frames."""
+    low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.RealtimeQuality)
+    assert low.light_interval == 2 > middle.light_interval
+    assert low.filter.passes < middle.filter.passes
+    assert low.probes.refreshed < middle.probes.refreshed
+    assert low.cache.bounces < middle.cache.bounces < high.cache.bounces
+    assert middle.filter.frames < high.filter.frames
+    assert middle.probes.tile > high.probes.tile
+
+
+def test_settings_that_are_given_stay() -> None:
+    """Those of the quality take the place of defaults only; another quality begins with what was given."""
+    given = ls.RealtimeConfig(quality=PREVIEW, probes=ls.ProbeConfig(refreshed=0.5), filter=ls.FilterConfig(frames=9))
+    assert given.of_quality.probes.refreshed == 0.5
+    assert (given.of_quality.filter.frames, given.of_quality.filter.passes) == (9, 2)
+    other = replace(given, quality=HIGH).of_quality
+    assert (other.probes.refreshed, other.probes.tile, other.filter.frames, other.filter.passes) == (0.5, 8, 9, 4)
+
+
+def test_what_has_no_filter_is_lit_in_every_frame() -> None:
+    """Its new surfaces would be black in every second one."""
+    for passes, interval in ((0, 1), (1, 1), (3, 2)):
+        config = ls.RealtimeConfig(light_interval=2, filter=ls.FilterConfig(passes=passes))
+        assert config.of_quality.light_interval == interval

@@ -1,0 +1,101 @@
+"""Images of what frames in real time keep: history, probes and cells of the cache."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.path_rooms import path_rooms, room_camera
+
+KEPT = ("history", "probes", "cache", "cache_cells")
+LIGHT = ("direct_diffuse", "indirect_diffuse")
+VIEW = room_camera(96, 72)
+ROOM = path_rooms()["diffuse_area"].scene
+
+
+def last_frame(frames: int, scene: ls.Scene = ROOM, **settings: object) -> ls.Frame:
+    """The last of so many frames, with all that they keep."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=(*KEPT, *LIGHT), **settings)  # pyright: ignore[reportArgumentType]
+    renderer = ls.create_renderer(config, "cpu")
+    frame = renderer.render(scene, VIEW)
+    for _ in range(frames - 1):
+        frame = renderer.render(scene, VIEW)
+    return frame
+
+
+@pytest.fixture(scope="module")
+def frame() -> ls.Frame:
+    """Of the room, after 24 frames."""
+    return last_frame(24)
+
+
+@pytest.mark.parametrize(("interval", "expected"), [(1, 3), (2, 2)])
+def test_history_counts_frames(interval: int, expected: int) -> None:
+    """All of three; of every second one the first, and one of the other two."""
+    settings = ls.RealtimeConfig(light_interval=interval)
+    history = last_frame(3, max_bounces=0, realtime=settings).history
+    assert history is not None
+    np.testing.assert_allclose(history, expected, atol=1e-4)
+
+
+def test_probes_are_where_tiles_are(frame: ls.Frame) -> None:
+    """Each tile of 16 x 16 pixels shows a surface, and so has a probe; all have been refreshed."""
+    assert frame.probes is not None
+    refreshes = np.pad(frame.probes, ((0, 8), (0, 0)), constant_values=-1)  # 72 pixels are 4.5 tiles
+    tiles = refreshes.reshape(5, 16, 6, 16).max(axis=(1, 3))
+    assert tiles.min() >= 1
+    assert 30 <= (frame.probes >= 0).sum() <= 45
+    assert refreshes.max() <= 24
+
+
+def test_the_cache_has_what_the_frame_shows(frame: ls.Frame) -> None:
+    """Diffuse light of all bounces, in the mean; its cells are as large as their distance says."""
+    assert frame.cache is not None
+    assert frame.cache_cells is not None
+    assert frame.direct_diffuse is not None
+    assert frame.indirect_diffuse is not None
+    shown = frame.direct_diffuse + frame.indirect_diffuse
+    assert frame.cache[frame.cache_cells >= 0].mean() == pytest.approx(shown[frame.cache_cells >= 0].mean(), rel=0.15)
+    assert (frame.cache_cells >= 0).mean() > 0.9
+    for number in np.unique(frame.cache_cells[frame.cache_cells >= 0])[::8]:
+        inside = frame.cache_cells == number
+        extent = np.ptp(frame.position[inside], axis=0)
+        assert extent.max() <= frame.depth[inside].max() / 8.0 * 1.01
+
+
+def test_views_show_them(frame: ls.Frame, tmp_path) -> None:
+    """Each view is a picture of its own, layers can be saved, and the parts of light are views, too."""
+    pictures = {name: frame.view(name) for name in (*KEPT, *LIGHT)}
+    assert all(picture.shape == (72, 96, 3) and np.ptp(picture) > 0.2 for picture in pictures.values())
+    assert frame.view_limits("history") == (0.0, 32.0)
+    assert frame.probes is not None
+    y, x = np.argwhere(frame.probes >= 0)[0]
+    colours = frame.view("probes")[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+    assert np.ptp(colours[0, 0]) > 0.05  # no grey
+    cells = frame.cache_cells
+    assert cells is not None
+    first = cells == cells[36, 48]
+    assert np.ptp(pictures["cache_cells"][first], axis=0).max() == 0.0
+    frame.save(tmp_path / "a.exr", layers=KEPT)
+    for name in KEPT:
+        frame.save_view(tmp_path / f"{name}.png", name)
+
+
+def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
+    """Nor has an empty scene; nothing is drawn."""
+    for scene in (ROOM, ls.Scene(lights=ROOM.lights)):
+        frame = last_frame(1, scene, max_bounces=0, lighting=True)
+        assert frame.probes is not None
+        assert frame.cache is not None
+        assert frame.cache_cells is not None
+        assert frame.probes.max() == frame.cache_cells.max() == -1
+        assert frame.cache.max() == 0.0
+
+
+@pytest.mark.parametrize("pipeline", ["raster", "trace", "hybrid", "path"])
+def test_other_pipelines_keep_nothing(pipeline: str) -> None:
+    """They say which one does."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline), lighting=True, aovs=("history", "cache"))
+    with pytest.raises(ls.ConfigError, match=r"has no cache, history among its aovs: Pipeline\.REALTIME does"):
+        ls.render(ROOM, VIEW, config, device="cpu")
