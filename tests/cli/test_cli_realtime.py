@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
+from lumisplat.cli.output.frame_source import WarmUp
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image
 
@@ -134,3 +135,30 @@ def test_frames_in_real_time_are_not_resumed():
     frame = renderer.render(scene, camera)
     with pytest.raises(ls.ConfigError, match=r"a frame of Pipeline\.REALTIME cannot be resumed"):
         renderer.render(scene, camera, resume=frame)
+
+
+def test_one_call_renders_a_sequence(monkeypatch):
+    """As long as that of the command line, or as ``frames`` says; other pipelines have one frame."""
+    counts: list[int] = []
+    render = ls.Renderer.render
+
+    def counted(renderer: ls.Renderer, *args: object, **kwargs: object) -> ls.Frame:
+        counts.append(1)
+        return render(renderer, *args, **kwargs)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(ls.Renderer, "render", counted)
+    mesh = ls.Mesh([[-1.0, -1.0, 4.0], [1.0, -1.0, 4.0], [0.0, 1.0, 4.0]], [[0, 1, 2]])
+    scene = ls.Scene(meshes=[mesh], lights=[ls.LightPoint((0.0, 0.0, 2.0))])
+    camera = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0), width=8, height=8)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0)
+    for frames, expected in ((None, WarmUp().frames), (3, 3), (1, 1)):
+        counts.clear()
+        ls.render(scene, camera, config, frames=frames, device="cpu")
+        assert len(counts) == expected
+    counts.clear()
+    ls.render(scene, camera, device="cpu")
+    assert len(counts) == 1
+    with pytest.raises(ls.ConfigError, match="frames is 0, expected a whole number from 1"):
+        ls.render(scene, camera, config, frames=0, device="cpu")
+    with pytest.raises(ls.ConfigError, match=r"frames is of Pipeline\.REALTIME"):
+        ls.render(scene, camera, frames=2, device="cpu")

@@ -41,6 +41,9 @@ WEIGHT_LEAST = 1e-8
 """Least weight by position and normal with which a neighbour counts: those at an angle give a pixel without samples
 nothing."""
 
+WARM_UP_FRAMES = 32
+"""Frames of a view that stands still, of which the last is shown: as many as direct light is averaged over."""
+
 # --- Rays that leave surfaces ---
 
 RAY_LIFT = 1e-4

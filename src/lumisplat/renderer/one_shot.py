@@ -6,7 +6,10 @@ import math
 
 import numpy.typing as npt
 
-from lumisplat.config import RenderConfig
+from lumisplat.config import Pipeline, RenderConfig, check_whole
+from lumisplat.constants import SAMPLES_MAX
+from lumisplat.constants.realtime import WARM_UP_FRAMES
+from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import checked_config
@@ -16,21 +19,39 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 
-def render(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Frame:
+def render(
+    scene: Scene,
+    camera: Camera,
+    config: RenderConfig | None = None,
+    *,
+    frames: int | None = None,
+    device: str = "auto",
+) -> Frame:
     """Renders one frame with a renderer of its own; for several frames, ``create_renderer`` keeps what they share.
+
+    With ``Pipeline.REALTIME`` it is the last one of a sequence that stands still, in which light finds its way.
 
     Args:
         scene: What to draw.
         camera: From where.
         config: Settings; None: the defaults.
+        frames: Of ``Pipeline.REALTIME`` alone, the length of the sequence; None: 32, as on the command line.
         device: As for ``create_renderer``.
 
     Raises:
-        ConfigError: ``config`` is no RenderConfig.
+        ConfigError: ``config`` is no RenderConfig, ``frames`` is below 1, or given with another pipeline.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As for ``Renderer.render``.
     """
-    return create_renderer(config, device).render(scene, camera)
+    is_sequence = checked_config(config).pipeline is Pipeline.REALTIME
+    if frames is not None:
+        if not is_sequence:
+            raise ConfigError("frames is of Pipeline.REALTIME: samples make frames of other pipelines better")
+        check_whole("frames", frames, 1, SAMPLES_MAX)
+    renderer = create_renderer(config, device)
+    for _ in range((frames or WARM_UP_FRAMES) - 1 if is_sequence else 0):
+        renderer.render(scene, camera)
+    return renderer.render(scene, camera)
 
 
 def trace_rays(
