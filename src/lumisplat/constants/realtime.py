@@ -50,6 +50,13 @@ RAY_LIFT = 1e-4
 """Share of the largest coordinate by which rays start above a mesh whose triangle is not known any more: rounding must
 not put them below."""
 
+LOBE_ALPHA_FROM = 0.16
+"""Width of highlights (GGX, roughness 0.4) from which on their rays count less beside what screen probes see: their
+cells are 0.4 wide. GI-1.1 follows rays to a roughness of 0.2, and probes take over without a blend."""
+
+LOBE_ALPHA_TO = 0.25
+"""Width (roughness 0.5) from which on highlights send no rays."""
+
 # --- Light that bounces from frame to frame ---
 
 YOUNG_SHARE = 0.5

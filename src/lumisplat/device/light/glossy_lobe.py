@@ -41,7 +41,7 @@ class LobeRay:
     length: float
     """Of the ray up to the surface."""
     weight: wp.vec3
-    """Share of what it sees in the colour of the ray it branches off."""
+    """Share of what it sees in what the surface reflects; of `lobe_ray`, in the colour of the ray it branches off."""
 
 
 @wp.func
@@ -97,28 +97,37 @@ def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 
 @wp.func
-def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
-    """The ray within a highlight on ray ``i``, sampled by the highlight (of GGX by visible normals)."""
-    stride = wave[0].interactions.exists.shape[0] // 2
-    splats = interaction_of(i, wave)
-    mesh = interaction_of(stride + i, wave)
+def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData]) -> LobeRay:
+    """A ray within the highlight of one interaction of ray ``i``, sampled by it (of GGX by visible normals)."""
     ray = LobeRay()
-    ray.slot = lobe_slot(i, splats, mesh, wave)
-    if ray.slot < 0:
-        return ray
-    interaction = splats
-    ray.length = wp.length(splats.position - wave[0].rays.origin[i])
-    if ray.slot == 1:
-        interaction = mesh
-        ray.length = wave[0].meshes.t[i]
-    probability = highlight_share(interaction) / wp.max(highlight_share(splats) + highlight_share(mesh), FOLLOWED)
+    ray.slot = slot
+    ray.length = wp.length(interaction.position - wave[0].rays.origin[i])
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
     part = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])[1]
     sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, part)
     ray.direction = sampled.direction
-    j = ray.slot * stride + i
+    j = slot * (wave[0].interactions.exists.shape[0] // 2) + i
     ray.origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
     ray.t_min = wave[0].interactions.spawn_t_min[j]
     if sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
-        ray.weight = (interaction.weight / probability) * sampled.weight
+        ray.weight = sampled.weight
+    return ray
+
+
+@wp.func
+def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
+    """The ray within a highlight on ray ``i``."""
+    splats = interaction_of(i, wave)
+    mesh = interaction_of(wave[0].interactions.exists.shape[0] // 2 + i, wave)
+    slot = lobe_slot(i, splats, mesh, wave)
+    if slot < 0:
+        ray = LobeRay()
+        ray.slot = slot
+        return ray
+    interaction = splats
+    if slot == 1:
+        interaction = mesh
+    probability = highlight_share(interaction) / wp.max(highlight_share(splats) + highlight_share(mesh), FOLLOWED)
+    ray = lobe_of(i, slot, interaction, wave)
+    ray.weight *= interaction.weight / probability
     return ray

@@ -130,6 +130,22 @@ class SurfaceLight:
 
 
 @struct
+class LobeRays:
+    """Rays within the highlights of what pixels show, at most one a square of 2 x 2 pixels; squares row by row."""
+
+    pixel: wp.array[int]
+    """The pixel of the square whose surface sends a ray."""
+    slot: wp.array[int]
+    """Which of its surfaces: 0, Gaussians, or 1, a mesh; -1: there is no ray."""
+    ray: wp.array[int]
+    """Number of the ray."""
+    weight: wp.array[wp.vec3]
+    """Of what the ray sees, in what the highlight reflects over its albedo."""
+    seen: wp.array[wp.vec3]
+    """Radiance, one element a ray; linear."""
+
+
+@struct
 class BouncedRays:
     """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config import RenderConfig
 from lumisplat.constants import PACKET_RAYS
-from lumisplat.device.structs.gi import SurfaceLight, SurfacePixels
+from lumisplat.device.structs.gi import LobeRays, SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.gi.radiance_cache import RadianceCache
 from lumisplat.renderer.gi.screen_probes import ScreenProbes
@@ -46,13 +46,21 @@ class IndirectLight:
         self.cache.reset()
         self.probes.reset()
 
-    def find(self, scene: DeviceScene, plan: FramePlan, surfaces: list[Surfaces], frame: int) -> list[SurfaceLight]:
+    def find(
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        surfaces: list[Surfaces],
+        highlights: tuple[LobeRays, RayData | None],
+        frame: int,
+    ) -> list[SurfaceLight]:
         """The light of this frame, for the surfaces of each kind.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
             surfaces: What its pixels show.
+            highlights: Rays within their highlights.
             frame: Number of the frame.
         """
         with self._launcher.stage("probes"):
@@ -68,9 +76,23 @@ class IndirectLight:
         reflected = self.cache.look_up(hits.samples)
         with self._launcher.stage("probes"):
             self.probes.update(*self._bounced.seen(hits, reflected, "probe_rays"))
-            light = [self._received(scene, kind) for kind in surfaces]
+        lobes = self._follow(scene, plan, *highlights, frame)
+        with self._launcher.stage("probes"):
+            light = [self._received(scene, kind, lobes) for kind in surfaces]
         self.cache.evict(frame)
         return light
+
+    def _follow(
+        self, scene: DeviceScene, plan: FramePlan, lobes: LobeRays, rays: RayData | None, frame: int
+    ) -> LobeRays:
+        """What the rays within highlights see: by direct light of their own, since cells would show in narrow ones."""
+        if rays is not None:
+            hits = self._bounced.find(scene, plan, rays, "lobe_rays")
+            self.cache.insert(hits.samples, frame)
+            reflected = self.cache.look_up_indirect(hits.samples)
+            self._launcher.run_banded(kernels.add_direct, len(rays.t_max), hits.samples, reflected)
+            lobes.seen, _ = self._bounced.seen(hits, reflected, "lobe_rays")
+        return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
         """Lets light bounce from cell to cell of the cache."""
@@ -92,11 +114,11 @@ class IndirectLight:
         self._launcher.run_banded(kernels.choose_surfaces, count, surfaces[0].now, surfaces[1].now, shown)
         return shown
 
-    def _received(self, scene: DeviceScene, kind: Surfaces) -> SurfaceLight:
-        """What surfaces of one kind reflect of what the probes see."""
+    def _received(self, scene: DeviceScene, kind: Surfaces, lobes: LobeRays) -> SurfaceLight:
+        """What surfaces of one kind reflect of what the probes and the rays within their highlights see."""
         probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
         seen = probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light
-        self._launcher.run_banded(kernels.receive_light, len(irradiance), *seen, irradiance, light)
+        self._launcher.run_banded(kernels.receive_light, len(irradiance), kind.kind, *seen, irradiance, lobes, light)
         return light

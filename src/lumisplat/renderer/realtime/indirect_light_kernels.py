@@ -3,6 +3,7 @@
 import warp as wp
 
 from lumisplat.constants.realtime import RAY_LIFT
+from lumisplat.device.gi.lobes import lobe_radiance, lobe_share
 from lumisplat.device.gi.screen_probes import gathered_light
 from lumisplat.device.material.bsdf import facet_mirrored
 from lumisplat.device.material.ggx import ALPHA_GGX_MIN
@@ -10,8 +11,8 @@ from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import INV_PI, around
 from lumisplat.device.math.random import branch_key, pixel_key_of, sobol_2d
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import SurfaceLight, SurfacePixels
-from lumisplat.device.structs.radiance_cache import CachePoints
+from lumisplat.device.structs.gi import LobeRays, SurfaceLight, SurfacePixels
+from lumisplat.device.structs.radiance_cache import CachePoints, CacheSamples
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.screen_probes import ProbeData, ProbeGrid, ProbeLight
 
@@ -70,6 +71,14 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
     rays_out.sample[i] = 0
 
 
+@wp.kernel
+def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.vec3]):
+    """Item = ray: adds what the surface that it meets reflects of the light that it has sampled."""
+    i = start + wp.tid()
+    if samples.is_active[i]:
+        reflected_inout[i] += samples.radiance[i]
+
+
 @wp.func
 def reflected_direction(pixel: int, key: wp.uint32, frame: int, view: wp.vec3, surfaces: SurfacePixels) -> wp.vec3:
     """A direction from which the highlight of a pixel's surface reflects light, unit."""
@@ -82,9 +91,28 @@ def reflected_direction(pixel: int, key: wp.uint32, frame: int, view: wp.vec3, s
     return direction
 
 
+@wp.func
+def radiance_of_probes(
+    pixel: int,
+    grids: wp.array[ProbeGrid],
+    camera: wp.array[CameraData],
+    surfaces: SurfacePixels,
+    probes: ProbeData,
+    adaptive_of: wp.array[int],
+    seen: ProbeLight,
+) -> wp.vec3:
+    """What probes see along a direction of a pixel's highlight."""
+    view = wp.normalize(camera[0].eye - surfaces.position[pixel])
+    key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
+    direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
+    at = wp.vec2(float(pixel % grids[0].width) + 0.5, float(pixel // grids[0].width) + 0.5)
+    return gathered_light(pixel, at, direction, True, grids[0], camera[0], surfaces, probes, adaptive_of, seen).total
+
+
 @wp.kernel
 def receive_light(
     start: int,
+    slot: int,
     grids: wp.array[ProbeGrid],
     camera: wp.array[CameraData],
     surfaces: SurfacePixels,
@@ -92,12 +120,14 @@ def receive_light(
     adaptive_of: wp.array[int],
     seen: ProbeLight,
     irradiance: wp.array[wp.vec3],
+    lobes: LobeRays,
     light_out: SurfaceLight,
 ):
     """Item = pixel: what its surface reflects of what probes see.
 
     Args:
         start: First item.
+        slot: Which of the pixels' surfaces these are.
         grids: How the probes lie on the pixels.
         camera: Of the frame.
         surfaces: What the pixels show.
@@ -105,6 +135,7 @@ def receive_light(
         adaptive_of: Adaptive probes of tiles.
         seen: What the probes see.
         irradiance: Of the surfaces, by the probes.
+        lobes: Rays within their highlights.
         light_out: Diffuse over the albedo, and glossy.
     """
     pixel = start + wp.tid()
@@ -113,12 +144,12 @@ def receive_light(
     light_out.glossy[pixel] = wp.vec3(0.0)
     if surfaces.share[pixel] <= 0.0 or is_black(surfaces.glossy_albedo[pixel]):
         return
-    view = wp.normalize(camera[0].eye - surfaces.position[pixel])
-    key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
-    direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
-    x = float(pixel % grids[0].width) + 0.5
-    y = float(pixel // grids[0].width) + 0.5
-    mirrored = gathered_light(
-        pixel, wp.vec2(x, y), direction, True, grids[0], camera[0], surfaces, probes, adaptive_of, seen
-    )
-    light_out.glossy[pixel] = wp.cw_mul(surfaces.glossy_albedo[pixel], mirrored.total)
+    share = lobe_share(surfaces.alpha[pixel])
+    reflected = wp.vec3(0.0)
+    if share > 0.0:
+        found = lobe_radiance(pixel, slot, camera, surfaces, lobes)
+        share *= found[3]
+        reflected = share * wp.vec3(found[0], found[1], found[2])
+    if share < 1.0:
+        reflected += (1.0 - share) * radiance_of_probes(pixel, grids, camera, surfaces, probes, adaptive_of, seen)
+    light_out.glossy[pixel] = wp.cw_mul(surfaces.glossy_albedo[pixel], reflected)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import warp as wp
 
 from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
+from lumisplat.renderer.gi.lobes import Lobes
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime.gbuffer import MESHES, SPLATS, GBuffer
@@ -44,6 +45,7 @@ class RealtimeIntegrator:
         self._shadows = ShadowRays(launcher, buffers, config)
         self._gbuffer = GBuffer(launcher, buffers)
         self._lights = PixelLights(launcher, buffers, config, self._shadows)
+        self._lobes = Lobes(launcher, buffers)
         self._indirect = IndirectLight(launcher, buffers, config, tracer, self._shadows)
         self._mirrors = Mirrors(
             launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
@@ -86,6 +88,9 @@ class RealtimeIntegrator:
             surfaces = self._gbuffer.store(scene, wave, sample)
         with frame_pass("direct"):
             light = {"direct": self._lights.sample(scene, plan, wave, surfaces, sample)}
+        if self._bounces:
+            with frame_pass("indirect"):
+                highlights = self._lobes.start(scene, wave, sample)
         if plan.max_bounces > 0:
             with frame_pass("mirrors"):
                 self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
@@ -94,7 +99,7 @@ class RealtimeIntegrator:
                 self._lights.darken(scene, plan, wave, sample)
         if self._bounces:
             with frame_pass("indirect"):
-                light["indirect"] = self._indirect.find(scene, plan, surfaces, sample)
+                light["indirect"] = self._indirect.find(scene, plan, surfaces, highlights, sample)
         for name, samples in light.items():
             for kind, noisy in zip(surfaces, samples, strict=True):
                 with frame_pass("filters"):

@@ -1,0 +1,55 @@
+"""Rays within highlights in real time: what rough surfaces show of their surroundings, against paths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from support.scenes.path_scenes import quad
+
+VIEW = ls.Camera.look_at((0.0, 0.6, -2.0), (0.0, 0.0, 0.3), width=96, height=64, fov_y=0.5)
+LAMP = ls.LightDirectional((0.0, 0.0, 1.0), intensity=3.0)
+
+
+def corner(roughness: float) -> ls.Scene:
+    """A floor of metal before a wall, whose halves are of two colours; the lamp lights the wall alone."""
+    floor = ls.MaterialPbr(base_color=(0.1, 0.1, 0.1), metallic=1.0, roughness=roughness)
+    red, blue = (ls.MaterialPbr(base_color=c, specular=0.0, roughness=1.0) for c in ((0.8, 0.1, 0.1), (0.1, 0.1, 0.8)))
+    return ls.Scene(
+        meshes=[
+            quad((-3, 0, -3), (0, 0, 4), (6, 0, 0), floor),
+            quad((-3, 0, 1), (0, 3, 0), (3, 0, 0), red),
+            quad((0, 0, 1), (0, 3, 0), (3, 0, 0), blue),
+        ],
+        lights=[LAMP],
+    )
+
+
+def glossy(scene: ls.Scene, pipeline: ls.Pipeline, frames: int = 1, samples: int | None = None) -> np.ndarray:
+    """What highlights show, the mean of the later half of some frames."""
+    first: Any = {"path": ls.PathConfig(primary="iso")} if pipeline is ls.Pipeline.PATH else {}  # pyright: ignore[reportArgumentType]
+    config = ls.RenderConfig(pipeline=pipeline, samples=samples, aovs=("indirect_glossy",), **first)
+    renderer = ls.create_renderer(config, "cpu")
+    shown = [renderer.render(scene, VIEW) for _ in range(frames)]
+    return np.mean([np.asarray(frame.indirect_glossy) for frame in shown[frames // 2 :]], axis=0)
+
+
+def halves(image: np.ndarray) -> np.ndarray:
+    """Means of the floor's left and right, near the wall and far from it."""
+    floor = image[28:60]
+    return floor.reshape(2, 16, 2, 48, 3).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.45, 0.6])
+def test_highlights_show_what_is_around(roughness: float) -> None:
+    """By rays, by both and by probes: within 10 % of paths. Colours are told apart by rays alone."""
+    scene = corner(roughness)
+    truth = halves(glossy(scene, ls.Pipeline.PATH, samples=64))
+    found = halves(glossy(scene, ls.Pipeline.REALTIME, 16))
+    assert truth[0, 1, 0] > 3.0 * truth[0, 0, 0], "red is right"
+    np.testing.assert_allclose(found.mean(axis=-1), truth.mean(axis=-1), rtol=0.1)
+    if roughness < 0.4:
+        np.testing.assert_allclose(found, truth, rtol=0.1, atol=0.02 * truth.max())
