@@ -18,6 +18,7 @@ EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.py"
 LONG = {
     "avatar_in_capture": {"width": 48},
     "light_a_capture": {"width": 48, "samples": 1},
+    "realtime_room": {"width": 48, "frames": 2, "warm_up": 1},
     "drop_in_capture": {"width": 48, "samples": 1},
     "mirror_and_glass": {"width": 48, "samples": 1},
     "relight_a_figure": {"width": 48, "count": 2000},

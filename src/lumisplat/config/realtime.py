@@ -31,8 +31,8 @@ _OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     RealtimeQuality.PREVIEW: {
         "": {"light_interval": 2},
         "filter": {"passes": 2},
-        "probes": {"refreshed": 0.125},
-        "cache": {"bounces": 4096},
+        "probes": {"refreshed": 0.1},
+        "cache": {"bounces": 2048},
     },
     RealtimeQuality.BALANCED: {},
     RealtimeQuality.HIGH: {
@@ -115,8 +115,9 @@ class RealtimeConfig:
     quality: RealtimeQuality = RealtimeQuality.BALANCED
     """What all other settings here are that have their defaults; those that differ from them stay as they are."""
     light_interval: int = 1
-    """Frames in which each pixel has one sample of direct light, 1 or 2: with 2, half of the blocks of 4 x 4 pixels in
-    one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be black."""
+    """Frames in which each pixel has one sample of direct and of indirect light, 1 or 2: with 2, half of the blocks of
+    4 x 4 pixels in one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be
+    black."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """How the noise is taken out."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)

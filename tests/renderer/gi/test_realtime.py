@@ -112,11 +112,18 @@ def test_reset_is_a_new_renderer() -> None:
     np.testing.assert_array_equal(frame_after(renderer, ROOM, 3).color, first.color)
 
 
-def test_another_size_begins_anew() -> None:
-    """As a new renderer does."""
+def test_another_size_begins_anew(caplog: pytest.LogCaptureFixture) -> None:
+    """As a new renderer does; one line says so, once, unless the sequence was to end."""
     small = room_camera(64, 48)
     renderer, _ = sequence(ROOM, 2)
     again = frame_after(renderer, ROOM, 12, small)
+    frame_after(renderer, ROOM, 1)
+    told = [line for line in caplog.messages if "size" in line]
+    assert told == ["the camera's size has changed from 96 x 72 to 64 x 48: the sequence begins anew"]
+    other, _ = sequence(ROOM, 1, max_bounces=0)
+    other.reset()
+    frame_after(other, ROOM, 1, small)
+    assert len([line for line in caplog.messages if "size" in line]) == 1
     assert np.isfinite(again.color).all()
     assert again.color.mean() == pytest.approx(sequence(ROOM, 12, small)[1].color.mean(), rel=0.02)
 
@@ -231,3 +238,28 @@ def test_light_in_every_second_frame_has_the_same_mean() -> None:
     uncovered = frame_after(renderer, ROOM, 1, aside).color.max(axis=2)
     lit = sequence(ROOM, 64, aside, max_bounces=0)[1].color.max(axis=2)
     assert uncovered[lit > 0.1 * lit.mean()].min() > 0.0
+
+
+def test_lights_may_all_go_and_come_back() -> None:
+    """Lamps that are off light nothing; meshes without any lamp have the headlight that other pipelines give them."""
+    plain = ls.Scene((), [box((1.0, 1.0, 1.0), matte(0.7))])
+    lamp = ls.LightPoint((1.0, 2.0, -2.0), intensity=8.0)
+    view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=48, height=36, fov_y=0.7)
+    settings: dict[str, Any] = {"lighting": None, "max_bounces": 0}
+    lit, off = replace(plain, lights=(lamp,)), replace(plain, lights=(replace(lamp, enabled=False),))
+    renderer, before = sequence(lit, 8, view, **settings)
+    assert before.color.max() > 0.1
+    dark = frame_after(renderer, off, 8, view)
+    assert dark.color.max() < 0.01 * before.color.max()
+    for scene in (plain, lit):
+        expected = sequence(scene, 1, view, **settings)[1].color.mean()
+        assert frame_after(renderer, scene, 32, view).color.mean() == pytest.approx(expected, rel=0.05)
+
+
+def test_transforms_of_nan_are_refused() -> None:
+    """Before a frame is made of them, in one line."""
+    bad = np.eye(4)
+    bad[0, 3] = np.nan
+    with pytest.raises(ls.SceneError, match="world_from_object has non-finite values") as error:
+        replace(ROOM.meshes[0], world_from_object=bad)
+    assert "\n" not in str(error.value)

@@ -35,6 +35,7 @@ class IndirectLight:
     ) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._bounced = BouncedLight(launcher, buffers, config, tracer, shadows)
+        self._interval = config.realtime.light_interval
         self._offset = config.shadow_rays.offset
         self.cache = RadianceCache(launcher, buffers, config.realtime.cache)
         """What surfaces around reflect."""
@@ -120,5 +121,6 @@ class IndirectLight:
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
         seen = probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light
-        self._launcher.run_banded(kernels.receive_light, len(irradiance), kind.kind, *seen, irradiance, lobes, light)
+        inputs = kind.kind, *seen, irradiance, lobes, self._interval, light
+        self._launcher.run_banded(kernels.receive_light, len(irradiance), *inputs)
         return light

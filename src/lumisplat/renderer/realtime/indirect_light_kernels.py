@@ -5,6 +5,7 @@ import warp as wp
 from lumisplat.constants.realtime import RAY_LIFT
 from lumisplat.device.gi.lobes import lobe_radiance, lobe_share
 from lumisplat.device.gi.screen_probes import gathered_light
+from lumisplat.device.gi.turns import has_turn
 from lumisplat.device.material.bsdf import facet_mirrored
 from lumisplat.device.material.ggx import ALPHA_GGX_MIN
 from lumisplat.device.math.color import is_black
@@ -121,6 +122,7 @@ def receive_light(
     seen: ProbeLight,
     irradiance: wp.array[wp.vec3],
     lobes: LobeRays,
+    interval: int,
     light_out: SurfaceLight,
 ):
     """Item = pixel: what its surface reflects of what probes see.
@@ -136,13 +138,16 @@ def receive_light(
         seen: What the probes see.
         irradiance: Of the surfaces, by the probes.
         lobes: Rays within their highlights.
+        interval: Frames in which each pixel has a sample, 1 or 2.
         light_out: Diffuse over the albedo, and glossy.
     """
     pixel = start + wp.tid()
-    light_out.is_sampled[pixel] = surfaces.share[pixel] > 0.0
+    width = grids[0].width
+    sampled = surfaces.share[pixel] > 0.0 and has_turn(pixel % width, pixel // width, interval, grids[0].frame)
+    light_out.is_sampled[pixel] = sampled
     light_out.diffuse[pixel] = INV_PI * irradiance[pixel]
     light_out.glossy[pixel] = wp.vec3(0.0)
-    if surfaces.share[pixel] <= 0.0 or is_black(surfaces.glossy_albedo[pixel]):
+    if not sampled or is_black(surfaces.glossy_albedo[pixel]):
         return
     share = lobe_share(surfaces.alpha[pixel])
     reflected = wp.vec3(0.0)

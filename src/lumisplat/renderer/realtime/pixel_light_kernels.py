@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from lumisplat.constants import RAY_BLOCK_PX
 from lumisplat.constants.realtime import ALBEDO_MIN
-from lumisplat.device.camera.ray_blocks import pixel_number
+from lumisplat.device.camera.ray_blocks import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
+from lumisplat.device.gi.turns import has_turn
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
@@ -16,17 +16,7 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
-BLOCK_PX = wp.constant(RAY_BLOCK_PX)
-BLOCK_RAYS = wp.constant(RAY_BLOCK_PX * RAY_BLOCK_PX)
 LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
-
-
-@wp.func
-def has_turn(i: int, width: int, interval: int, frame: int) -> bool:
-    """Whether a ray's pixel has a sample in this frame: all have in the first one, then every ``interval``-th block."""
-    block = i // BLOCK_RAYS
-    across = (width + BLOCK_PX - 1) // BLOCK_PX
-    return frame == 0 or (block % across + block // across + frame) % interval == 0
 
 
 @wp.kernel
@@ -59,7 +49,8 @@ def sample_lights(
     light_out.slot[i] = -1
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
-    if not wave_inout[0].rays.is_active[i] or not has_turn(i, camera[0].width, interval, frame):
+    at = pixel_of_ray(camera[0].width, i)
+    if not wave_inout[0].rays.is_active[i] or not has_turn(at[0], at[1], interval, frame):
         return
     # Without gaps, as low-discrepancy sequences are made.
     wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval

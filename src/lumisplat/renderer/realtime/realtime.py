@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import warp as wp
@@ -25,6 +26,8 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+
+_log = logging.getLogger("lumisplat")
 
 
 class RealtimeIntegrator:
@@ -58,11 +61,13 @@ class RealtimeIntegrator:
             for name, count in frames.items()
             for kind in (SPLATS, MESHES)
         }
-        self._size = (0, 0)
+        self._size: tuple[int, int] | None = None
+        self._has_told_size = False
         self._layers: dict[str, DeviceArray] = {}
 
     def forget(self) -> None:
         """Drops all that earlier frames have found."""
+        self._size = None
         self._gbuffer.forget()
         self._indirect.forget()
         for light in self._filters.values():
@@ -77,9 +82,7 @@ class RealtimeIntegrator:
             hits: The rays, and what they hit.
             sample: Number of the frame.
         """
-        if scene.image_size != self._size:
-            self.forget()
-        self._size = scene.image_size
+        self._begin(scene.image_size)
         self._shadows.begin_sample(sample)
         frame_pass = self._launcher.frame_pass
         with frame_pass("surfaces"):
@@ -115,6 +118,16 @@ class RealtimeIntegrator:
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
         """The layers of these hits that the frame asks for."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
+
+    def _begin(self, size: tuple[int, int]) -> None:
+        """Begins a frame; one of another size than the last is the first of a sequence, which is told once."""
+        if self._size not in (None, size):
+            if not self._has_told_size:
+                before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
+                _log.warning("the camera's size has changed from %s to %s: the sequence begins anew", before, now)
+                self._has_told_size = True
+            self.forget()
+        self._size = size
 
     def _explained(
         self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int

@@ -1,0 +1,117 @@
+"""What the passes of frames in real time cost: ``python -m bench.realtime [--only quality,pixels,...]``.
+
+Milliseconds of processor time, all threads together, the median of 6 frames after 4, which alternate with unlit raster
+frames of the same view: of the demo scene in each quality, then by pixels, Gaussians, lights and models.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+import lumisplat as ls
+
+WARM_FRAMES, FRAMES = 4, 6
+SIZE = 640, 360
+PASSES = ("surfaces", "direct", "mirrors", "indirect", "filters", "sum")
+COUNTS = {"gaussians": (100_000, 300_000, 1_000_000), "lights": (1, 16, 100), "models": (1, 10, 50)}
+GROWTH_SIZE = 320, 180
+Case = tuple[str, ls.RenderConfig, ls.Scene, ls.Camera]
+
+
+def main() -> None:
+    """Prints a table for each thing that the cost depends on."""
+    from bench.timing import parser, quiet_warp
+
+    tables = {"quality": qualities, "pixels": sizes, **dict.fromkeys(COUNTS, growth)}
+    asked = parser("realtime", __doc__)
+    asked.add_argument("--only", default=",".join(tables), help="some of " + ", ".join(tables))
+    options = asked.parse_args()
+    quiet_warp()
+    for name in options.only.split(","):
+        print(f"| {name} | unlit | frame | times unlit | {' | '.join(PASSES)} |")
+        print(f"| --- {'| ---: ' * (len(PASSES) + 3)}|")
+        for label, config, scene, camera in tables[name](name):
+            print(row(label, config, scene, camera), flush=True)
+
+
+def realtime(quality: ls.RealtimeQuality = ls.RealtimeQuality.BALANCED) -> ls.RenderConfig:
+    """Settings of frames in real time."""
+    return ls.RenderConfig(
+        pipeline=ls.Pipeline.REALTIME,
+        lighting=True,
+        tone_map=ls.ToneMap.NEUTRAL,
+        realtime=ls.RealtimeConfig(quality=quality),
+    )
+
+
+def qualities(_: str) -> Iterator[Case]:
+    """The demo scene in each quality."""
+    scene = ls.demo_scene_lit()
+    for quality in ls.RealtimeQuality:
+        yield quality.value, realtime(quality), scene, ls.demo_cameras(*SIZE, count=1)[0]
+
+
+def sizes(_: str) -> Iterator[Case]:
+    """The demo scene in two sizes."""
+    scene = ls.demo_scene_lit()
+    for width, height in (GROWTH_SIZE, SIZE):
+        yield f"{width} x {height}", realtime(), scene, ls.demo_cameras(width, height, count=1)[0]
+
+
+def growth(name: str) -> Iterator[Case]:
+    """A generated capture, relit, with lamps and spheres around it, more and more of one of them."""
+    from bench.presets import Preset, synthetic
+
+    camera = Preset("", *GROWTH_SIZE, 1).camera()
+    for count in COUNTS[name]:
+        number = {"gaussians": 100_000, "lights": 1, "models": 10} | {name: count}
+        capture = ls.SplatInstance(synthetic(number["gaussians"]), material=ls.MaterialPbr())
+        lights = [ls.LightPoint(tuple(at), intensity=6.0 / number["lights"]) for at in ring(number["lights"], 2.2)]
+        ball = ls.sphere(0.12)
+        balls = [ls.MeshInstance(ball, position=at) for at in ring(number["models"], 1.3)]
+        yield f"{count:,}", realtime(), ls.Scene(splats=[capture], meshes=balls, lights=lights), camera
+
+
+def ring(count: int, radius: float) -> np.ndarray:
+    """Points of a circle, shape (count, 3)."""
+    angles = 2.0 * np.pi * np.arange(count) / count + 0.3
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, -0.8)], axis=1)
+
+
+def row(label: str, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera) -> str:
+    """A row of the table."""
+    from lumisplat.runtime.launcher import Launcher
+
+    launcher = Launcher("cpu")
+    launcher.clock = time.process_time
+    lit, unlit = ls.Renderer(config, launcher), ls.create_renderer(ls.RenderConfig(lighting=False), "cpu")
+    unlit_ms: list[float] = []
+    frame_ms: list[float] = []
+    pass_ms: list[dict[str, float]] = []
+    for _ in range(WARM_FRAMES + FRAMES):
+        unlit_ms.append(cpu_ms(unlit, scene, camera))
+        frame_ms.append(cpu_ms(lit, scene, camera))
+        passes = dict.fromkeys(PASSES, 0.0)
+        for stage, milliseconds in launcher.stage_ms.items():
+            name = stage.partition(":")[0]
+            passes[name] = passes.get(name, 0.0) + milliseconds
+        pass_ms.append(passes)
+    before, now = (statistics.median(values[WARM_FRAMES:]) for values in (unlit_ms, frame_ms))
+    medians = [statistics.median(passes[name] for passes in pass_ms[WARM_FRAMES:]) for name in PASSES]
+    shown = " | ".join(f"{value:,.0f}" for value in medians)
+    return f"| {label} | {before:,.0f} | {now:,.0f} | {now / before:.1f} | {shown} |"
+
+
+def cpu_ms(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> float:
+    """Processor time of a frame, its colours on the host, milliseconds."""
+    started = time.process_time()
+    assert renderer.render(scene, camera).color.size
+    return 1e3 * (time.process_time() - started)
+
+
+if __name__ == "__main__":
+    main()

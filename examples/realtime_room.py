@@ -1,0 +1,101 @@
+"""A lamp swings over a figure that walks through a room: light that bounces while everything moves.
+
+python examples/realtime_room.py
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+import lumisplat as ls
+
+WHITE, RED, GREEN = (ls.MaterialPbr(base_color=color) for color in ((0.8,) * 3, (0.7, 0.1, 0.06), (0.12, 0.5, 0.1)))
+BRASS = ls.MaterialPbr(base_color=(0.9, 0.7, 0.4), metallic=1.0, roughness=0.0)
+COAT, SKIN = ls.MaterialPbr(base_color=(0.2, 0.35, 0.7)), ls.MaterialPbr(base_color=(0.75, 0.5, 0.38))
+
+LIMBS = {
+    "torso": ((0.30, 0.50, 0.18), COAT, (0.0, 1.05, 0.0), 0.0),
+    "head": ((0.20, 0.26, 0.22), SKIN, (0.0, 1.46, 0.0), 0.0),
+    "left leg": ((0.12, 0.80, 0.14), COAT, (-0.09, 0.80, 0.0), 1.0),
+    "right leg": ((0.12, 0.80, 0.14), COAT, (0.09, 0.80, 0.0), -1.0),
+    "left arm": ((0.09, 0.62, 0.10), SKIN, (-0.20, 1.28, 0.0), -1.0),
+    "right arm": ((0.09, 0.62, 0.10), SKIN, (0.20, 1.28, 0.0), 1.0),
+}
+"""Size, material, where it is (of limbs the joint), metres, and which way it swings."""
+
+
+def limb(size: tuple[float, float, float], material: ls.MaterialPbr, *, hangs: bool) -> ls.Gaussians:
+    """A rounded body of Gaussians about the origin, or hanging down from it."""
+    round_one = ls.sphere(0.5, rows=24)
+    points = np.asarray(round_one.positions) * size - (0.0, 0.5 * size[1] * hangs, 0.0)
+    return ls.gaussians_from_mesh(ls.Mesh(points, round_one.indices, material=material), 2_000)
+
+
+def room() -> list[ls.MeshInstance]:
+    """Walls, of which two have a colour, open to the camera; a pillar and a ball."""
+    slabs = {
+        "floor": ((4.2, 0.1, 4.2), (0.0, -0.05, 0.0), WHITE),
+        "ceiling": ((4.2, 0.1, 4.2), (0.0, 2.65, 0.0), WHITE),
+        "back": ((4.2, 2.7, 0.1), (0.0, 1.3, -2.05), WHITE),
+        "left": ((0.1, 2.7, 4.2), (-2.05, 1.3, 0.0), RED),
+        "right": ((0.1, 2.7, 4.2), (2.05, 1.3, 0.0), GREEN),
+        "pillar": ((0.4, 1.1, 0.4), (1.1, 0.55, -1.0), WHITE),
+    }
+    walls = [
+        ls.MeshInstance(ls.box(size, material=material), position=at, name=name)
+        for name, (size, at, material) in slabs.items()
+    ]
+    return [*walls, ls.MeshInstance(ls.sphere(0.3, material=BRASS), position=(-1.1, 0.3, -0.7), name="ball")]
+
+
+def walker(limbs: dict[str, ls.Gaussians], time: float) -> list[ls.SplatInstance]:
+    """The figure after ``time`` seconds: it walks from left to right, its limbs swinging."""
+    place = np.eye(4)
+    place[:3, 3] = -1.2 + 1.1 * time, 0.0, 0.1
+    heading = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # it looks along its z axis
+    figure = []
+    for name, (_, _, joint, swing) in LIMBS.items():
+        angle = 0.55 * swing * np.sin(2.0 * np.pi * 1.1 * time)
+        pose = place.copy()
+        turn = [[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]]
+        pose[:3, :3] = heading @ turn
+        pose[:3, 3] += heading @ joint
+        figure.append(ls.SplatInstance(limbs[name], pose, material=ls.MaterialPbr(), name=name))
+    return figure
+
+
+def lamp(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
+    """A lamp that swings on its cord: a light below a shade."""
+    angle = 0.6 * np.sin(2.0 * np.pi * 0.5 * time)
+    down = np.array([np.sin(angle), -np.cos(angle), 0.0])
+    end = np.array([0.0, 2.6, 0.0]) + 0.7 * down
+    light = ls.LightSpot(
+        tuple(end + 0.12 * down), tuple(down), (1.0, 0.86, 0.65), 14.0, inner_angle=0.7, outer_angle=1.1, radius=0.05
+    )
+    return light, ls.MeshInstance(ls.sphere(0.1, material=WHITE), position=end, name="lamp")
+
+
+def main(width: int = 320, frames: int = 48, warm_up: int = 24) -> None:
+    """Writes out/realtime_room: walk.gif, and its middle frame."""
+    fps = 24.0
+    limbs = {name: limb(size, material, hangs=swing != 0.0) for name, (size, material, _, swing) in LIMBS.items()}
+    walls = room()
+    camera = ls.Camera.look_at((0.0, 1.35, 5.2), (0.0, 1.2, 0.0), width=width, height=9 * width // 16, fov_y=0.62)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, tone_map=ls.ToneMap.NEUTRAL)
+    renderer = ls.create_renderer(config)  # one for all frames: it keeps what they have found of the light
+
+    pictures = []
+    for number in range(-warm_up, frames):
+        time = max(number, 0) / fps  # before the first frame all stands still, until light has found its way
+        light, shade = lamp(time)
+        scene = ls.Scene(splats=walker(limbs, time), meshes=[*walls, shade], lights=[light])
+        frame = renderer.render(scene, camera)
+        if number >= 0:
+            pictures.append(frame.pixels_srgb())
+        if number == frames // 2:
+            frame.save("out/realtime_room/middle.png")
+    ls.save_animation("out/realtime_room/walk.gif", pictures, fps=fps)
+
+
+if __name__ == "__main__":
+    main()
