@@ -102,6 +102,7 @@ WHOLE = "expected a whole number from"
         (ls.RenderConfig, {"realtime": ls.FilterConfig()}, "expected a RealtimeConfig"),
         (ls.RealtimeConfig, {"quality": "low"}, "quality is 'low', expected 'preview', 'balanced' or 'high'"),
         (ls.RealtimeConfig, {"light_interval": 3}, f"light_interval is 3, {WHOLE} 1 to 2"),
+        (ls.RealtimeConfig, {"highlight_rays": 1}, "highlight_rays is 1, expected True or False"),
         (ls.RealtimeConfig, {"filter": {"frames": 8}}, "filter is {'frames': 8}, expected a FilterConfig"),
         (ls.RealtimeConfig, {"probes": None}, "probes is None, expected a ProbeConfig"),
         (ls.RealtimeConfig, {"cache": ls.FilterConfig()}, "expected a RadianceCacheConfig"),

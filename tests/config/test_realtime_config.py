@@ -18,6 +18,7 @@ def test_previews_take_less_and_high_more() -> None:
     """Rays, passes and frames."""
     low, middle, high = (ls.RealtimeConfig(quality=quality).of_quality for quality in ls.RealtimeQuality)
     assert low.light_interval == 2 > middle.light_interval
+    assert middle.highlight_rays and not low.highlight_rays
     assert low.filter.passes < middle.filter.passes
     assert low.probes.refreshed < middle.probes.refreshed
     assert low.cache.bounces < middle.cache.bounces < high.cache.bounces

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from lumisplat.config.checks import check_between, check_kind, check_whole, take_enum
+from lumisplat.config.checks import check_between, check_flag, check_kind, check_whole, take_enum
 from lumisplat.config.probes import ProbeConfig
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class RealtimeQuality(Enum):
 
 _OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     RealtimeQuality.PREVIEW: {
-        "": {"light_interval": 2},
+        "": {"light_interval": 2, "highlight_rays": False},
         "filter": {"passes": 2},
         "probes": {"refreshed": 0.1},
         "cache": {"bounces": 2048},
@@ -118,6 +118,8 @@ class RealtimeConfig:
     """Frames in which each pixel has one sample of direct and of indirect light, 1 or 2: with 2, half of the blocks of
     4 x 4 pixels in one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be
     black."""
+    highlight_rays: bool = True
+    """Narrow highlights show what rays of their own see, one for four pixels; else what probes see, blurred."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """How the noise is taken out."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)
@@ -128,6 +130,7 @@ class RealtimeConfig:
     def __post_init__(self) -> None:
         take_enum(self, "quality", RealtimeQuality)
         check_whole("light_interval", self.light_interval, 1, 2)
+        check_flag("highlight_rays", self.highlight_rays)
         check_kind("filter", self.filter, FilterConfig)
         check_kind("probes", self.probes, ProbeConfig)
         check_kind("cache", self.cache, RadianceCacheConfig)

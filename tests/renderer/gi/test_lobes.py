@@ -28,10 +28,21 @@ def corner(roughness: float) -> ls.Scene:
     )
 
 
-def glossy(scene: ls.Scene, pipeline: ls.Pipeline, frames: int = 1, samples: int | None = None) -> np.ndarray:
+def test_without_rays_probes_show_it() -> None:
+    """Blurred: blue is seen on the red side, and the sum of both is the same within 20 %."""
+    scene = corner(0.2)
+    sharp = halves(glossy(scene, ls.Pipeline.REALTIME, 8))
+    blurred = halves(glossy(scene, ls.Pipeline.REALTIME, 8, realtime=ls.RealtimeConfig(highlight_rays=False)))
+    assert blurred[0, 0, 0] > 1.3 * sharp[0, 0, 0]
+    np.testing.assert_allclose(blurred.mean(), sharp.mean(), rtol=0.2)
+
+
+def glossy(
+    scene: ls.Scene, pipeline: ls.Pipeline, frames: int = 1, samples: int | None = None, **changes: Any
+) -> np.ndarray:
     """What highlights show, the mean of the later half of some frames."""
     first: Any = {"path": ls.PathConfig(primary="iso")} if pipeline is ls.Pipeline.PATH else {}  # pyright: ignore[reportArgumentType]
-    config = ls.RenderConfig(pipeline=pipeline, samples=samples, aovs=("indirect_glossy",), **first)
+    config = ls.RenderConfig(pipeline=pipeline, samples=samples, aovs=("indirect_glossy",), **first, **changes)
     renderer = ls.create_renderer(config, "cpu")
     shown = [renderer.render(scene, VIEW) for _ in range(frames)]
     return np.mean([np.asarray(frame.indirect_glossy) for frame in shown[frames // 2 :]], axis=0)

@@ -20,10 +20,11 @@ class Lobes:
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
+        follows: Whether there are any.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
-        self._launcher, self._buffers = launcher, buffers
+    def __init__(self, launcher: Launcher, buffers: Buffers, *, follows: bool) -> None:
+        self._launcher, self._buffers, self._follows = launcher, buffers, follows
 
     def start(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
         """The rays of a frame, and what they are for; None: there are none. The host waits for their number.
@@ -37,6 +38,9 @@ class Lobes:
         squares = -(-width // 2) * -(-height // 2)
         run = self._launcher.run_banded
         lobes = self._buffers.struct("lobes", LobeRays, squares, without={"seen"})
+        if not self._follows:
+            device_array(lobes.slot).fill_(-1)
+            return lobes, None
         follows, ends = (self._buffers.get(f"lobes.{name}", wp.int32, squares) for name in ("follows", "ends"))
         run(kernels.choose_lobes, squares, frame, scene.camera, wave.data, lobes, follows)
         prefix_sum(follows, ends, inclusive=True)

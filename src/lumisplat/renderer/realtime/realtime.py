@@ -48,7 +48,7 @@ class RealtimeIntegrator:
         self._shadows = ShadowRays(launcher, buffers, config)
         self._gbuffer = GBuffer(launcher, buffers)
         self._lights = PixelLights(launcher, buffers, config, self._shadows)
-        self._lobes = Lobes(launcher, buffers)
+        self._lobes = Lobes(launcher, buffers, follows=config.realtime.highlight_rays)
         self._indirect = IndirectLight(launcher, buffers, config, tracer, self._shadows)
         self._mirrors = Mirrors(
             launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
