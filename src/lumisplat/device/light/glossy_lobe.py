@@ -38,8 +38,6 @@ class LobeRay:
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
-    length: float
-    """Of the ray up to the surface."""
     weight: wp.vec3
     """Share of what it sees in what the surface reflects; of `lobe_ray`, in the colour of the ray it branches off."""
 
@@ -101,7 +99,6 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
     """A ray within the highlight of one interaction of ray ``i``, sampled by it (of GGX by visible normals)."""
     ray = LobeRay()
     ray.slot = slot
-    ray.length = wp.length(interaction.position - wave[0].rays.origin[i])
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
     part = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])[1]
     sampled = bsdf_sample(highlight_of(interaction.bsdf), interaction.normal, interaction.wo, u, part)

@@ -145,9 +145,6 @@ def scattered_step(
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     step.t_min = wave[0].interactions.spawn_t_min[j]
-    step.length = wave[0].meshes.t[i]
-    if branch.kind == BRANCH_SPLATS:
-        step.length = wp.length(interaction.position - wave[0].rays.origin[i])
     return step
 
 
@@ -170,7 +167,7 @@ def specular_step(
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     step.origin = spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
-    step.length = wave[0].meshes.t[i]
+    step.path_length = wave[0].rays.path_length[i] + wave[0].meshes.t[i]
     step.spread = wave[0].rays.spread[i]
     return step
 

@@ -127,8 +127,9 @@ class PathStep:
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
-    length: float
-    """From the last surface to this one, scene units."""
+    path_length: float
+    """Behind the origin, to the unfolded eye, scene units, as of its ray; 0 where a surface has scattered the path:
+    what it receives does not depend on who looks."""
     spread: float
     weight: wp.vec3
     """Factor of the throughput, but for the probability of the branch."""

@@ -188,7 +188,7 @@ def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveDa
     steps[0].origin[i] = step.origin
     steps[0].direction[i] = step.direction
     steps[0].t_min[i] = step.t_min
-    steps[0].path_length[i] = wave[0].rays.path_length[i] + step.length
+    steps[0].path_length[i] = step.path_length
     steps[0].spread[i] = step.spread
     steps[0].density[i] = step.density
     steps[0].position[i] = vertex.position

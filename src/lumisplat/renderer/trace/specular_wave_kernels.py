@@ -23,20 +23,20 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.func
-def start_ray(child: int, parent: int, branch: int, length: float, wave: wp.array[WaveData], rays_out: RayData):
+def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp.array[WaveData], rays_out: RayData):
     """Starts ray ``child``, a branch of ``parent``, but for its origin, direction, least distance and footprint.
 
     Args:
         child: Ray of the next wave.
         parent: Ray of this one.
         branch: Of the parent's keys.
-        length: Of the parent, up to where it branches.
+        path_length: Behind its origin, to the unfolded eye.
         wave: Of the parent.
         rays_out: Rays of the next wave.
     """
     rays_out.is_active[child] = True
     rays_out.t_max[child] = wp.inf
-    rays_out.path_length[child] = wave[0].rays.path_length[parent] + length
+    rays_out.path_length[child] = path_length
     rays_out.sample_key[child] = branch_key(wave[0].rays.sample_key[parent], branch)
     rays_out.pixel_key[child] = branch_key(wave[0].rays.pixel_key[parent], branch)
     rays_out.sample[child] = wave[0].rays.sample[parent]
@@ -55,7 +55,8 @@ def spawn_lobe_ray(
 ):
     """Starts the ray within a highlight on ray ``i``; below the horizon, it is of no weight."""
     lobe = lobe_ray(i, wave)
-    start_ray(child, i, LOBE_BRANCH, lobe.length, wave, rays_out)
+    # What a surface scatters does not depend on how far away the eye is.
+    start_ray(child, i, LOBE_BRANCH, 0.0, wave, rays_out)
     rays_out.is_active[child] = not is_black(lobe.weight)
     rays_out.origin[child] = lobe.origin
     rays_out.direction[child] = lobe.direction
@@ -107,7 +108,7 @@ def spawn_rays(
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
 
-    start_ray(child, i, refracted, wave[0].meshes.t[i], wave, rays_out)
+    start_ray(child, i, refracted, wave[0].rays.path_length[i] + wave[0].meshes.t[i], wave, rays_out)
     rays_out.origin[child] = spawn_point(
         instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side
     )
