@@ -115,9 +115,12 @@ def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
 
 @wp.func
 def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether the mesh that ray ``i`` hits reflects or refracts it, or is not there."""
+    """Whether the mesh that ray ``i`` hits reflects or refracts it, or all or a share of it is not there."""
     material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
-    return material.smooth != 0 or (material.is_medium != 0 and not boundary_of_ray(i, scene, wave).exists)
+    alpha = scene[0].mesh_instances[wave[0].meshes.instance[i]].alpha
+    if material.smooth != 0 or (alpha.mode == ALPHA_BLEND and alpha.is_drawn == 0):
+        return True
+    return material.is_medium != 0 and not boundary_of_ray(i, scene, wave).exists
 
 
 @wp.func
@@ -138,7 +141,7 @@ def blended(bounce: Bounce, coverage: float) -> Bounce:
 def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
     """Share of ray ``i`` that the mesh which it hits takes; the rest goes on behind. Rays that draw meet all of it."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
-    if wave[0].blends == 0 or instance.alpha.mode != ALPHA_BLEND:
+    if instance.alpha.is_drawn != 0 or instance.alpha.mode != ALPHA_BLEND:
         return 1.0
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     return surface_alpha(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]))

@@ -56,20 +56,19 @@ def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 
 @wp.func
 def meets_alpha(
-    instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, draws: bool, sample_key: wp.uint32
+    instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, sample_key: wp.uint32
 ) -> bool:
-    """Whether a ray meets a surface at a point of triangle ``face``.
+    """Whether a ray meets a surface at a point of triangle ``face``: by chance, or wherever alpha is above 0.
 
     Args:
         instance: Of the mesh.
         meshes: Where its triangles are.
         face: The triangle.
         weights: Barycentric.
-        draws: Alpha is the chance of meeting the surface; else there is one wherever alpha is above 0.
         sample_key: Of the ray's random numbers.
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
-    if draws and alpha < 1.0:
+    if instance.alpha.is_drawn != 0 and alpha < 1.0:
         own = wp.uint32(instance.first + face - instance.face_first)
         return draw(branch_key(sample_key, ALPHA_BRANCH), own) < alpha
     return alpha > 0.0

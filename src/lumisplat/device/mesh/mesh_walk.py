@@ -45,7 +45,7 @@ def keep_nearest(
         if scene.instances[number].alpha.mode != ALPHA_OPAQUE:
             face = scene.instances[number].face_first + triangle.face
             where = hit_weights(hit.weights)
-            if not meets_alpha(scene.instances[number], scene.meshes, face, where, scene.draws_alpha, sample_key):
+            if not meets_alpha(scene.instances[number], scene.meshes, face, where, sample_key):
                 return
         nearest.t = t
         nearest.local_t = hit.t

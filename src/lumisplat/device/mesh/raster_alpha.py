@@ -23,4 +23,4 @@ def pixel_meets(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshe
     sample = scene.sample[0]
     key = sample_key_of(pixel, sample.index, sample.seed)
     instance = scene.instances[triangle.instance - scene.splat_instance_count]
-    return meets_alpha(instance, scene.meshes, triangle.face, barycentric(triangle, ray), scene.draws_alpha, key)
+    return meets_alpha(instance, scene.meshes, triangle.face, barycentric(triangle, ray), key)

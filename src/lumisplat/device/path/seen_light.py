@@ -11,6 +11,7 @@ from lumisplat.device.light.light_choice import choice_probability, meets_rays
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.light.visible_light import light_crossing
 from lumisplat.device.material.media import absorption_on_ray, passed
+from lumisplat.device.material.specular_bounce import mesh_coverage
 from lumisplat.device.math.color import captured_color, decode_srgb_color
 from lumisplat.device.path.sampled_light import power_heuristic
 from lumisplat.device.structs.light import LIGHT_ENVIRONMENT
@@ -123,7 +124,8 @@ def own_light(
     if wave[0].meshes.face[i] >= 0:
         share = emitted_share(i, no_shadows, paths, scene, wave)
         if share < 1.0:
-            seen += (share - 1.0) * wave[0].gaussians.transmittance[i] * mesh_emission(i, scene, wave)
+            reached = wave[0].gaussians.transmittance[i] * mesh_coverage(i, scene, wave)
+            seen += (share - 1.0) * reached * mesh_emission(i, scene, wave)
     return seen
 
 

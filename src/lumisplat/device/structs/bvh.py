@@ -109,8 +109,6 @@ class MeshBvh:
     assets: wp.array[TriangleBvh]
     instances: wp.array[MeshInstanceData]
     meshes: MeshData
-    draws_alpha: bool
-    """Alpha is the chance of meeting a surface; else there is one wherever alpha is above 0."""
 
 
 @struct

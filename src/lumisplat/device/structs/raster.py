@@ -113,8 +113,6 @@ class RasterMeshes:
     """``Triangle.instance`` counts from there."""
     meshes: MeshData
     sample: wp.array[SampleData]
-    draws_alpha: bool
-    """Alpha is the chance of meeting a surface; else there is one wherever alpha is above 0."""
 
 
 @struct

@@ -147,6 +147,12 @@ class AlphaData:
     """Of the texture's alpha."""
     cutoff: float
     """Least alpha of what there is, by ALPHA_MASK."""
+    is_drawn: int
+    """1: alpha is the chance with which a ray or a pixel meets a blend; 0: each meets it, and goes on behind by the
+    share that alpha leaves."""
+    is_bent: int
+    """1: the rays of paths do so as through glass. Shadow rays that glass blocks end there, whatever alpha leaves: rays
+    that go on show the light behind."""
 
 
 @struct

@@ -254,8 +254,6 @@ class WaveData:
     """1: paths go on behind it in one direction each, which add what is infinitely far."""
     may_branch: int
     """1: smooth meshes send rays on where these are worth following."""
-    blends: int
-    """1: rays go on behind meshes by the share that alpha leaves; 0: they meet each by chance."""
     rays: RayData
     meshes: MeshHits
     gaussians: GaussianHits

@@ -81,7 +81,6 @@ class Surfaces:
         row = WaveData()
         row.from_camera, row.may_branch = int(number == 0), int(may_branch)
         row.traces_paths = int(plan.traces_paths and on_paths)
-        row.blends = int(not plan.draws_alpha)
         row.rays, row.meshes, row.gaussians = hits.rays, hits.meshes, hits.gaussians
         row.interactions = self._interactions(plan, count)
         row.radiance = self._radiance(plan, count, number)

@@ -114,5 +114,5 @@ def raster_meshes(scene: DeviceScene) -> RasterMeshes:
     """What the kernels read where a triangle has alpha."""
     row = RasterMeshes()
     row.instances, row.splat_instance_count = scene.mesh_instances, scene.splat_instances.shape[0]
-    row.meshes, row.sample, row.draws_alpha = scene.mesh_data, scene.sample, scene.draws_alpha
+    row.meshes, row.sample = scene.mesh_data, scene.sample
     return row

@@ -71,7 +71,7 @@ class DeviceScene:
         self.mixes_sets = False
         """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
         self.draws_alpha = False
-        """Rays meet surfaces of some alpha by chance: `FramePlan.draws_alpha`."""
+        """Rays meet surfaces of some alpha by chance, as `FramePlan.draws_alpha`."""
         self.traces_paths = False
         """Light bounces in all directions: `FramePlan.traces_paths`."""
         self.keeps_captures = False
@@ -93,7 +93,7 @@ class DeviceScene:
     def mesh_bvh(self) -> MeshBvh:
         """What rays traverse to find meshes; synced if the frame is sampled."""
         row = self._mesh_bvh.data
-        row.instances, row.meshes, row.draws_alpha = self.mesh_instances, self.mesh_data, self.draws_alpha
+        row.instances, row.meshes = self.mesh_instances, self.mesh_data
         return row
 
     @property
@@ -211,6 +211,6 @@ class DeviceScene:
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
-        meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.places, camera, traces_paths=plan.traces_paths)
+        meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.places, camera, plan)
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
         self.mesh_instances = self._buffers.upload("mesh_instances", MeshInstanceData, meshes)

@@ -116,7 +116,7 @@ class FramePlan:
     """Paths are scattered through rough surfaces."""
     draws_alpha: bool
     """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only; else they go on
-    behind such surfaces by the share that these leave."""
+    behind such surfaces by the share that these leave. Media are met either way: who enters one leaves it, too."""
     has_shadow_only: bool
     """Some splat set is shadow-only, and not seen by paths: lights darken it."""
     keeps_captures: bool

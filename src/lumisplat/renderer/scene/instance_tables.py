@@ -17,6 +17,7 @@ from lumisplat.device.structs.scene import (
     MeshInstanceData,
     SplatInstanceData,
 )
+from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, place_texture, shading_overrides
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
@@ -96,7 +97,7 @@ def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
 
 
 def mesh_instance_table(
-    scene: Scene, assets: MeshAssets, places: InstancePlaces, camera: Camera, *, traces_paths: bool
+    scene: Scene, assets: MeshAssets, places: InstancePlaces, camera: Camera, plan: FramePlan
 ) -> np.ndarray:
     """The rows of a scene's mesh instances; ``places`` has those that rays may hit, or none."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
@@ -118,14 +119,14 @@ def mesh_instance_table(
         table["asset"], table["root"] = places.assets, places.roots
     first_with = {id(instance.mesh): number for number, instance in reversed(list(enumerate(scene.meshes)))}
     for number in first_with.values():
-        _write_mesh(table[number : number + 1], scene.meshes[number], assets, traces_paths=traces_paths)
+        _write_mesh(table[number : number + 1], scene.meshes[number], assets, plan)
     firsts = [first_with[id(instance.mesh)] for instance in scene.meshes]
     for name in ("face_first", "has_normals", "base_color", "texture", "alpha", "material"):
         table[name] = table[name][firsts]
     return table
 
 
-def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, traces_paths: bool) -> None:
+def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, plan: FramePlan) -> None:
     """Writes what the instances of a mesh have in common."""
     mesh, material = instance.mesh, instance.mesh.material
     row["face_first"] = assets.face_first(mesh)
@@ -136,11 +137,14 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, *, 
         place_texture(row["texture"], texture, wraps_of(material, "base_color_texture"), assets.texture_first)
     row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
     row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
+    is_body = plan.has_media and is_medium(instance, traces_paths=plan.traces_paths)
+    row["alpha"]["is_drawn"] = plan.draws_alpha and not is_body
+    row["alpha"]["is_bent"] = plan.traces_paths and is_body
     row["material"]["smooth"] = material.is_smooth
     if isinstance(material, MaterialPbr):
         for name in ("metallic", "specular", "ior", "transmission", "thin_walled", "priority"):
             row["material"][name] = getattr(material, name)
-        row["material"]["is_medium"] = is_medium(instance, traces_paths=traces_paths)
+        row["material"]["is_medium"] = is_medium(instance, traces_paths=plan.traces_paths)
         row["material"]["absorption"] = absorption_of(material)
         fill_layers(row["material"], material)
         row["material"]["sheen"] = max(material.sheen_color)

@@ -44,7 +44,8 @@ def pass_triangle(
     if not (t > 0.0 and t < shadow.t_max):
         return
     is_glass = not shadow.is_opaque and scene.instances[number].material.smooth != 0
-    if not is_glass and scene.instances[number].alpha.mode == ALPHA_OPAQUE:
+    is_bent = shadow.is_opaque and scene.instances[number].alpha.is_bent != 0
+    if not is_glass and (is_bent or scene.instances[number].alpha.mode == ALPHA_OPAQUE):
         passage.light = wp.vec3(0.0)
         return
     weights = hit_weights(hit.weights)
