@@ -142,6 +142,32 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
 
 
 @wp.func
+def scattered_sine2(bsdf: Bsdf) -> float:
+    """Squared sine of the widest angle at which light comes by the diffuse part: beyond it, all is mirrored."""
+    if bsdf.model == BSDF_SIMPLE or bsdf.dielectric <= 0.0 or bsdf.eta <= 1.0:
+        return 1.0
+    if bsdf.alpha > 0.0 and not transmits(bsdf):
+        return 1.0
+    return 1.0 / (bsdf.eta * bsdf.eta)
+
+
+@wp.func
+def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
+    """Density with which ``diffuse_direction`` samples a direction of that cosine, per steradian."""
+    sine2 = scattered_sine2(bsdf)
+    if (1.0 - cos_light) * (1.0 + cos_light) > sine2:
+        return 0.0
+    return INV_PI * cos_light / sine2
+
+
+@wp.func
+def diffuse_direction(bsdf: Bsdf, normal: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """A direction by its cosine, from where light comes by the diffuse part."""
+    sine2 = u[0] * scattered_sine2(bsdf)
+    return around(normal, wp.sqrt(1.0 - sine2), wp.sqrt(sine2), u[1])
+
+
+@wp.func
 def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
     """``bsdf_eval`` above the horizon."""
     cos_view = wp.dot(normal, view)
@@ -211,7 +237,7 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
     """``bsdf_pdf`` above the horizon."""
     cos_view = wp.dot(normal, view)
-    diffuse = INV_PI * wp.dot(normal, light)
+    diffuse = diffuse_pdf(bsdf, wp.dot(normal, light))
     share = pbr_share(bsdf, cos_view)
     if transmits(bsdf):
         return share * glass_pdf(bsdf, normal, view, light) + (1.0 - share) * diffuse
@@ -264,7 +290,7 @@ def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choic
     else:
         share = pbr_share(bsdf, cos_view)
     if choice >= share:
-        return around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
+        return diffuse_direction(bsdf, normal, u)
     if bsdf.model == BSDF_SIMPLE:
         mirrored = 2.0 * cos_view * normal - view
         cosine = wp.pow(1.0 - u[0], 1.0 / (bsdf.shininess + 1.0))

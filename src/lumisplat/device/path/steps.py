@@ -7,7 +7,7 @@ from lumisplat.device.light.direct_light import arrives
 from lumisplat.device.light.interaction import load_interaction
 from lumisplat.device.light.shadow_ray import spawn_lift, spawn_origin
 from lumisplat.device.material.bsdf import bsdf_sample, diffuse_share
-from lumisplat.device.material.fresnel import reflect, refract
+from lumisplat.device.material.fresnel import dielectric_share, reflect, refract
 from lumisplat.device.material.media import scattered_media
 from lumisplat.device.material.specular_bounce import bounce_of_ray, sends_rays_on, spawn_point
 from lumisplat.device.math.color import mean_of
@@ -45,8 +45,13 @@ def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> 
     weight = wave[0].interactions.weight[j]
     if wave[0].interactions.shadow_only[j]:
         return wp.where(receives_light, weight, 0.0)
-    albedo = mean_of(wave[0].interactions.diffuse[j]) + mean_of(wave[0].interactions.specular[j])
-    albedo += 0.1 * wave[0].interactions.grazing[j]
+    albedo = mean_of(wave[0].interactions.diffuse[j])
+    if wave[0].interactions.model[j] != BSDF_SIMPLE and wave[0].interactions.alpha[j] <= 0.0:
+        # Smooth: what it mirrors goes another way.
+        cosine = wp.dot(wave[0].interactions.normal[j], wave[0].interactions.wo[j])
+        albedo *= 1.0 - dielectric_share(wave[0].interactions.dielectric[j], cosine, wave[0].interactions.eta[j])
+    else:
+        albedo += mean_of(wave[0].interactions.specular[j]) + 0.1 * wave[0].interactions.grazing[j]
     if wave[0].interactions.transmitted:
         albedo += mean_of(wave[0].interactions.transmitted[j])
     if wave[0].interactions.coat:
