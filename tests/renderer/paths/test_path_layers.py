@@ -34,6 +34,8 @@ def test_layers_add_up_to_the_picture(shown: str) -> None:
     parts = sum(getattr(frame, name).astype(np.float64) for name in PATH_PARTS)
     np.testing.assert_allclose(np.maximum(parts, 0.0), frame.color, rtol=1e-5, atol=1e-5)
     changed = frame.emission - captured - frame.bounces[0]
+    if shown == "all":  # else this is what light has taken from captures
+        np.testing.assert_allclose(changed, 0.0, atol=1e-5)
     np.testing.assert_allclose(frame.bounces.sum(0) + changed + captured, frame.color, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(frame.light_total.sum(0), frame.bounces.sum(0), rtol=1e-5, atol=1e-5)
 
@@ -89,6 +91,22 @@ def test_lights_apart() -> None:
             direct.mean((0, 1)), (alone.light_direct * alone.light_shadow)[0].mean((0, 1)), rtol=0.02
         )
         np.testing.assert_allclose(both.light_total[number].mean((0, 1)), alone.light_total[0].mean((0, 1)), rtol=0.03)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.0])
+def test_a_lamp_that_nothing_hides_arrives_whole(roughness: float) -> None:
+    """Seen in metal: by samples of it, however few; in a mirror it is light of it that no sample of it brings."""
+    metal = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=roughness)
+    floor = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), metal)
+    lamp = ls.LightSphere((0.0, 1.0, -1.5), 0.5, intensity=3.0)
+    view = ls.Camera.look_at((0, 0.5, 1.0), (0, 0, 0), width=16, height=12, fov_y=0.5)
+    frame: Any = paths(ls.Scene(meshes=[floor], lights=[lamp]), view, 128, 0, aovs=("lights", "bounces"))
+    np.testing.assert_allclose(frame.light_shadow, 1.0, atol=1e-5)
+    assert frame.light_total[0].mean() > 0.3
+    if roughness > 0.0:
+        np.testing.assert_allclose(frame.light_direct[0].mean(), frame.bounces[1].mean(), rtol=0.03)
+    else:
+        assert not frame.light_direct.any()
 
 
 def test_layers_that_only_paths_have_are_refused_elsewhere() -> None:

@@ -67,17 +67,24 @@ def add_light(
     if images[0].lights_total:
         lights = images[0].lights_arrived.shape[0] // count
         add_to_row(images[0].lights_total, wp.min(light, lights), count, root, value)
-        if bounces == 1 and light < lights:
-            add_to_row(images[0].lights_arrived, light, count, root, value)
 
 
 @wp.func
-def add_unshadowed(root: int, value: wp.vec3, light: int, images: wp.array[PathImages]):
-    """Adds what the first surface of a path would reflect of a light, if that is one and the frame asks for it."""
+def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, images: wp.array[PathImages]):
+    """Adds a sample of a light at the first surface of a path, if it is one of the lights and the frame asks for it.
+
+    Args:
+        root: The ray that the path began with.
+        sent: What the surface would reflect of it unshadowed, linear.
+        arrived: What it does reflect.
+        light: Number of the light.
+        images: Where both are added.
+    """
     if images[0].lights_sent:
         count = images[0].light.shape[0]
         if light < images[0].lights_sent.shape[0] // count:
-            add_to_row(images[0].lights_sent, light, count, root, value)
+            add_to_row(images[0].lights_sent, light, count, root, sent)
+            add_to_row(images[0].lights_arrived, light, count, root, arrived)
 
 
 @wp.func

@@ -11,7 +11,7 @@ from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.material.media import absorption_in, passed, scattered_media
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, draw, sobol_2d
-from lumisplat.device.path.images import add_light, add_sent_light, add_unshadowed
+from lumisplat.device.path.images import add_first_light, add_light, add_sent_light
 from lumisplat.device.path.sampled_light import sampled_light
 from lumisplat.device.path.seen_light import environment_number, shown_light
 from lumisplat.device.structs.path import BRANCH_MESH, PathData, PathImages, PathShadowRays, PathVertex
@@ -149,18 +149,22 @@ def light_surface(
     light = sampled_light(choice, interaction, u, which[1], is_met, scene)
     shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
     direction = light.contribution.direction
+    reaching = wp.cw_mul(factor, light.sent)
+    if shadows[0].sent:
+        shadows[0].sent[i] = reaching
     if shadows[0].media:
         media = scattered_media(i, slot == BRANCH_MESH, direction, interaction.normal, scene, wave)
         if is_met:  # Glass blocks this way, so that all of it is in one medium.
             share = passed(absorption_in(media, scene[0].mesh_instances), light.contribution.distance)
             shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
+            reaching = wp.cw_mul(reaching, share)
         else:
             shadows[0].media[i] = media
     shadows[0].lights[i] = choice.number
     if shadows[0].diffuse:
         shadows[0].diffuse[i] = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, direction)
-    if shadows[0].sent:
-        shadows[0].sent[i] = wp.cw_mul(factor, light.sent)
+    if shadows[0].reaching:
+        shadows[0].reaching[i] = reaching
     if is_black(shadows[0].contributions[i]) or no_shadows or not casts_shadow(choice.number, scene):
         return
     count = wave[0].rays.is_active.shape[0]
@@ -174,15 +178,27 @@ def light_surface(
 def add_sent(
     i: int,
     number: int,
+    visible: wp.vec3,
     scene: wp.array[ShadingScene],
     paths: wp.array[PathData],
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds what lights would contribute unshadowed: to a shadow-only surface as captured, or to their own layers."""
+    """Adds samples of lights: to a shadow-only surface unshadowed, as captured, or to the lights' own layers.
+
+    Args:
+        i: Ray of the path.
+        number: Of its wave.
+        visible: Share of the light that the shadow ray lets through.
+        scene: With the lights.
+        paths: Those of the wave.
+        shadows: Has the samples.
+        images: Where they are added.
+    """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:
         if light < scene[0].settings[0].light_count:
             add_sent_light(paths[0].root[i], shadows[0].contributions[i], images)
     elif number == 0 and shadows[0].sent:
-        add_unshadowed(paths[0].root[i], shadows[0].sent[i], light, images)
+        arrived = wp.cw_mul(shadows[0].reaching[i], visible)
+        add_first_light(paths[0].root[i], shadows[0].sent[i], arrived, light, images)

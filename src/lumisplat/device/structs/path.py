@@ -83,6 +83,8 @@ class PathShadowRays:
     """As of `PathData`, after this surface; without elements in frames without layers."""
     sent: wp.array[wp.vec3]
     """What the light alone would contribute, by its own samples; without elements unless frames ask for ``lights``."""
+    reaching: wp.array[wp.vec3]
+    """The same, less what the medium absorbs on a way that glass ends; so, too."""
 
 
 PART_DIRECT_DIFFUSE: int = wp.constant(0)
@@ -107,9 +109,9 @@ class PathImages:
     bounces: wp.array[wp.vec3]
     """By how often surfaces have scattered it; the last row is that of all further ones."""
     lights_sent: wp.array[wp.vec3]
-    """By light: what the first surface would reflect of it, unshadowed."""
+    """By light: what the first surface would reflect of it, unshadowed, by samples of the light alone."""
     lights_arrived: wp.array[wp.vec3]
-    """What arrives of that."""
+    """What arrives of these samples."""
     lights_total: wp.array[wp.vec3]
     """All of each light; the last row is what shines and is no light."""
     received: wp.array[wp.vec3]

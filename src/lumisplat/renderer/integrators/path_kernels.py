@@ -293,12 +293,14 @@ def add_sampled_light(
         if not is_black(arrived):
             receives = paths[0].receives[i] or shadows[0].skips[j]
             diffuse = diffuse_of(i, number, paths)
+            visible = wp.vec3(1.0)
+            if shadows[0].rays.is_active[j]:
+                visible = visibility[j]
             if slot == 0:
-                add_sent(i, number, scene, paths, shadows, images_inout)
+                add_sent(i, number, visible, scene, paths, shadows, images_inout)
                 if number == 0 and shadows[0].diffuse:
                     diffuse = shadows[0].diffuse[i]
-            if shadows[0].rays.is_active[j]:
-                arrived = wp.cw_mul(arrived, visibility[j])
+            arrived = wp.cw_mul(arrived, visible)
             add_light(
                 paths[0].root[i], receives, arrived, number + 1 - slot, shadows[0].lights[j], diffuse, images_inout
             )

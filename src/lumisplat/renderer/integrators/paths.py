@@ -161,7 +161,7 @@ class PathIntegrator:
         total = 2 * count if plan.shows_lights_in_haze else count
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
-            without.add("sent")
+            without |= {"sent", "reaching"}
         if not plan.absorbs:
             without.add("media")
         shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
