@@ -30,6 +30,15 @@ def stack(*opacities: float) -> ls.Gaussians:
     return joined(*(one_gaussian((0.0, 0.0, 3.0 + i), opacity=opacity) for i, opacity in enumerate(opacities)))
 
 
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_no_rays(pipeline: ls.Pipeline) -> None:
+    """No rays see nothing: arrays without rows, in a scene with anything in it."""
+    scene = ls.Scene([stack(0.5)], [quad(4.0)], [ls.LightPoint((0.0, 0.0, 0.0))])
+    none = np.zeros((0, 3))
+    hits = ls.trace_rays(scene, none, none, ls.RenderConfig(pipeline=pipeline), device="cpu")
+    assert hits.radiance.shape == (0, 3) and len(hits) == 0
+
+
 def test_transmittance_is_the_product() -> None:
     """Of what the Gaussians before the distance let through, mean by mean; one distance a ray."""
     scene = ls.Scene([stack(0.5, 0.8, 0.3)])

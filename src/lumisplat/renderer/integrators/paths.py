@@ -52,6 +52,8 @@ class PathIntegrator:
         with self._launcher.stage("light"):
             paths = self._begin(plan, hits)
             first = wave = self._wave(scene, plan, hits, paths, 0)
+            if first.count == 0:
+                return first
             images = self._layers.begin(plan, first, lights=len(scene.lights.names))
             steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
             for number in range(1, plan.max_bounces + 2):
