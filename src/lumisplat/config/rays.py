@@ -199,6 +199,11 @@ class ShadowConfig:
         check_flag("shared_draws", self.shared_draws)
         check_range("color_strength", self.color_strength, 0.0, 5.0)
 
+    @property
+    def changes_shadows(self) -> bool:
+        """Whether shadows differ on purpose from what Gaussians let through."""
+        return self.transmittance_threshold > 0.0 or self.color_strength > 0.0
+
 
 def _check_hits(name: str, value: object) -> None:
     """Raises ConfigError unless ``value`` is one of the numbers of hits that kernels hold."""

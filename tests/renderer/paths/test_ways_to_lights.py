@@ -18,7 +18,7 @@ from lumisplat.scene.lights import Light
 from support.oracles.bsdf_oracle import pbr_specular
 from support.oracles.form_factors import polygon_irradiance
 from support.scenes.light_scenes import metal, parallelogram
-from support.scenes.path_scenes import assert_is, ball, diffuse, irradiance, paths, quad
+from support.scenes.path_scenes import assert_is, ball, diffuse, irradiance, paths, quad, wide_sheet
 
 ALBEDO = 0.5
 FLOOR = quad((-3, 0, -3), (0, 0, 6), (6, 0, 0), diffuse(ALBEDO))
@@ -186,3 +186,29 @@ def reflected_lamp(lamp: ls.LightSphere, view: np.ndarray, roughness: float) -> 
     white = {"alpha": roughness**2, "specular": [1.0], "grazing": 1.0}
     values = pbr_specular(white, np.array([0.0, 1.0, 0.0]), view, rays)[..., 0] * rays[..., 1]
     return float(2.0 * np.pi * edge * lamp.intensity * values.mean())
+
+
+@pytest.mark.parametrize("setting", ["transmittance_threshold", "color_strength"])
+@pytest.mark.parametrize("lamp", ["rect", "mesh", "sky"])
+def test_shadows_that_are_stretched_or_tinted_are_so_for_all_ways(lamp: str, setting: str) -> None:
+    """Behind haze that lets half through: as a lamp that no ray shows lights it, which is not weighted."""
+    turn = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+    sheet = wide_sheet(1.0, 0.5, 0.0).gaussians
+    sheet = replace(sheet, sh=np.full((1, 1, 3), -1.0) * [1.0, 0.2, -1.0])
+    haze = ls.SplatInstance(sheet, turn, material=diffuse(1.0))
+    floor = quad((-4, 0, -4), (0, 0, 8), (8, 0, 0), metal(roughness=0.4))
+    met = ls.LightRect((0, 2, 0), (3, 0, 0), (0, 0, 3), intensity=1.0)
+    scene = ls.Scene(meshes=[floor], splats=[haze], lights=[replace(met, visible=False)])
+    shown = replace(scene, lights=[met])
+    if lamp == "mesh":
+        shown = replace(
+            scene, meshes=[floor, quad((-1.5, 2, -1.5), (3, 0, 0), (0, 0, 3), diffuse(0.0, 1.0))], lights=[]
+        )
+    if lamp == "sky":
+        sky = ls.LightEnvironment(color=(0.7, 0.7, 0.7))
+        shown, scene = replace(scene, lights=[sky]), replace(scene, lights=[replace(sky, shadow_distance=1e6)])
+    changed = replace(ls.ShadowConfig(), **{setting: 0.4 if setting == "transmittance_threshold" else 3.0})
+    down = ls.Camera.look_at((0, 0.5, 0.3), (0, 0, 0), (0, 0, 1), width=16, height=12, fov_y=0.02)
+    means = [paths(one, down, 64, 0, background=None, shadow_rays=changed).color.mean((0, 1)) for one in (scene, shown)]
+    assert means[0].min() > 0.01
+    np.testing.assert_allclose(means[1], means[0], rtol=0.04)

@@ -30,9 +30,9 @@ def choice_count(scene: wp.array[ShadingScene]) -> int:
 def meets_rays(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
     """Whether rays that surfaces scatter show light ``number``, and its samples are weighted against them.
 
-    Not those whose samples pass what would block the rays, and those that have no extent.
+    Not those whose samples pass what would block the rays, or are shadowed otherwise, and those that have no extent.
     """
-    if no_shadows:
+    if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False
     if number == scene[0].settings[0].light_count:
         return True

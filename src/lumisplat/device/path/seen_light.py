@@ -75,7 +75,7 @@ def emitted_share(
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
         return 1.0
-    if no_shadows or leaves_receiver(i, paths):
+    if leaves_receiver(i, paths) or not meets_rays(scene[0].settings[0].light_count, no_shadows, scene):
         return 0.0
     if density <= 0.0:
         return 1.0

@@ -79,6 +79,8 @@ class ShadingSettings:
     """1: some medium inside a mesh absorbs light."""
     soft: int
     """1: lights are sampled over their extent."""
+    changes_shadows: int
+    """1: shadow rays darken or tint what they let through, as rays that meet lights do not."""
     shadow_offset: float
     """Scales of a Gaussian."""
     shadow_offset_absolute: float

@@ -119,6 +119,7 @@ class ShadingTables:
         row["light_count"] = self._table.count
         row["absorbs"] = plan.absorbs
         row["soft"] = config.shadows is Shadows.SOFT or plan.traces_paths
+        row["changes_shadows"] = config.shadow_rays.changes_shadows
         row["shadow_offset"] = config.shadow_rays.offset
         row["shadow_offset_absolute"] = config.shadow_rays.offset_absolute
         return table
