@@ -124,7 +124,8 @@ class RenderConfig:
     """How Gaussians respond to rays of all kinds."""
     lighting: bool | None = None
     """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any, or
-    is of meshes alone, which would be flat areas of colour otherwise."""
+    is of meshes alone, which would be flat areas of colour otherwise; ``PATH`` and ``REALTIME`` frames always. Rays of
+    ``trace_rays`` have no headlight then, and are lit if the scene has lights or, with ``PATH``, shines."""
     shadows: Shadows = Shadows.HARD
     """Whether lights are blocked by what stands in their way, in lit frames."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)

@@ -107,7 +107,7 @@ class PathImages:
     parts: wp.array[wp.vec3]
     """By PART_DIRECT_DIFFUSE and so on: row after row of one element a ray, like the next ones."""
     bounces: wp.array[wp.vec3]
-    """By how often surfaces have scattered it; the last row is that of all further ones."""
+    """By how often surfaces have scattered it: at most once more than paths bounce."""
     lights_sent: wp.array[wp.vec3]
     """By light: what the first surface would reflect of it, unshadowed, by samples of the light alone."""
     lights_arrived: wp.array[wp.vec3]

@@ -209,7 +209,7 @@ def continue_paths(
     wave: wp.array[WaveData],
     paths: wp.array[PathData],
     shadows_inout: wp.array[PathShadowRays],
-    images: wp.array[PathImages],
+    images_inout: wp.array[PathImages],
     steps_out: wp.array[PathSteps],
 ):
     """Chooses the surface by which each path goes on, samples a light there, and says where it goes.
@@ -222,7 +222,7 @@ def continue_paths(
         wave: The wave.
         paths: Its paths.
         shadows_inout: Receives shadow rays to the lights.
-        images: Those that frames ask for.
+        images_inout: Those that frames ask for; notes which paths find what shadow-only surfaces receive.
         steps_out: Where paths go on.
     """
     i = start + wp.tid()
@@ -232,7 +232,7 @@ def continue_paths(
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
     receives_light = bool(False)  # only where the camera sees it
-    if images[0].sent:
+    if images_inout[0].sent:
         receives_light = number == 0
     bounce = bounce_at(i, scene, wave)
     ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
@@ -249,7 +249,7 @@ def continue_paths(
         if interaction.shadow_only:
             receives = True
             factor = wp.vec3(1.0)
-            images[0].received[paths[0].root[i]] = wp.vec3(1.0)
+            images_inout[0].received[paths[0].root[i]] = wp.vec3(1.0)
         vertex = vertex_at(interaction, scene)
         light_surface(i, branch.kind, factor, no_shadows, interaction, vertex, scene, wave, shadows_inout)
         u = sobol_2d(branch_key(key, DIRECTION_BRANCH), sample)
