@@ -104,7 +104,7 @@ def start_lobes(
     rays_out.direction[ray] = lobe.direction
     rays_out.t_min[ray] = lobe.t_min
     rays_out.t_max[ray] = wp.inf
-    rays_out.path_length[ray] = wave[0].rays.path_length[i] + lobe.length
+    rays_out.path_length[ray] = 0.0  # what a surface scatters does not depend on how far away the eye is
     rays_out.spread[ray] = 0.0
     rays_out.sample_key[ray] = branch_key(wave[0].rays.sample_key[i], LOBE_BRANCH)
     rays_out.pixel_key[ray] = branch_key(wave[0].rays.pixel_key[i], LOBE_BRANCH)
