@@ -8,6 +8,7 @@ The equations are in docs/method/materials.md.
 
 import warp as wp
 
+from lumisplat.device.material.diffuse import diffuse_direction, diffuse_pdf
 from lumisplat.device.material.fresnel import dielectric_share, mean_dielectric_share
 from lumisplat.device.material.ggx import (
     ALPHA_GGX_MIN,
@@ -139,32 +140,6 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
     enters = 1.0 - mirrored_share(bsdf, cos_light)
     leaves = 1.0 - mirrored_share(bsdf, cos_view)
     return (INV_PI * enters * leaves / wp.max(1.0 - bsdf.mean_mirrored, 1e-6)) * bsdf.diffuse
-
-
-@wp.func
-def scattered_sine2(bsdf: Bsdf) -> float:
-    """Squared sine of the widest angle at which light comes by the diffuse part: beyond it, all is mirrored."""
-    if bsdf.model == BSDF_SIMPLE or bsdf.dielectric <= 0.0 or bsdf.eta <= 1.0:
-        return 1.0
-    if bsdf.alpha > 0.0 and not transmits(bsdf):
-        return 1.0
-    return 1.0 / (bsdf.eta * bsdf.eta)
-
-
-@wp.func
-def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
-    """Density with which ``diffuse_direction`` samples a direction of that cosine, per steradian."""
-    sine2 = scattered_sine2(bsdf)
-    if (1.0 - cos_light) * (1.0 + cos_light) > sine2:
-        return 0.0
-    return INV_PI * cos_light / sine2
-
-
-@wp.func
-def diffuse_direction(bsdf: Bsdf, normal: wp.vec3, u: wp.vec2) -> wp.vec3:
-    """A direction by its cosine, from where light comes by the diffuse part."""
-    sine2 = u[0] * scattered_sine2(bsdf)
-    return around(normal, wp.sqrt(1.0 - sine2), wp.sqrt(sine2), u[1])
 
 
 @wp.func
