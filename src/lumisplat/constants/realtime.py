@@ -66,3 +66,15 @@ often, and is nearer to the truth. The variance is a third higher than that of p
 OUTDATED_SHARE = 1e-4
 """Share of its weight that a mean keeps when the light changes: what is found next takes its place, and is until then
 better than nothing. Many old cells of a tile together weigh less than one new sample."""
+
+# --- Light grid ---
+
+GRID_LIGHTS = 16
+"""Lights among which a surface chooses one: where there are more, these are chosen for each cell of the world."""
+
+GRID_CELL_SIZE = 1.0 / 4.0
+"""Largest width of such a cell as a share of its distance from the eye; widths are powers of two."""
+
+GRID_CHOICES = 4
+"""Independent choices for each cell, of which each surface takes one: with the eight cells that it may take, more than
+the 25 pixels whose noise is taken for independent where light changes."""

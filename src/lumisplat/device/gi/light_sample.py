@@ -2,12 +2,14 @@
 
 import warp as wp
 
+from lumisplat.device.gi.light_grid import grid_light
 from lumisplat.device.light.light_choice import casts_shadow, chosen_light, vertex_at
 from lumisplat.device.light.shadow_ray import start_shadow_ray
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.path.sampled_light import sampled_light
 from lumisplat.device.path.steps import branch_of
+from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.path import Branch, LightChoice
 from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene, WaveData
@@ -23,6 +25,8 @@ SHADOW_BRANCH = wp.constant(5)
 """What blocks it."""
 SURFACE_BRANCH = wp.constant(7)
 """Which surface of the ray."""
+CELL_BRANCH = wp.constant(8)
+"""Which cell of the light grid."""
 
 
 @wp.func
@@ -76,13 +80,18 @@ def sample_light_of(
     slot: int,
     interaction: Interaction,
     no_shadows: bool,
+    grid: LightGrid,
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """As ``sample_choice``, of a light that is chosen by what each sends there."""
+    """As ``sample_choice``, of a light that is chosen by what each sends there; ``grid``: of the wave."""
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], LIGHT_BRANCH), wave[0].rays.sample[i])
-    choice = chosen_light(u[0], vertex_at(interaction, scene), scene)
+    choice = LightChoice()
+    if grid.cell_of.shape[0] > 0:
+        choice = grid_light(u[0], grid.cell_of[i], interaction, grid, scene)
+    else:
+        choice = chosen_light(u[0], vertex_at(interaction, scene), scene)
     if choice.number < 0:
         return Contribution()
     return sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays)

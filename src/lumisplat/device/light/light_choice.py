@@ -77,13 +77,20 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 
 @wp.func
-def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
-    """An interaction as the choice of a light reads it."""
+def place_of(interaction: Interaction) -> PathVertex:
+    """An interaction as the choice of a light reads it, but for what the lights send there."""
     vertex = PathVertex()
     vertex.position = interaction.position
     vertex.normal = interaction.normal
     if transmits(interaction.bsdf):
         vertex.normal = wp.vec3(0.0)  # light counts from both sides
+    return vertex
+
+
+@wp.func
+def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
+    """An interaction as the choice of a light reads it."""
+    vertex = place_of(interaction)
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
 

@@ -146,6 +146,18 @@ class LobeRays:
 
 
 @struct
+class LightGrid:
+    """Of many lights, the few among which the surfaces of a cell of the world choose (docs/method/realtime.md)."""
+
+    cell_of: wp.array[int]
+    """The cell of each ray's surface, -1: it has none; without elements: all surfaces choose among all lights."""
+    numbers: wp.array[int]
+    """Numbers of the lights of each cell, `GRID_LIGHTS` and one more; -1: there are no more."""
+    chances: wp.array[float]
+    """The probability of each to be among those of its cell; of the one more 0: nothing chooses it."""
+
+
+@struct
 class BouncedRays:
     """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
 

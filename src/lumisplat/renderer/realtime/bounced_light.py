@@ -11,6 +11,7 @@ from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.gi import BouncedRays
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.gi.light_grid import LightGrids
 from lumisplat.renderer.light.surfaces import Surfaces
 from lumisplat.renderer.realtime import bounced_light_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -46,6 +47,7 @@ class BouncedLight:
     ) -> None:
         self._launcher, self._buffers, self._tracer, self._shadows = launcher, buffers, tracer, shadows
         self._surfaces = Surfaces(launcher, buffers)
+        self._grids = LightGrids(launcher, buffers)
 
     def find(self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str) -> BouncedHits:
         """What rays meet, with direct light there.
@@ -63,7 +65,8 @@ class BouncedLight:
         shadow_rays = self._buffers.struct(f"{name}.shadow_rays", RayData, count)
         with self._launcher.stage("bounced"):
             wave = self._surfaces.shade(scene, plan, hits, 1, may_branch=False)
-            inputs = not plan.casts_shadows, scene.camera, scene.shading, wave.data, samples, bounced, shadow_rays
+            grid = self._grids.of_wave(scene, wave)
+            inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, samples, bounced, shadow_rays
             run(kernels.meet_surfaces, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
             visibility = bounced.sampled
             if plan.casts_shadows:

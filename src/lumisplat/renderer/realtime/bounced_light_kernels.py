@@ -8,7 +8,7 @@ from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.mesh_interaction import mesh_emission
 from lumisplat.device.math.color import captured_color
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import BouncedRays
+from lumisplat.device.structs.gi import BouncedRays, LightGrid
 from lumisplat.device.structs.light import BSDF_SIMPLE, Bsdf
 from lumisplat.device.structs.path import BRANCH_SPLATS
 from lumisplat.device.structs.radiance_cache import CacheSamples
@@ -45,6 +45,7 @@ def matte(interaction: Interaction) -> Interaction:
 def meet_surfaces(
     start: int,
     no_shadows: bool,
+    grid: LightGrid,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
@@ -57,6 +58,7 @@ def meet_surfaces(
     Args:
         start: First item.
         no_shadows: Light passes through everything.
+        grid: Of the wave.
         camera: The camera of the frame.
         scene: The scene.
         wave: Of the rays.
@@ -90,7 +92,8 @@ def meet_surfaces(
     samples_out.extent[i] = 0.0
     if surface.kind == BRANCH_SPLATS and scene[0].settings[0].shadow_offset > 0.0:
         samples_out.extent[i] = wave[0].interactions.spawn_t_min[j] / scene[0].settings[0].shadow_offset
-    bounced_out.sampled[i] = sample_light_of(i, surface.kind, interaction, no_shadows, scene, wave, rays_out).color
+    sample = sample_light_of(i, surface.kind, interaction, no_shadows, grid, scene, wave, rays_out)
+    bounced_out.sampled[i] = sample.color
 
 
 @wp.kernel

@@ -3,9 +3,11 @@
 import warp as wp
 
 from lumisplat.device.gi.albedo import diffuse_albedo
+from lumisplat.device.gi.light_grid import SLOTS
 from lumisplat.device.gi.light_sample import lit_surface, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import LightGrid
 from lumisplat.device.structs.path import LightChoice
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
@@ -80,7 +82,47 @@ def sample_emitters(
 
 
 @wp.kernel
-def add_emitters(
+def sample_light_of_cells(
+    start: int,
+    slot: int,
+    no_shadows: bool,
+    grid: LightGrid,
+    scene: wp.array[ShadingScene],
+    wave: wp.array[WaveData],
+    contributions_out: wp.array[wp.vec3],
+    rays_out: RayData,
+):
+    """Item = ray: unshadowed light of one of those of its cell, over its chance to be that; its shadow ray.
+
+    Args:
+        start: First item.
+        slot: Which of the cell's.
+        no_shadows: Light passes through everything.
+        grid: Of the wave.
+        scene: The scene.
+        wave: Of the rays.
+        contributions_out: The light.
+        rays_out: Shadow rays.
+    """
+    i = start + wp.tid()
+    contributions_out[i] = wp.vec3(0.0)
+    rays_out.is_active[i] = False
+    cell = grid.cell_of[i]
+    if cell < 0:
+        return
+    surface = lit_surface(i, wave)
+    choice = LightChoice()
+    choice.number = grid.numbers[cell * SLOTS + slot]
+    choice.probability = surface.probability * grid.chances[cell * SLOTS + slot]
+    if choice.probability <= 0.0:
+        return
+    interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
+    contribution = sample_choice(i, surface.kind, choice, interaction, no_shadows, scene, wave, rays_out)
+    contributions_out[i] = contribution.color
+
+
+@wp.kernel
+def add_samples(
     start: int,
     contributions: wp.array[wp.vec3],
     rays: RayData,
@@ -89,8 +131,10 @@ def add_emitters(
 ):
     """Item = ray: adds what arrives of these."""
     i = start + wp.tid()
+    light = contributions[i]
     if rays.is_active[i]:
-        wave_inout[0].radiance.light[i] += wp.cw_mul(contributions[i], visibility[i])
+        light = wp.cw_mul(light, visibility[i])
+    wave_inout[0].radiance.light[i] += light
 
 
 @wp.kernel

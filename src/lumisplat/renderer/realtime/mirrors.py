@@ -7,8 +7,10 @@ import itertools
 import warp as wp
 
 from lumisplat.config import RenderConfig
+from lumisplat.constants.realtime import GRID_LIGHTS
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.gi.light_grid import LightGrids
 from lumisplat.renderer.gi.radiance_cache import RadianceCache
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.light.surfaces import Surfaces
@@ -20,7 +22,7 @@ from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers, DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import Kernel, Launcher
 
 
 class Mirrors:
@@ -49,6 +51,7 @@ class Mirrors:
         self._shadows, self._cache = shadows, cache
         self._surfaces = Surfaces(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
+        self._grids = LightGrids(launcher, buffers)
         self._specular = SpecularWaves(launcher, buffers)
 
     def add(self, scene: DeviceScene, plan: FramePlan, first: RayWave, sample: int) -> DeviceArray:
@@ -84,23 +87,34 @@ class Mirrors:
             wave = self._surfaces.shade(
                 scene, plan, hits, number, carried=carried, may_branch=may_branch, on_paths=False
             )
-            self._direct_light.add(scene, plan, wave)
-            if scene.has_emitters and plan.casts_shadows:
-                self._add_emitters(scene, plan, wave)
+            self._add_lights(scene, plan, wave)
             self._add_cached(scene, wave)
             waves.append(wave)
         return waves
 
-    def _add_emitters(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds direct light of triangles that shine, which is none of the lights."""
+    def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
+        """Adds direct light: of all lights one by one, or, of many, of those of the cells of the light grid."""
+        if self._grids.is_needed(scene) and not plan.has_shadow_only:
+            grid = self._grids.of_wave(scene, wave)
+            for slot in range(GRID_LIGHTS + 1):
+                self._add_samples(scene, plan, wave, kernels.sample_light_of_cells, slot, not plan.casts_shadows, grid)
+            return
+        self._direct_light.add(scene, plan, wave)
+        if scene.has_emitters and plan.casts_shadows:
+            self._add_samples(scene, plan, wave, kernels.sample_emitters)
+
+    def _add_samples(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: Kernel, *inputs: object) -> None:
+        """Adds what arrives of one sample a ray, by a kernel that takes these inputs."""
         count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
         sampled = get("mirrors.sampled", wp.vec3, count)
         rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
-        run(kernels.sample_emitters, count, scene.shading, wave.data, sampled, rays)
-        visibility = self._shadows.trace(
-            scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
-        )
-        run(kernels.add_emitters, count, sampled, rays, visibility, wave.data)
+        run(sample, count, *inputs, scene.shading, wave.data, sampled, rays)
+        visibility = sampled
+        if plan.casts_shadows:
+            visibility = self._shadows.trace(
+                scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, part=True
+            )
+        run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
         """Adds the indirect light of what a wave meets."""

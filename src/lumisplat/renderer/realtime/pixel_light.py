@@ -8,6 +8,7 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight
 from lumisplat.device.structs.rays import RayData
+from lumisplat.renderer.gi.light_grid import LightGrids
 from lumisplat.renderer.light.direct_light import DirectLight
 from lumisplat.renderer.realtime import pixel_light_kernels as kernels
 from lumisplat.renderer.realtime.gbuffer import Surfaces
@@ -32,6 +33,7 @@ class PixelLights:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, shadows: ShadowRays) -> None:
         self._launcher, self._buffers, self._shadows = launcher, buffers, shadows
         self._interval = config.realtime.light_interval
+        self._grids = LightGrids(launcher, buffers)
         self._direct_light = DirectLight(launcher, buffers, config)
 
     def sample(
@@ -50,8 +52,11 @@ class PixelLights:
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        run(kernels.number_samples, count, self._interval, frame, scene.camera, wave.data)
+        grid = self._grids.of_wave(scene, wave)
         with self._launcher.stage("lights"):
-            inputs = not plan.casts_shadows, self._interval, frame, scene.camera, scene.shading, wave.data, light, rays
+            inputs = not plan.casts_shadows, self._interval, frame, grid, scene.camera
+            inputs = *inputs, scene.shading, wave.data, light, rays
             run(kernels.sample_lights, count, *inputs, bands=bands)
         visibility = self._visibility(scene, plan, rays)
         with self._launcher.stage("lights"):

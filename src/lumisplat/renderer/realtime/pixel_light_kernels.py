@@ -10,7 +10,7 @@ from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
 from lumisplat.device.structs.camera import CameraData
-from lumisplat.device.structs.gi import FilteredLight, PixelLight, SurfaceLight, SurfacePixels
+from lumisplat.device.structs.gi import FilteredLight, LightGrid, PixelLight, SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
@@ -20,14 +20,27 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 
 @wp.kernel
+def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
+    """Item = ray: the number of its sample becomes that of its pixel's sample of light, if the frame has one.
+
+    Without gaps, as low-discrepancy sequences are made.
+    """
+    i = start + wp.tid()
+    at = pixel_of_ray(camera[0].width, i)
+    if wave_inout[0].rays.is_active[i] and has_turn(at[0], at[1], interval, frame):
+        wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval
+
+
+@wp.kernel
 def sample_lights(
     start: int,
     no_shadows: bool,
     interval: int,
     frame: int,
+    grid: LightGrid,
     camera: wp.array[CameraData],
     scene: wp.array[ShadingScene],
-    wave_inout: wp.array[WaveData],
+    wave: wp.array[WaveData],
     light_out: PixelLight,
     rays_out: RayData,
 ):
@@ -38,9 +51,10 @@ def sample_lights(
         no_shadows: Whether nothing blocks light.
         interval: Frames in which each pixel has a sample, 1 or 2.
         frame: Number of the frame.
+        grid: Of the wave.
         camera: The camera.
         scene: The scene.
-        wave_inout: The first wave; the numbers of its rays' samples become those of the pixels' samples of light.
+        wave: The first wave, its samples numbered.
         light_out: The samples, unshadowed.
         rays_out: The shadow rays.
     """
@@ -50,17 +64,15 @@ def sample_lights(
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
     at = pixel_of_ray(camera[0].width, i)
-    if not wave_inout[0].rays.is_active[i] or not has_turn(at[0], at[1], interval, frame):
+    if not wave[0].rays.is_active[i] or not has_turn(at[0], at[1], interval, frame):
         return
-    # Without gaps, as low-discrepancy sequences are made.
-    wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval
-    slot = lit_surface(i, wave_inout).kind
+    slot = lit_surface(i, wave).kind
     light_out.slot[i] = slot
     if slot < 0:
         return
-    interaction = load_interaction(slot * wave_inout[0].rays.is_active.shape[0] + i, wave_inout)
+    interaction = load_interaction(slot * wave[0].rays.is_active.shape[0] + i, wave)
     interaction.weight = 1.0
-    contribution = sample_light_of(i, slot, interaction, no_shadows, scene, wave_inout, rays_out)
+    contribution = sample_light_of(i, slot, interaction, no_shadows, grid, scene, wave, rays_out)
     if is_black(contribution.color):
         return
     share = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, contribution.direction)

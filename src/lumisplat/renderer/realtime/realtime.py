@@ -91,6 +91,7 @@ class RealtimeIntegrator:
             surfaces = self._gbuffer.store(scene, wave, sample)
         with frame_pass("direct"):
             light = {"direct": self._lights.sample(scene, plan, wave, surfaces, sample)}
+        highlights = None
         if self._bounces:
             with frame_pass("indirect"):
                 highlights = self._lobes.start(scene, wave, sample)
@@ -100,7 +101,7 @@ class RealtimeIntegrator:
         if plan.has_shadow_only and plan.casts_shadows:
             with frame_pass("direct"):
                 self._lights.darken(scene, plan, wave, sample)
-        if self._bounces:
+        if highlights and surfaces:
             with frame_pass("indirect"):
                 light["indirect"] = self._indirect.find(scene, plan, surfaces, highlights, sample)
         for name, samples in light.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
-from lumisplat.renderer.scene.motion import Motion
+from lumisplat.renderer.scene.motion import Motion, in_order
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene
@@ -133,6 +134,8 @@ class DeviceScene:
             DeviceError: The device is out of memory.
         """
         self._jitters = plan.jitters
+        if plan.has_history:  # its random choices among lights are the same whatever their order
+            scene = replace(scene, lights=in_order(scene.lights))
         with self._launcher.stage("sync"):
             self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
             self.traces_paths = plan.traces_paths

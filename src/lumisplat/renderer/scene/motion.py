@@ -17,6 +17,7 @@ from lumisplat.renderer.scene.upload import as_device_array, first_of
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.struct_tables import upload_structs
 from lumisplat.scene.camera import Camera
+from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 SMALL = 16
@@ -111,6 +112,12 @@ def light_of(scene: Scene) -> list[object]:
     shining = [(id(i.mesh), i.transform.tobytes()) for i in scene.meshes if i.mesh.material.is_emissive]
     materials = [id(instance.material) for instance in scene.splats]
     return [*lights, shining, materials, [id(instance.mesh.material) for instance in scene.meshes]]
+
+
+def in_order(lights: Sequence[Light]) -> list[Light]:
+    """The enabled ones of some lights, in an order that is not that of their list but follows from what they are."""
+    enabled = [light for light in lights if light.enabled]
+    return sorted(enabled, key=lambda light: (type(light).__name__, repr([*map(comparable, vars_of(light))])))
 
 
 def vars_of(noun: Any) -> list[object]:

@@ -61,6 +61,11 @@ class ShadingTables:
         return len(self._emitters.data.ends) > 0
 
     @property
+    def choice_count(self) -> int:
+        """Lights among which paths choose: all, and the triangles that shine."""
+        return self._table.count + self.has_emitters
+
+    @property
     def graph_key(self) -> object:
         """What the passes of a frame depend on among its lights: which kernels run, and for which light."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]

@@ -1,0 +1,224 @@
+"""The light grid: cells of the world with some of many lights each, among which their surfaces choose one.
+
+docs/method/realtime.md#light-grid
+"""
+
+import warp as wp
+
+from lumisplat.constants import LIGHT_POWER_MAX, LUMINANCE
+from lumisplat.constants.realtime import GRID_CELL_SIZE, GRID_CHOICES, GRID_LIGHTS
+from lumisplat.device.gi.radiance_cache import exponent_of, width_of
+from lumisplat.device.light.light import window
+from lumisplat.device.light.light_choice import light_importance, place_of
+from lumisplat.device.math.directions import PI
+from lumisplat.device.math.random import BITS_8, mix
+from lumisplat.device.structs.gi import LightGrid
+from lumisplat.device.structs.light import (
+    LIGHT_DIRECTIONAL,
+    LIGHT_ENVIRONMENT,
+    LIGHT_HEADLIGHT,
+    LIGHT_RECT,
+    LIGHT_SPOT,
+    EmitterData,
+    LightData,
+)
+from lumisplat.device.structs.path import LightChoice
+from lumisplat.device.structs.shading import Interaction, ShadingScene
+
+wp.set_module_options({"enable_backward": False})
+
+KEPT = wp.constant(GRID_LIGHTS)
+"""Lights of a cell."""
+SLOTS = wp.constant(GRID_LIGHTS + 1)
+"""The same with the one whose rank says how probable they were."""
+CHOICES = wp.constant(wp.float32(GRID_CHOICES))
+CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
+NO_CELL = wp.constant(wp.int64(2**63 - 1))
+"""Key of what is nowhere; the last one."""
+LEVEL_LAST = wp.constant(100)
+"""Largest and, negative, smallest level of cells: they are 2^level wide."""
+COORDINATES = wp.constant(2**17)
+"""Cells to each side of the origin."""
+BITS_18 = wp.constant(wp.int64(18))
+LOW_18 = wp.constant(wp.int64(2**18 - 1))
+BITS_2 = wp.constant(wp.int64(2))
+ROOT_3 = wp.constant(wp.float32(3.0**0.5))
+UNIT = wp.constant(wp.float32(2.0**-24))
+WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
+LEAST = wp.constant(wp.float32(1e-30))
+MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
+FEW = wp.constant(wp.float32(0.01))
+"""Below it, logarithms and exponentials near 1 are sums of powers."""
+
+grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
+"""A number for each light of a cell."""
+
+
+@wp.struct
+class GridCell:
+    """Where a cell is."""
+
+    center: wp.vec3
+    """World space."""
+    half: float
+    """Half its diagonal: surfaces that choose among its lights are within twice that of its centre."""
+
+
+@wp.func
+def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.int64:
+    """The cell whose lights a surface chooses among: that of a point in a cube around it, as wide as a cell.
+
+    Args:
+        position: World space.
+        from_eye: Its distance from the eye.
+        u: Random, 0..1 each.
+        v: Random, 0..1 each: the second one selects one of the choices of the cell.
+    """
+    width = wp.max(CELL_SIZE * from_eye, 2.0 * wp.max(wp.abs(position)) / float(COORDINATES))
+    if not (width < wp.inf and wp.isfinite(position)):
+        return NO_CELL
+    level = wp.clamp(exponent_of(width), -LEVEL_LAST, LEVEL_LAST)
+    scaled = position / width_of(level)
+    key = wp.int64(level + LEVEL_LAST) << BITS_2
+    key = key | wp.int64(wp.min(int(CHOICES * v[1]), int(CHOICES) - 1))
+    for axis in range(3):
+        offset = v[0]
+        if axis < 2:
+            offset = u[axis]
+        place = int(wp.floor(scaled[axis] + offset - 0.5)) + COORDINATES
+        key = (key << BITS_18) | (wp.int64(wp.clamp(place, 0, 2 * COORDINATES - 1)) & LOW_18)
+    return key
+
+
+@wp.func
+def grid_cell(key: wp.int64) -> GridCell:
+    """Where the cell of a key is."""
+    width = width_of(int(key >> (wp.int64(3) * BITS_18 + BITS_2)) - LEVEL_LAST)
+    cell = GridCell()
+    for axis in range(3):
+        place = int((key >> (wp.int64(2 - axis) * BITS_18)) & LOW_18) - COORDINATES
+        cell.center[axis] = width * (float(place) + 0.5)
+    cell.half = 0.5 * ROOT_3 * width
+    return cell
+
+
+@wp.func
+def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
+    """The most that the cone of a spot leaves of it anywhere within ``reach`` of a point.
+
+    Args:
+        light: The spot.
+        to_light: From the point.
+        distance: The same; its length.
+        reach: Scene units.
+    """
+    if distance <= reach:
+        return 1.0
+    off = to_light / distance + light.direction
+    angle = 2.0 * wp.asin(wp.min(0.5 * wp.length(off), 1.0))
+    sine = wp.sin(0.5 * wp.max(angle - wp.asin(reach / distance), 0.0))
+    share = wp.clamp((light.outer - 2.0 * sine * sine) / wp.max(light.outer - light.inner, LEAST), 0.0, 1.0)
+    return share * share
+
+
+@wp.func
+def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
+    """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
+
+    Args:
+        light: Any.
+        environment_mean: Mean luminance of the environment.
+        cell: The cell.
+    """
+    power = wp.dot(WEIGHTS, light.power)
+    if light.kind == LIGHT_ENVIRONMENT:
+        return PI * environment_mean
+    if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714
+        return power
+    to_light = light.position - cell.center
+    distance = wp.length(to_light)
+    reach = 2.0 * cell.half
+    nearest2 = wp.max(distance * distance, wp.max(cell.half * cell.half, LEAST))
+    if light.kind == LIGHT_RECT:
+        height = reach - wp.dot(to_light, light.direction)
+        if height <= 0.0:
+            return 0.0
+        cosine = wp.min(height / wp.sqrt(nearest2), 1.0)
+        area = wp.length(wp.cross(light.edge_u, light.edge_v))
+        return power * wp.min(cosine * area / nearest2, PI)
+    near = wp.max(distance - reach, 0.0)
+    share = window(light, near * near)
+    if light.kind == LIGHT_SPOT:
+        share *= widest_cone(light, to_light, distance, reach)
+    return share * power / nearest2
+
+
+@wp.func
+def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
+    """The same of the triangles that shine."""
+    away = emitters.center - cell.center
+    nearest2 = wp.max(wp.dot(away, away), wp.max(cell.half * cell.half, emitters.radius * emitters.radius))
+    return emitters.power / wp.max(nearest2, LEAST)
+
+
+@wp.func
+def bounded(weight: float) -> float:
+    """A weight, within bounds if it is above 0, so that ranks are finite."""
+    if weight > 0.0:
+        return wp.clamp(weight, LEAST, MOST)
+    return 0.0
+
+
+@wp.func
+def exponential_draw(word: wp.uint32, number: int) -> float:
+    """A random number of an exponential distribution of mean 1: -log(1 - x), x in the middle of one of 2^24 steps."""
+    x = (float(int(wp.rshift(mix(word + mix(wp.uint32(number))), BITS_8))) + 0.5) * UNIT
+    if x < FEW:
+        return x * (1.0 + x * (0.5 + x * (1.0 / 3.0 + 0.25 * x)))
+    return wp.min(-wp.log(wp.max(1.0 - x, LEAST)), 20.0)
+
+
+@wp.func
+def chance_below(limit: float) -> float:
+    """The probability of such a number below a limit: 1 - exp(-limit)."""
+    if limit < FEW:
+        return limit * (1.0 - limit * (0.5 - limit * (1.0 / 6.0 - limit / 24.0)))
+    return 1.0 - wp.exp(-limit)
+
+
+@wp.func
+def grid_light(
+    u: float, cell: int, interaction: Interaction, grid: LightGrid, scene: wp.array[ShadingScene]
+) -> LightChoice:
+    """One of the lights of a cell, in proportion to what each sends to a surface over its chance to be among them.
+
+    Args:
+        u: Random, 0..1.
+        cell: The cell; -1: there is none.
+        interaction: With the surface.
+        grid: With the cell.
+        scene: With the lights.
+    """
+    choice = LightChoice()
+    choice.number = -1
+    if cell < 0:
+        return choice
+    place = place_of(interaction)
+    numbers = grid.numbers
+    chances = grid.chances
+    sent = grid_values()
+    total = float(0.0)
+    for slot in range(SLOTS):
+        chance = chances[cell * SLOTS + slot]
+        if chance > 0.0:
+            sent[slot] = light_importance(numbers[cell * SLOTS + slot], place.position, place.normal, scene)
+            total += sent[slot] / chance
+    if not (total > 0.0 and total < wp.inf):
+        return choice
+    rest = u * total
+    for slot in range(SLOTS):
+        if sent[slot] > 0.0 and rest >= 0.0:
+            choice.number = numbers[cell * SLOTS + slot]
+            choice.probability = sent[slot] / total
+            rest -= sent[slot] / chances[cell * SLOTS + slot]
+    return choice

@@ -1,0 +1,73 @@
+"""Host pass: of many lights, those among which the surfaces of a cell choose (docs/method/realtime.md#light-grid)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.constants.realtime import GRID_LIGHTS
+from lumisplat.device.structs.gi import LightGrid
+from lumisplat.renderer.gi import light_grid_kernels as kernels
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.primitives import prefix_sum, sort_pairs
+
+
+class LightGrids:
+    """Finds the lights of the cells that have surfaces.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    def is_needed(self, scene: DeviceScene) -> bool:
+        """Whether there are more lights than each surface chooses among; if not, grids are without elements."""
+        return scene.lights.choice_count > GRID_LIGHTS
+
+    def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
+        """The lights that the surfaces of a wave choose among; the next wave overwrites them.
+
+        Args:
+            scene: The scene on the device.
+            wave: Its rays, and the one surface of each that is lit.
+        """
+        grid = LightGrid()
+        if not self.is_needed(scene):
+            return grid
+        with self._launcher.stage("light grid"):
+            keys, ends = self._sorted(scene, wave)
+            count, run, get = wave.count, self._launcher.run_banded, self._get
+            grid.cell_of = get("cell_of", wp.int32, count)
+            cells = get("cells", wp.int64, count)
+            run(kernels.list_cells, count, keys, self._order(count), ends, grid.cell_of, cells)
+            found = int(ends[-1:].numpy()[0])
+            size = grown_capacity(found) * (GRID_LIGHTS + 1)
+            grid.numbers, grid.chances = get("numbers", wp.int32, size), get("chances", wp.float32, size)
+            bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+            run(kernels.choose_lights, found, cells, scene.shading, grid, bands=bands)
+        return grid
+
+    def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
+        """Keys of the surfaces' cells, ascending, and the number of cells up to each."""
+        count, run = wave.count, self._launcher.run_banded
+        keys, order = self._get("keys", wp.int64, 2 * count), self._order(count)
+        run(kernels.find_cells, count, scene.camera, wave.data, keys, order)
+        sort_pairs(keys, order, count)
+        is_first, ends = self._get("is_first", wp.int32, count), self._get("ends", wp.int32, count)
+        run(kernels.mark_cells, count, keys, is_first)
+        prefix_sum(is_first, ends, inclusive=True)
+        return keys, device_array(ends)
+
+    def _order(self, count: int) -> DeviceArray:
+        """The ray of each key."""
+        return self._get("order", wp.int32, 2 * count)
+
+    def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
+        """An array of the grid."""
+        return self._buffers.get(f"light_grid.{name}", dtype, count)

@@ -1,0 +1,154 @@
+"""Kernels of the light grid: the cells of surfaces, and the lights of cells (docs/method/realtime.md#light-grid).
+
+Write-once, and a function of the cell alone: the same for any schedule.
+"""
+
+import warp as wp
+
+from lumisplat.device.gi.light_grid import (
+    NO_CELL,
+    SLOTS,
+    GridCell,
+    bounded,
+    chance_below,
+    emitter_weight,
+    exponential_draw,
+    grid_cell,
+    grid_key,
+    light_weight,
+)
+from lumisplat.device.gi.light_sample import CELL_BRANCH, lit_surface
+from lumisplat.device.gi.radiance_cache import cell_key
+from lumisplat.device.light.light_choice import choice_count
+from lumisplat.device.math.random import branch_key, sobol_2d
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import LightGrid
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def find_cells(
+    start: int,
+    camera: wp.array[CameraData],
+    wave: wp.array[WaveData],
+    keys_out: wp.array[wp.int64],
+    order_out: wp.array[int],
+):
+    """Item = ray: the cell of the one of its surfaces that is lit."""
+    i = start + wp.tid()
+    order_out[i] = i
+    keys_out[i] = NO_CELL
+    if not wave[0].rays.is_active[i]:
+        return
+    surface = lit_surface(i, wave)
+    if surface.kind < 0:
+        return
+    position = wave[0].interactions.position[surface.kind * wave[0].rays.is_active.shape[0] + i]
+    key = branch_key(wave[0].rays.pixel_key[i], CELL_BRANCH)
+    sample = wave[0].rays.sample[i]
+    u = sobol_2d(branch_key(key, 0), sample)
+    v = sobol_2d(branch_key(key, 1), sample)
+    keys_out[i] = grid_key(position, wp.length(position - camera[0].eye), u, v)
+
+
+@wp.kernel
+def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]):
+    """Item = ray in the order of keys: whether it is the first of its cell."""
+    i = start + wp.tid()
+    is_first = keys[i] != NO_CELL
+    if i > 0 and is_first:
+        is_first = keys[i] != keys[i - 1]
+    is_first_out[i] = int(is_first)
+
+
+@wp.kernel
+def list_cells(
+    start: int,
+    keys: wp.array[wp.int64],
+    order: wp.array[int],
+    ends: wp.array[int],
+    cell_of_out: wp.array[int],
+    cells_out: wp.array[wp.int64],
+):
+    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key.
+
+    Args:
+        start: First item.
+        keys: Ascending.
+        order: The ray of each.
+        ends: Cells up to each.
+        cell_of_out: By ray.
+        cells_out: Keys of the cells.
+    """
+    i = start + wp.tid()
+    number = ends[i] - 1
+    if keys[i] == NO_CELL:
+        number = -1
+    cell_of_out[order[i]] = number
+    if number >= 0 and (i == 0 or keys[wp.max(i - 1, 0)] != keys[i]):
+        cells_out[number] = keys[i]
+
+
+@wp.func
+def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> float:
+    """Weight of a light in a cell, by its number."""
+    if number == scene[0].settings[0].light_count:
+        return bounded(emitter_weight(scene[0].emitters, cell))
+    return bounded(light_weight(scene[0].lights[number], scene[0].environment.mean, cell))
+
+
+@wp.func
+def largest_rank(ranks: wp.array[float], first: int) -> int:
+    """Which of the lights of a cell has the largest rank."""
+    largest = first
+    for slot in range(1, SLOTS):
+        if ranks[first + slot] > ranks[largest]:
+            largest = first + slot
+    return largest
+
+
+@wp.kernel
+def choose_lights(start: int, cells: wp.array[wp.int64], scene: wp.array[ShadingScene], grid_out: LightGrid):
+    """Item = cell: the lights with the smallest ranks, an exponential draw over the weight each.
+
+    The rank after theirs says how probable each was to be among them.
+    """
+    c = start + wp.tid()
+    cell = grid_cell(cells[c])
+    word = cell_key(cells[c], int(scene[0].sample[0].seed), scene[0].sample[0].index)
+    numbers = grid_out.numbers
+    ranks = grid_out.chances
+    first = c * SLOTS
+    found = int(0)
+    last = int(first)
+    for number in range(choice_count(scene)):
+        weight = weight_of(number, cell, scene)
+        if weight <= 0.0:
+            continue
+        rank = exponential_draw(word, number) / weight
+        if found < SLOTS:
+            numbers[first + found] = number
+            ranks[first + found] = rank
+            found += 1
+            if found == SLOTS:
+                last = largest_rank(ranks, first)
+        elif rank < ranks[last]:
+            numbers[last] = number
+            ranks[last] = rank
+            last = largest_rank(ranks, first)
+    limit = wp.inf
+    if found == SLOTS:
+        limit = ranks[last]
+    for slot in range(SLOTS):
+        at = first + slot
+        if slot >= found:
+            numbers[at] = -1
+            ranks[at] = 0.0
+        elif found == SLOTS and at == last:
+            ranks[at] = 0.0
+        elif found == SLOTS:
+            ranks[at] = chance_below(limit * weight_of(numbers[at], cell, scene))
+        else:
+            ranks[at] = 1.0

@@ -1,0 +1,183 @@
+"""The light grid: sums over few of many lights are those over all, and no light is lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants.realtime import GRID_LIGHTS
+from support.compare.chi_square import LIMIT, chi_square_z
+from support.oracles.light_grid_oracle import exponential_draws, kept_lights, point_weights
+from support.oracles.light_oracle import LUMINANCE
+from support.scenes.light_grid_rig import Cell, LightGridRig, cell_at
+
+SURFACE, NORMAL = (0.3, 0.1, 0.2), (0.0, 1.0, 0.0)
+CELL = cell_at(SURFACE, 4.0)
+
+
+def lamps(count: int, seed: int = 0, size: float = 4.0) -> list[ls.LightPoint]:
+    """Coloured points around the origin, without range."""
+    rng = np.random.default_rng(seed)
+    places, colors = rng.uniform(-size, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    return [
+        ls.LightPoint(tuple(place), tuple(color), intensity=power)
+        for place, color, power in zip(places.tolist(), colors.tolist(), rng.exponential(1.0, count), strict=True)
+    ]
+
+
+def irradiance(lights: list[ls.LightPoint], surface: Any = SURFACE) -> np.ndarray:
+    """Of each at a surface that faces it, by channel, shape (N, 3)."""
+    places, powers = numbers_of(lights)
+    return powers / ((places - surface) ** 2).sum(axis=1)[:, None]
+
+
+def numbers_of(lights: list[ls.LightPoint]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and candela, shape (N, 3) each."""
+    return np.array([light.position for light in lights]), np.array(
+        [np.multiply(light.color, light.intensity) for light in lights]
+    )
+
+
+def test_cells_hold_what_takes_them() -> None:
+    """A surface is within a cell's width of the middle of the cell that it takes, along each axis."""
+    assert CELL.half == pytest.approx(0.5 * np.sqrt(3.0))
+    np.testing.assert_array_equal(CELL.center, (0.5, 0.5, 0.5))
+    far = cell_at((1e6, -3e5, 2.0), 5.0)
+    assert np.abs(far.center - (1e6, -3e5, 2.0)).max() <= far.half
+    assert cell_at((np.nan, 0.0, 0.0), 1.0).key == cell_at((0.0, 0.0, 0.0), np.inf).key == 2**63 - 1
+
+
+@pytest.mark.parametrize("count", [17, 300])
+def test_the_kept_are_those_of_the_twin(count: int) -> None:
+    """The same lights, with the same probabilities, frame by frame and by seed."""
+    lights = lamps(count)
+    places, powers = numbers_of(lights)
+    weights = point_weights(places, powers, CELL.center, CELL.half)
+    rig = LightGridRig(lights, [CELL])
+    for frame, seed in ((0, 0), (1, 0), (7, 0), (0, 5)):
+        numbers, chances = (row[0] for row in rig.choose(frame, seed))
+        kept, expected = kept_lights(exponential_draws(CELL.key, seed, frame, count), weights, GRID_LIGHTS)
+        order = np.argsort(numbers[chances > 0.0])
+        np.testing.assert_array_equal(numbers[chances > 0.0][order], kept)
+        np.testing.assert_allclose(chances[chances > 0.0][order], expected, rtol=2e-5)
+
+
+@pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
+def test_sums_over_the_kept_are_those_over_all(count: int, frames: int) -> None:
+    """In the mean, of each channel, within 4 standard errors, which are below 0.7 %; by the four choices of a cell."""
+    lights = [lamp for lamp in lamps(count) if np.linalg.norm(np.subtract(lamp.position, SURFACE)) > 0.9]
+    sent = irradiance(lights)
+    rig = LightGridRig(lights, [replace(CELL, key=CELL.key | choice << 54) for choice in range(4)])
+    sums: list[np.ndarray] = []
+    for frame in range(frames):
+        for numbers, chances in zip(*rig.choose(frame), strict=True):
+            held = chances > 0.0
+            sums.append((sent[numbers[held]] / chances[held, None]).sum(axis=0))
+    truth, error = sent.sum(axis=0), np.std(sums, axis=0) / np.sqrt(len(sums))
+    assert (error < 0.007 * truth).all()
+    assert (np.abs(np.mean(sums, axis=0) - truth) <= 4.0 * error + 1e-5 * truth).all()
+
+
+def test_the_twin_has_less_noise_the_more_it_keeps() -> None:
+    """Of 300 lights 4, 16 or 64."""
+    lights = lamps(300)
+    places, powers = numbers_of(lights)
+    weights, sent = point_weights(places, powers, CELL.center, CELL.half), irradiance(lights) @ LUMINANCE
+    spread = []
+    for count in (4, 16, 64):
+        sums = []
+        for frame in range(400):
+            kept, chances = kept_lights(exponential_draws(CELL.key, 0, frame, 300), weights, count)
+            sums.append((sent[kept] / chances).sum())
+        spread.append(np.std(sums))
+    assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
+
+
+def test_picks_follow_what_is_sent_over_its_chance() -> None:
+    """Chi-square of 20,000 picks in a cell; the probabilities are those by which samples are divided."""
+    lights = lamps(200)
+    rig = LightGridRig(lights, [CELL])
+    numbers, chances = (row[0] for row in rig.choose(3))
+    draws = np.random.default_rng(1).random(20_000, dtype=np.float32)
+    picked, probability = rig.pick(draws, 0, SURFACE, NORMAL)
+    places, _ = numbers_of(lights)
+    way = places - SURFACE
+    cosine = np.maximum(way[:, 1] / np.linalg.norm(way, axis=1), 0.1)
+    sent = cosine * (irradiance(lights) @ LUMINANCE)
+    over = np.zeros(len(lights))
+    over[numbers[chances > 0.0]] = (sent[numbers] / np.maximum(chances, 1e-30))[chances > 0.0]
+    counts = np.bincount(picked, minlength=len(lights)).astype(float)
+    assert chi_square_z(counts[over > 0.0], (20_000 * over / over.sum())[over > 0.0]) < LIMIT
+    assert not counts[over == 0.0].any()
+    np.testing.assert_allclose(probability, (sent / over.sum())[picked], rtol=1e-4)
+
+
+def test_few_lights_are_all_kept() -> None:
+    """Choices among the lights of a cell are then, to the bit, those of the loop over all."""
+    rig = LightGridRig(lamps(GRID_LIGHTS), [CELL])
+    numbers, chances = (row[0] for row in rig.choose(0))
+    np.testing.assert_array_equal(numbers, [*range(GRID_LIGHTS), -1])
+    np.testing.assert_array_equal(chances, [*np.ones(GRID_LIGHTS), 0.0])
+    draws = np.random.default_rng(0).random(2000, dtype=np.float32)
+    for kept, all_lights in zip(rig.pick(draws, 0, SURFACE, NORMAL), rig.pick(draws, -1, SURFACE, NORMAL), strict=True):
+        np.testing.assert_array_equal(kept, all_lights)
+
+
+def test_what_is_far_and_strong_is_never_lost() -> None:
+    """A lamp 1,000 units away that gives as much as a thousand near ones is always among the kept."""
+    strong = ls.LightPoint((800.0, 600.0, 0.0), intensity=1e9)
+    rig = LightGridRig([*lamps(1000), strong], [CELL])
+    for frame in range(50):
+        numbers, chances = (row[0] for row in rig.choose(frame))
+        assert chances[numbers == 1000] > 0.999
+
+
+def test_lights_have_weight_wherever_they_reach() -> None:
+    """Spots, rectangles and lamps with a range, at random: what sends light to a surface may be chosen in its cell."""
+    rng = np.random.default_rng(0)
+    lights: list[Any] = []
+    cells: list[Cell] = []
+    points = []
+    for number in range(3000):
+        cell = Cell(0, rng.uniform(-5, 5, 3), 0.5 * np.sqrt(3.0) * 2.0 ** rng.integers(-3, 2))
+        width = cell.half * 2.0 / np.sqrt(3.0)
+        point = cell.center + width * rng.uniform(-1, 1, 3)
+        place = point + rng.normal(size=3) * 2.0 ** rng.uniform(-6, 4)
+        away = point - place
+        distance = float(np.linalg.norm(away))
+        tilt = away / distance + 0.05 * rng.normal(size=3)
+        if number % 3 == 0:
+            outer = float(rng.uniform(0.01, 0.2))
+            lights.append(ls.LightSpot(tuple(place), tuple(tilt), inner_angle=0.5 * outer, outer_angle=outer))
+        elif number % 3 == 1:
+            edge = np.cross(away, rng.normal(size=3))
+            lights.append(ls.LightRect(tuple(place), tuple(edge + 0.9 * away), tuple(np.cross(away, edge))))
+        else:
+            lights.append(ls.LightPoint(tuple(place), range=distance * float(rng.uniform(0.9, 1.2))))
+        cells.append(cell)
+        points.append(point)
+    weights, importances = LightGridRig(lights, cells).reaches(np.array(points))
+    assert 1000 < (importances > 0.0).sum() < 2900
+    assert (weights[importances > 0.0] > 0.0).all()
+
+
+def test_kinds_of_lights_are_weighed_alike() -> None:
+    """Far from a cell, weights are what the lights send there."""
+    sky = ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.5)
+    lights: list[Any] = [
+        ls.LightPoint((0.0, 400.0, 0.0), intensity=5.0),
+        ls.LightSpot((0.0, 400.0, 0.0), (0.0, -1.0, 0.0), intensity=7.0),
+        ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0),
+        ls.LightRect((0.0, 400.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 3.0), intensity=4.0),
+        sky,
+        ls.LightSphere((0.0, -400.0, 0.0), 0.5, intensity=3.0),
+    ]
+    cells = [Cell(0, np.zeros(3), 0.5)] * len(lights)
+    weights, _ = LightGridRig(lights, cells).reaches(np.zeros((len(lights), 3)))
+    square = 400.0**2
+    expected = [5.0 / square, 7.0 / square, 2.0, 24.0 / square, 0.5 * np.pi, 0.75 * np.pi / square]
+    np.testing.assert_allclose(weights, expected, rtol=1e-2)

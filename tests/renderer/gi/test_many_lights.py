@@ -1,0 +1,135 @@
+"""Frames in real time with more lights than a surface chooses among, and with lights in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.lights import Light
+from support.compare.graph_launcher import GraphLauncher
+from support.scenes.light_rig import above, blocks, floor, floor_points, towards
+from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
+from support.scenes.path_scenes import diffuse
+
+VIEW = room_camera(48, 36)
+ROOM = with_gaussians(PathRoom(path_rooms()["metal_area"].scene, VIEW), 500).scene
+"""With a shining mesh, Gaussians and rough metal."""
+
+
+def lamps(count: int, size: float = 3.0) -> list[Light]:
+    """Coloured points in a box, without range, as bright together whatever their number."""
+    rng = np.random.default_rng(0)
+    places, colors = rng.uniform(0.4, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    return [
+        ls.LightPoint(tuple(place), tuple(color), intensity=40.0 / count)
+        for place, color in zip(places.tolist(), colors.tolist(), strict=True)
+    ]
+
+
+def mixed(count: int) -> list[Light]:
+    """Lamps, a spot, a rectangle, a sun and a sky."""
+    return [
+        *lamps(count - 4),
+        ls.LightSpot((2.0, 2.5, 2.0), (0.0, -1.0, -0.3), intensity=5.0, radius=0.1),
+        ls.LightRect((1.0, 2.5, 2.0), (0.4, 0.0, 0.0), (0.0, 0.0, 0.4), intensity=5.0),
+        ls.LightDirectional((0.2, -1.0, -0.3), intensity=0.3, angle=0.01),
+        ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.2),
+    ]
+
+
+def sequence(
+    lights: Sequence[Light], frames: int = 2, *, threads: int | None = None, scene: ls.Scene = ROOM, **settings: Any
+) -> np.ndarray:
+    """The last of some frames, linear."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **settings), "cpu", threads=threads)
+    return frame_after(renderer, replace(scene, lights=lights), frames)
+
+
+def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, view: ls.Camera = VIEW) -> np.ndarray:
+    """The last of so many further frames, linear."""
+    for _ in range(frames - 1):
+        renderer.render(scene, view)
+    return np.array(renderer.render(scene, view).color)
+
+
+@pytest.mark.parametrize("count", [6, 40])
+def test_the_order_of_lights_does_not_matter(count: int) -> None:
+    """Bit for bit, with the light grid and without it; also if equal lights change places, and after disabled ones."""
+    lights = mixed(count)
+    lights += [lights[0], ls.LightPoint((1.0, 1.0, 1.0), enabled=False)]
+    order = np.random.default_rng(1).permutation(len(lights))
+    np.testing.assert_array_equal(sequence([lights[i] for i in order]), sequence(lights))
+
+
+def test_threads_do_not_matter() -> None:
+    """The same bits with 1, 2 and 5."""
+    one, two, five = (sequence(mixed(40), threads=threads) for threads in (1, 2, 5))
+    np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(one, five)
+
+
+@pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
+def test_schedules_do_not_matter(launcher: Any) -> None:
+    """Nor those of CUDA, but for what rounding does."""
+    room = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, VIEW), 500).scene
+    settings, scene = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), replace(room, lights=mixed(40))
+    direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
+    for _ in range(3):
+        error = np.abs(other.render(scene, VIEW).color - direct.render(scene, VIEW).color).max(axis=2)
+        assert error.mean() < 1e-3
+        assert (error > 1e-3).mean() < 0.01
+
+
+def lit_floor(count: int, frames: int, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance of a floor under so many lamps as blocks of pixels and channels: found, and in closed form."""
+    rng = np.random.default_rng(2)
+    places, colors = rng.uniform((-3, 0.4, -3), (3, 2.5, 3), (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    lights = [
+        ls.LightPoint(tuple(place), tuple(color), intensity=50.0 / count)
+        for place, color in zip(places.tolist(), colors.tolist(), strict=True)
+    ]
+    view, truth = above(width=64, rows=48), np.zeros((48, 64, 3))
+    for light in lights:
+        way, distance = towards(light.position, floor_points(view))
+        truth += (way[..., 1] / distance**2)[..., None] * np.multiply(light.color, light.intensity)
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, **settings)
+    renderer, scene = ls.create_renderer(config, "cpu"), ls.Scene((), [floor(diffuse(0.5))], lights)
+    found = np.asarray(frame_after(renderer, scene, frames, view), np.float64) * np.pi / 0.5
+    return blocks_of(found), blocks_of(truth)
+
+
+def blocks_of(image: np.ndarray) -> np.ndarray:
+    """Means of square blocks of pixels, by channel."""
+    return np.stack([blocks(image[..., channel]) for channel in range(3)], axis=-1)
+
+
+def test_a_thousand_lamps_light_a_floor_as_they_do() -> None:
+    """After 32 frames the mean is right within 1 %, and blocks of 8 x 8 pixels of each colour within noise."""
+    found, truth = lit_floor(1000, 32)
+    errors = found / truth - 1.0
+    assert abs(found.mean() / truth.mean() - 1.0) < 0.01
+    assert abs(errors.mean()) < 0.01
+    assert np.percentile(np.abs(errors), 90) < 0.10
+
+
+def test_all_lights_may_go_and_come_back() -> None:
+    """From 200 to none, so that a headlight shines, and back: all is as before, within noise."""
+    renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
+    scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], lamps(200))
+    means: list[float] = []
+    for lights, frames in ((scene.lights, 4), ((), 3), (scene.lights, 4)):
+        means.append(float(frame_after(renderer, replace(scene, lights=lights), frames).mean()))
+    assert means[0] > 0.05
+    assert means[2] == pytest.approx(means[0], rel=0.1)
+
+
+def test_many_lights_need_no_scene() -> None:
+    """A frame of nothing is black."""
+    assert not sequence(lamps(100), scene=ls.Scene()).any()
