@@ -7,6 +7,7 @@ from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import adaptive_kernels, film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.gi import (
     light_grid_kernels,
+    lobe_kernels,
     radiance_cache_kernels,
     radiance_cache_tiles_kernels,
     screen_probe_kernels,
@@ -89,7 +90,7 @@ def realtime_modules() -> list[KernelModule]:
     modules: list[KernelModule] = [bounced_light_kernels, pixel_light_kernels, gbuffer_kernels, indirect_light_kernels]
     modules += [temporal_filter_kernels, a_trous_filter_kernels]
     modules += [screen_probe_kernels, screen_probe_light_kernels]
-    return [*modules, light_grid_kernels, radiance_cache_kernels, radiance_cache_tiles_kernels]
+    return [*modules, light_grid_kernels, lobe_kernels, radiance_cache_kernels, radiance_cache_tiles_kernels]
 
 
 def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> list[KernelModule]:
