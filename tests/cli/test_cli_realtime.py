@@ -108,13 +108,14 @@ def test_stats_are_by_pass(work):
     assert "\n  cache" in indirect
 
 
-@pytest.mark.parametrize("view", ["history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
+@pytest.mark.parametrize("view", ["motion", "history", "probes", "cache", "cache_cells", "direct_diffuse", "emission"])
 def test_views_of_frames_in_real_time(work, view):
     """One picture each; what the colours mean is printed where they are a scale."""
     outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "2", "--view", view, "--device", "cpu")
     assert (outcome.status, outcome.err) == (0, "")
     assert read_image(work.path("a.png"))["srgb"].shape == (16, 24, 3)
     assert ("(violet) to" in outcome.out) == (view in ("history", "probes"))
+    assert ("pixels a frame from 0 (white) to 16 (full)" in outcome.out) == (view == "motion")
 
 
 def test_a_view_of_another_pipeline_is_refused(work):

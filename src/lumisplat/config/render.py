@@ -69,8 +69,8 @@ PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_g
 PATH_AOVS = (*PATH_PARTS[:4], "bounces")
 """Images that only frames of paths have."""
 
-REALTIME_AOVS = ("history", "probes", "cache", "cache_cells")
-"""Images that only frames in real time have: what they keep for the next one."""
+REALTIME_AOVS = ("motion", "history", "probes", "cache", "cache_cells")
+"""Images that only frames in real time have: how surfaces have moved, and what frames keep for the next one."""
 
 AOVS = (
     *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count"),
@@ -136,8 +136,8 @@ class RenderConfig:
     """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
     ``variance``, ``sample_count``; the last three of an unlit one, too. Paths have no ``reflection``, but also
     ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and ``bounces``. Frames in real
-    time have these but ``bounces``, and ``history``, ``probes``, ``cache`` and ``cache_cells``. A single name, or
-    several with commas, becomes a tuple."""
+    time have these but ``bounces``, and ``motion``, ``history``, ``probes``, ``cache`` and ``cache_cells``. A single
+    name, or several with commas, becomes a tuple."""
     samples: int | None = None
     """Samples a pixel, averaged, at least 1. None: 64 paths; else as many as random light needs, 16 for an environment
     and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted

@@ -32,12 +32,13 @@ RADIANCE = (
     "variance",
     *PATH_PARTS[:4],
     "bounces",
+    "motion",
     "history",
     "cache",
 )
 """Fields of a frame that hold the layers of `AOVS`, as floats."""
 
-COUNTS = ("sample_count", "probes", "cache_cells")
+COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
 """Those that hold them as integers."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
@@ -106,6 +107,9 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
             assert frame.bounces is not None
             for number, image in enumerate(frame.bounces):
                 channels |= _planes(f"bounce.{number}", _finite(image), "RGB")
+        elif layer == "motion":
+            assert frame.motion is not None and frame.motion_known is not None
+            channels |= _planes(layer, frame.motion, "XYZ") | {"motion.known": frame.motion_known}
         elif layer in COUNTS:
             channels[f"{layer}.Y"] = getattr(frame, layer)
         elif layer in ("hits", "history"):

@@ -163,12 +163,13 @@ class Frame(FrameData):
                 a logarithmic scale, black for none. ``transmittance``: share of the background that is seen, from
                 violet (none) to yellow (all). ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
                 ``indirect_glossy`` and ``emission``: this part of the light, exposed. Of frames in real time
-                ``history``: frames that direct light is the mean of, from violet to yellow; ``probes``: screen probes
-                on the frame in grey, by how often they were refreshed, from violet over red to yellow on a logarithmic
-                scale; ``cache``: what the radiance cache has there, exposed; ``cache_cells``: a colour for each cell of
-                it, black without one.
-            limits: Values at the ends of the colour map of ``depth``, ``hits``, ``history`` and ``probes``; None:
-                ``view_limits(name)``.
+                ``motion``: a hue for each direction in the image, red to the right, yellow-green up, paler where
+                slower, black where it is not known; ``history``: frames that direct light is the mean of, from violet
+                to yellow; ``probes``: screen probes on the frame in grey, by how often they were refreshed, from violet
+                over red to yellow on a logarithmic scale; ``cache``: what the radiance cache has there, exposed;
+                ``cache_cells``: a colour for each cell of it, black without one.
+            limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and
+                ``probes``; None: ``view_limits(name)``.
 
         Raises:
             ConfigError: There is no such view, or the frame was rendered without what it needs, see `NEEDS`.

@@ -118,6 +118,13 @@ class FrameData:
     bounces: FloatArray | None = None
     """Linear radiance of a frame of paths by how often surfaces have scattered it, (max_bounces + 2, H, W, 3); the sum
     is ``light``, but for what light changes of shadow-only captures."""
+    motion: FloatArray | None = None
+    """Of a frame in real time, how the surface that is most of the pixel has moved since the frame before, (H, W, 3): x
+    and y where it is minus where it was in the image, pixels, to the right and down, and its distance from the eye less
+    that of then, scene units. 0 where ``motion_known`` is."""
+    motion_known: IntArray | None = None
+    """1 where a surface is seen that was in front of the camera in the frame before, too; 0 where it is new, or there
+    is none, (H, W)."""
     history: FloatArray | None = None
     """Of a frame in real time, frames that the direct light of the surface is a mean of, (H, W); 0: no surface."""
     probes: IntArray | None = None

@@ -11,21 +11,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config import PATH_PARTS
 from lumisplat.constants import UNDISTORTED_AREA_MAX, UNDISTORTED_SCALE_MAX
 from lumisplat.errors import SceneError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import decode_srgb
-from lumisplat.math.distortion import distortion_jacobian, undistort
+from lumisplat.math.distortion import distort, distortion_jacobian, undistort
 from lumisplat.scene.camera import Camera
 
 _Image = npt.NDArray[Any]
 
-_NEAREST = ("depth", "normal", "gaussian_index", "instance_index", "sample_count")
+_NEAREST = (
+    *("depth", "normal", "gaussian_index", "instance_index", "sample_count"),
+    *("motion", "motion_known", "history", "probes", "cache_cells"),
+)
 """Images that cannot be averaged: they belong to one point each."""
 _FILTERED = (
     *("color", "alpha", "captured", "captured_weight", "light"),
-    *("albedo", "emission", "reflection", "hits", "variance"),
+    *("albedo", *PATH_PARTS, "reflection", "hits", "variance", "cache"),
 )
 _PER_LIGHT = ("light_direct", "light_shadow")
 """Images with one layer a light."""
@@ -87,6 +91,8 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
         image = getattr(frame, name)
         if image is not None:
             changes[name] = _nearest(image, middle, empty[name])
+    if frame.motion is not None:
+        changes["motion"] = _motion(changes["motion"], middle, camera, frame.camera)
     for name in (*_FILTERED, *_PER_LIGHT):
         image = getattr(frame, name)
         if image is not None:
@@ -129,6 +135,22 @@ def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
     return values
 
 
+def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) -> _Image:
+    """Motion as the lens shows it, which is different all over the image.
+
+    Args:
+        motion: As the pinhole shows it, for the pixels of the lens, shape (H, W, 3).
+        points: Where the pinhole sees them.
+        camera: The camera with the lens.
+        pinhole: The other one.
+    """
+    center, focal = np.array([pinhole.cx, pinhole.cy]), np.array([pinhole.fx, pinhole.fy])
+    both = [distort((at - center) / focal, camera.distortion) for at in (points, points - motion[..., :2])]
+    seen = ~np.isnan(points[..., :1])
+    moved = np.where(seen, (both[0] - both[1]) * (camera.fx, camera.fy), 0.0)
+    return np.concatenate([moved, motion[..., 2:]], axis=2).astype(np.float32)
+
+
 def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
     """The mean over points of an image, (H, W, C), interpolated by Catmull-Rom's cubics without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
@@ -160,8 +182,9 @@ def _empty(frame: Frame) -> dict[str, Any]:
     """What images show where the lens shows nothing: the background."""
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
-    values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, "normal", "sample_count"), 0.0)
-    values |= {"depth": np.inf, "gaussian_index": -1, "instance_index": -1, "captured": behind}
+    values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, *_NEAREST), 0.0)
+    values |= {"depth": np.inf, "gaussian_index": -1, "instance_index": -1, "probes": -1, "cache_cells": -1}
+    values["captured"] = behind
     values["color"] = decode_srgb(behind.astype(np.float32)) if is_lit else behind
     values["captured_weight"] = 0.0 if frame.background is None else 1.0
     return values

@@ -18,8 +18,8 @@ from lumisplat.math.color import encode_srgb
 Limits = tuple[float, float]
 """Values at the two ends of a colour map."""
 
-_KEPT = ("history", "probes", "cache", "cache_cells")
-"""Views of what frames in real time keep."""
+_KEPT = ("motion", "history", "probes", "cache", "cache_cells")
+"""Views of motion, and of what frames in real time keep."""
 
 VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance", *PATH_PARTS, *_KEPT)
 
@@ -52,6 +52,8 @@ _HEAT_RAMP = np.array(
 
 _HITS_TOP = 255.0
 """Gaussians a ray at the hot end of the colour map; more have the same colour."""
+_MOTION_TOP = 16.0
+"""Pixels a frame that have the full colour."""
 _REFRESHES_TOP = 64.0
 """Refreshes of a probe at the hot end of the colour map."""
 _PROBE_PX = 2
@@ -121,6 +123,8 @@ def view_limits(frame: FrameData, view: str) -> Limits:
     _check_view(view)
     if view == "hits":
         return 0.0, _HITS_TOP
+    if view == "motion":
+        return 0.0, _MOTION_TOP
     if view == "probes":
         return 0.0, _REFRESHES_TOP
     if view == "history" and frame.config is not None:
@@ -138,8 +142,8 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
     Args:
         frame: The rendered frame.
         view: One of `VIEWS`, see ``Frame.view``.
-        limits: Values at the ends of the colour map of ``depth``, ``hits``, ``history`` and ``probes``; None: those of
-            `view_limits`.
+        limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
+            None: those of `view_limits`.
 
     Raises:
         ConfigError: There is no such view, or the frame was rendered without what it needs.
@@ -160,6 +164,8 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
     elif view in (*PATH_PARTS, "cache"):
         check_layer(frame, view)
         picture = _radiance_picture(frame, getattr(frame, view))
+    elif view == "motion":
+        picture = _motion_picture(frame, low, high)
     elif view == "history":
         picture = _history_picture(frame, low, high)
     elif view == "probes":
@@ -201,6 +207,16 @@ def _hits_picture(frame: FrameData, low: float, high: float) -> Image:
     start, end = np.log2(1.0 + low), np.log2(1.0 + high)
     heat = _ramp(_HEAT_RAMP, (np.log2(1.0 + hits) - start) / max(end - start, 1e-9))
     return np.where(hits[..., None] > 0.0, heat, 0.0)
+
+
+def _motion_picture(frame: FrameData, low: float, high: float) -> Image:
+    """A hue for each direction, red to the right, yellow-green up, and the paler the slower; not known: black."""
+    check_layer(frame, "motion")
+    x, y, _ = np.moveaxis(np.asarray(frame.motion, np.float64), -1, 0)
+    strength = np.clip((np.hypot(x, y) - low) / max(high - low, 1e-9), 0.0, 1.0)[..., None]
+    hue = np.arctan2(-y, x)[..., None] / (2.0 * np.pi) * 6.0 + np.array([0.0, 4.0, 2.0])
+    colour = np.clip(np.abs(hue % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    return np.where(np.asarray(frame.motion_known)[..., None] > 0, 1.0 + strength * (colour - 1.0), 0.0)
 
 
 def _history_picture(frame: FrameData, low: float, high: float) -> Image:

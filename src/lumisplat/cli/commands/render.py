@@ -51,16 +51,16 @@ class Render(FrameCommand):
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Also write some of depth, normal, gaussian_index, instance_index, position and, of lit frames, albedo, emission,
     reflection, lights, hits, variance, sample_count, of frames of paths direct_diffuse, indirect_diffuse,
-    direct_glossy, indirect_glossy, bounces, or of frames in real time these but bounces, and history, probes, cache,
-    cache_cells (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also as 16-bit NAME.depth16.png,
-    whose range is printed. An NPZ has them all."""
+    direct_glossy, indirect_glossy, bounces, or of frames in real time these but bounces, and motion, history, probes,
+    cache, cache_cells (with commas): into the EXR, or beside the PNG as NAME.depth.png, depth also as 16-bit
+    NAME.depth16.png, whose range is printed. An NPZ has them all."""
     view: Annotated[
         ViewName | None,
         arg(metavar="VIEW", help_behavior_hint=""),
     ] = None
     """Write this in colours instead of the picture, which shows how the frame came about: normal, depth, index, shadow,
     hits, transmittance, emission; of frames of paths and in real time direct_diffuse, indirect_diffuse, direct_glossy,
-    indirect_glossy; of frames in real time history, probes, cache, cache_cells."""
+    indirect_glossy; of frames in real time motion, history, probes, cache, cache_cells."""
     raster_strategy: Annotated[Literal["sorted", "stochastic"] | None, setting("{sorted,stochastic}", "sorted")] = None
     """How the rasteriser resolves splats. sorted: front to back, without noise. stochastic: a random one of them,
     nothing is sorted; --samples average the noise."""

@@ -10,11 +10,12 @@ import lumisplat as ls
 
 ViewName = Literal[
     "normal", "depth", "index", "shadow", "hits", "transmittance", "direct_diffuse", "indirect_diffuse",
-    "direct_glossy", "indirect_glossy", "emission", "history", "probes", "cache", "cache_cells",
+    "direct_glossy", "indirect_glossy", "emission", "motion", "history", "probes", "cache", "cache_cells",
 ]  # fmt: skip
 
 _LEGENDS = {
     "depth": "depth in scene units from {:.4g} (red) to {:.4g} (blue)",
+    "motion": "pixels a frame from {:.0f} (white) to {:.0f} (full), red to the right, yellow-green up; unknown: black",
     "history": "frames that direct light is the mean of, from {:.0f} (violet) to {:.0f} (yellow); no surface: black",
     "probes": "refreshes of screen probes from {:.0f} (violet) to {:.0f} (yellow), logarithmic",
     "hits": "Gaussians a ray from {:.0f} (violet) to {:.0f} (yellow), logarithmic; none: black",

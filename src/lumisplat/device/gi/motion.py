@@ -81,3 +81,25 @@ def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
     x = camera[0].focal[0] * seen[0] / seen[2] + camera[0].center[0]
     y = camera[0].focal[1] * seen[1] / seen[2] + camera[0].center[1]
     return wp.vec3(x, y, wp.length(way))
+
+
+@wp.func
+def motion_of(
+    position: wp.vec3, previous: wp.vec3, camera: wp.array[CameraData], camera_before: wp.array[CameraData]
+) -> wp.vec3:
+    """How a point has moved as the camera shows it: x and y in pixels, and its distance; NaN: it was not there.
+
+    Each is that of now minus that of the frame before.
+
+    Args:
+        position: The point, world space.
+        previous: Where it was then; NaN: nowhere.
+        camera: The camera.
+        camera_before: That of the frame before.
+    """
+    if wp.isnan(previous[0]):
+        return was_nowhere()
+    before = pixel_before(previous, camera_before)
+    if before[2] <= 0.0:
+        return was_nowhere()
+    return pixel_before(position, camera) - before

@@ -76,6 +76,8 @@ class FilmData:
     height: int
     in_blocks: int
     """1: rays lie in square blocks of pixels, as a camera's; 0: one after the other."""
+    in_sequence: int
+    """1: each sample is a frame of its own, whatever its number."""
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]

@@ -61,6 +61,7 @@ class Film:
         self._has_sums = plan.samples > 1 or resume is not None or plan.has_shadow_only or plan.has_receivers
         row = FilmData()
         row.width, row.height, row.in_blocks = *self._size, 1
+        row.in_sequence = int(plan.has_history)
         row.pixels, row.count = self._pixels.data, self._count
         if plan.is_lit:
             row.lit = self._lit.data
@@ -184,6 +185,9 @@ class Film:
         for name in ("probes", "cache_cells"):
             if name in self._plan.aovs:
                 images[name] = copies.give(partial(self._whole, size, copies, name))
+        if "motion" in self._plan.aovs:
+            images["motion"] = copies.give(lambda: np.nan_to_num(self._layer(size, copies, "motion")))
+            images["motion_known"] = copies.give(lambda: self._known(size, copies, "motion"))
         if "sample_count" in self._plan.aovs:
             images["sample_count"] = copies.give(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
         if "lights" in self._plan.aovs:
@@ -270,6 +274,11 @@ class Film:
     def _whole(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
         """A layer of one whole number."""
         return cls._channel(size, copies, name).astype(np.int32)
+
+    @classmethod
+    def _known(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
+        """1 where a layer is a number, 0 where it is NaN."""
+        return (~np.isnan(cls._channel(size, copies, name))).astype(np.int32)
 
     @classmethod
     def _layers(cls, size: tuple[int, int], copies: Copies, kind: str, count: int) -> FloatArray:

@@ -46,6 +46,12 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 
 @wp.func
+def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
+    """Whether the current sample is the first of its frame."""
+    return film[0].in_sequence == 1 or scene[0].sample[0].index == 0
+
+
+@wp.func
 def surface_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
     """The first surface on a ray; nothing where there is no ray."""
     surface = FirstSurface()
@@ -72,7 +78,7 @@ def add_samples(
     pixel = pixel_index(i, film_inout)
     if pixel < 0:
         return
-    if scene[0].sample[0].index == 0:
+    if begins_frame(scene, film_inout):
         store_surface(pixel, surface_of_ray(i, scene, wave), film_inout)
     sample = PixelSample()
     if is_finite_sample(i, film_inout, wave):
@@ -157,7 +163,7 @@ def add_image(
         return
     if is_finite_sample(i, film, wave):
         add_color(pixel, film[0].count[pixel], values[i], image_inout)
-    elif scene[0].sample[0].index == 0:
+    elif begins_frame(scene, film):
         image_inout[pixel] = wp.vec3(0.0)
 
 

@@ -1,6 +1,8 @@
-"""Host pass: images of what frames in real time keep for the next one, which explain them."""
+"""Host pass: images of how surfaces have moved, and of what frames in real time keep for the next one."""
 
 from __future__ import annotations
+
+import math
 
 import warp as wp
 
@@ -12,6 +14,8 @@ from lumisplat.renderer.realtime.gbuffer import Surfaces
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
+
+_NOTHING = {"motion": math.nan, "history": 0.0, "cache": 0.0}
 
 
 class Kept:
@@ -26,9 +30,23 @@ class Kept:
         self._launcher, self._buffers = launcher, buffers
 
     def nothing(self, name: str, count: int) -> DeviceArray:
-        """The image of a frame that keeps no such thing: 0, or -1 where there are numbers of things."""
+        """The image of a frame that keeps no such thing: 0, NaN for motion, or -1 where there are numbers of things."""
         image = self._image(name, count)
-        image.fill_(0.0 if name in ("history", "cache") else -1.0)
+        image.fill_(_NOTHING.get(name, -1.0))
+        return image
+
+    def motion(self, scene: DeviceScene, surfaces: list[Surfaces], count: int) -> DeviceArray:
+        """How surfaces have moved, of two that of the one that is more of the pixel; NaN: that is not known.
+
+        Args:
+            scene: The scene on the device, with the camera of the frame before.
+            surfaces: What the pixels show, by kinds.
+            count: Number of rays.
+        """
+        image, share = self.nothing("motion", count), self._shares(count)
+        for kind in surfaces:
+            inputs = scene.camera, scene.motion.camera, kind.now, share, image
+            self._launcher.run_banded(kernels.show_motion, count, *inputs)
         return image
 
     def history(
@@ -42,8 +60,7 @@ class Kept:
             frames: In their histories.
             count: Number of rays.
         """
-        image, share = self.nothing("history", count), self._buffers.get("kept.share", wp.float32, count)
-        share.zero_()
+        image, share = self.nothing("history", count), self._shares(count)
         for kind, of_kind in zip(surfaces, frames, strict=True):
             self._launcher.run_banded(kernels.show_history, count, scene.camera, kind.now, of_kind, share, image)
         return image
@@ -75,6 +92,12 @@ class Kept:
             run(kernels.list_surfaces, count, scene.camera, kind.now, number == 0, samples)
         run(kernels.place_eye, count, samples)
         return samples
+
+    def _shares(self, count: int) -> DeviceArray:
+        """Of pixels, that the surfaces have which an image shows: none yet."""
+        share = self._buffers.get("kept.share", wp.float32, count)
+        share.zero_()
+        return share
 
     def _image(self, name: str, count: int) -> DeviceArray:
         return self._buffers.get(f"kept.{name}", wp.vec3, count)

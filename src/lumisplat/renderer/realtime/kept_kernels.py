@@ -1,14 +1,43 @@
-"""Images of what frames in real time keep; each element is written by one item."""
+"""Images of motion, and of what frames in real time keep; each element is written by one item."""
 
 import warp as wp
 
 from lumisplat.device.camera.ray_blocks import pixel_number, ray_of_pixel
+from lumisplat.device.gi.motion import motion_of
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
 from lumisplat.device.structs.radiance_cache import CacheSamples
 from lumisplat.device.structs.screen_probes import ProbeData
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def show_motion(
+    start: int,
+    camera: wp.array[CameraData],
+    camera_before: wp.array[CameraData],
+    surfaces: SurfacePixels,
+    share_inout: wp.array[float],
+    image_inout: wp.array[wp.vec3],
+):
+    """Item = ray: the motion of surfaces of one kind, where these are the most of the pixel so far.
+
+    Args:
+        start: First item.
+        camera: The camera.
+        camera_before: That of the frame before.
+        surfaces: Those of the kind.
+        share_inout: Of the pixel that the surface has which the image shows, one element a ray.
+        image_inout: The image; NaN where the surface was not there.
+    """
+    i = start + wp.tid()
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
+        return
+    if surfaces.share[pixel] > share_inout[i]:
+        share_inout[i] = surfaces.share[pixel]
+        image_inout[i] = motion_of(surfaces.position[pixel], surfaces.previous[pixel], camera, camera_before)
 
 
 @wp.kernel

@@ -136,7 +136,9 @@ class RealtimeIntegrator:
         """Images of what the frame keeps, by their names."""
         kept, images, indirect = self._kept, dict[str, DeviceArray](), self._indirect
         for name in names:
-            if name == "history":
+            if name == "motion":
+                images[name] = kept.motion(scene, surfaces, count)
+            elif name == "history":
                 frames = [self._filters["direct", kind.kind].frames(scene, frame) for kind in surfaces]
                 images[name] = kept.history(scene, surfaces, frames, count)
             elif not self._bounces or not surfaces:
