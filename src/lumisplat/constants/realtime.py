@@ -64,8 +64,23 @@ YOUNG_SHARE = 0.5
 often, and is nearer to the truth. The variance is a third higher than that of plain means."""
 
 OUTDATED_SHARE = 1e-4
-"""Share of its weight that a mean keeps when the light changes: what is found next takes its place, and is until then
-better than nothing. Many old cells of a tile together weigh less than one new sample."""
+"""Share of its weight that a mean keeps when a light comes or goes: what is found next takes its place, and is until
+then better than nothing. Many old cells of a tile together weigh less than one new sample."""
+
+CHANGED_SHARE = 0.7
+"""The same when lights move or change a little, in each of the frames that follow: means are over some three frames."""
+
+CHANGED_FRAMES = 8
+"""Frames for which means fade after a change."""
+
+CHANGED_STRENGTH = 2.0
+"""A light that is suddenly more than so many times as strong as before counts as another."""
+
+# --- Radiance cache ---
+
+LAYER_SHIFT = 0.382
+"""Where, in cells, layers of cells begin: walls lie at whole numbers, halves or quarters, where rounding would put
+their points into two layers."""
 
 # --- Light grid ---
 

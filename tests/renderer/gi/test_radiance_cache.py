@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.radiance_cache import CacheTiles
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Cell, RadianceCacheOracle, Samples, cell_at
@@ -119,8 +120,10 @@ def test_reset_is_a_new_cache() -> None:
     assert rig.cache.statistics.tiles == rig.cache.statistics.cells == rig.cache.statistics.evicted == 0
     again, fresh = run_frames(rig), run_frames(CacheRig(tiles=700, unused_frames=4))
     assert all(per_slot_equal(fresh, again, name) for name in ("direct", "indirect", "frames", "used", "bounced"))
-    for name in ("counts", "keys", "slots", "seen", "key"):
+    for name in ("counts", "keys", "slots", "seen", "is_active"):
         assert (again[name] == fresh[name]).all(), name
+    active = fresh["is_active"]
+    assert (again["key"][active] == fresh["key"][active]).all()
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(4, 4), (32, 32), (16, 4)])
@@ -148,7 +151,8 @@ def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
     assert len(twin.indirect) > 200
 
 
-def test_outdated_means_are_the_twins() -> None:
+@pytest.mark.parametrize("share", [OUTDATED_SHARE, 0.7])
+def test_outdated_means_are_the_twins(share: float) -> None:
     """When light changes after three frames: right after it, and while cells find other light, some of few samples."""
     rng = np.random.default_rng(10)
     rig = CacheRig(history=16, bounce_history=4)
@@ -164,8 +168,8 @@ def test_outdated_means_are_the_twins() -> None:
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
         add_twin_bounces(twin, host, hits.radiance, [floor])
         if frame == 2:
-            rig.cache.outdate()
-            twin.outdate()
+            rig.cache.outdate(share)
+            twin.outdate(share)
         assert np.abs(rig.look_up(probes) - twin.look_up(probes)).max() < 3e-6
         assert np.abs(rig.look_up_indirect(probes) - twin.look_up_indirect(probes)).max() < 3e-6
 

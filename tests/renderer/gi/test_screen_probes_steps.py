@@ -10,6 +10,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.config.probes import ProbeConfig
 from lumisplat.constants import SHADOW_OFFSET
+from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.screen_probes import ProbeData
 from lumisplat.math.octahedral import directions_of_square
 from lumisplat.runtime.buffers import device_array
@@ -197,7 +198,7 @@ def test_outdated_light_stays_until_other_is_found() -> None:
     for _ in range(12):
         sequence.render(seen)
     sequence.place(seen)
-    sequence.probes.outdate()
+    sequence.probes.outdate(OUTDATED_SHARE)
     sequence.tracer = constant([np.nan] * 3)
     sequence.trace()
     np.testing.assert_allclose(sequence.look_up(seen), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)

@@ -217,37 +217,6 @@ def test_instances_of_one_asset_are_the_same_in_their_order() -> None:
     close(sequence.mesh_before(0, 3), points_of(ls.MeshInstance(mesh, HERE), 3))
 
 
-LIT = ls.Scene(
-    [ls.SplatInstance(capture(), HERE)],
-    [octahedron((0.1, 0.0, 0.0), 0.5), octahedron((0.9, 0.0, 0.0), 0.2, material=ls.MaterialPbr(emissive=(1, 1, 1)))],
-    [LAMP, ls.LightEnvironment(np.ones((4, 8, 3), np.float32))],
-)
-SAME = {
-    "nothing": LIT,
-    "equal lights": replace(LIT, lights=[ls.LightPoint((0.0, 0.0, 0.0)), LIT.lights[1]]),
-    "a mesh that moves": replace(LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, HERE), LIT.meshes[1]]),
-    "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians)]),
-}
-OTHER = {
-    "a lamp's place": replace(LIT, lights=[ls.LightPoint((0.0, 0.1, 0.0)), LIT.lights[1]]),
-    "a lamp's strength": replace(LIT, lights=[ls.LightPoint((0.0, 0.0, 0.0), intensity=0.0), LIT.lights[1]]),
-    "a lamp that is gone": replace(LIT, lights=LIT.lights[:1]),
-    "a sky": replace(LIT, lights=[LAMP, ls.LightEnvironment(np.zeros((4, 8, 3), np.float32))]),
-    "what shines": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(LIT.meshes[1].mesh, HERE)]),
-    "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
-    "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
-}
-
-
-@pytest.mark.parametrize("change", SAME | OTHER)
-def test_what_light_comes_from_is_compared(change: str) -> None:
-    """Lights, what shines, materials and what there is; not where things are that only reflect."""
-    motion = Sequence().scene.motion
-    for number, scene in enumerate((LIT, (SAME | OTHER)[change])):
-        motion.sync(scene, front_camera(), wp.zeros(0, dtype=wp.vec3, device="cpu"))
-        assert motion.has_new_light == (number == 1 and change in OTHER)
-
-
 def test_pixels_are_those_of_the_camera_before() -> None:
     """As it projects points itself, with the distance from its eye; what is behind it is nowhere."""
     before = ls.Camera.look_at((0.3, -0.2, 0.1), (0.1, 0.2, 4.0), (0.1, -1.0, 0.0), width=70, height=50, fov_y=0.9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 YOUNG_SHARE = 0.5
-OUTDATED_SHARE = 1e-4
 
 
 def mean_weight(count: float, history: float) -> float:

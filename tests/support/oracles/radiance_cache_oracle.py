@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from support.oracles.means_oracle import OUTDATED_SHARE, mean_weight
+from support.oracles.means_oracle import mean_weight
 
 FINER_NEAR = 3
 ALBEDO_MAX = 0.99
@@ -88,11 +88,11 @@ class RadianceCacheOracle:
         mean.value = (mean.value * weight + np.minimum(albedo, ALBEDO_MAX) * seen) / (weight + 1)
         mean.weight = min(mean.weight + 1, max(self.bounce_history, self.samples_min))
 
-    def outdate(self) -> None:
-        """What is known counts for next to nothing beside what comes."""
+    def outdate(self, share: float) -> None:
+        """What is known counts for a share of what it did beside what comes."""
         for mean in (*self.direct.values(), *self.indirect.values()):
-            mean.weight *= OUTDATED_SHARE
-            mean.frames = min(mean.frames, 1)
+            mean.weight *= share
+            mean.frames = min(mean.frames, max(int(share * mean.frames), 1))
 
     def look_up(self, samples: Samples) -> np.ndarray:
         """Radiance of each sample's surface."""
@@ -152,7 +152,8 @@ def cell_at(samples: Samples, i: int, level: int, *, is_near: bool) -> Cell:
     """The cell of a level that a sample would be in."""
     normal = samples.normal[i]
     axis = int(np.argmax(np.abs(normal)))
-    x = np.floor(samples.position[i].astype(np.float32).astype(float) / 2.0**level).astype(int)
+    shift = np.where(np.arange(3) == axis, 0.382, 0.0)
+    x = np.floor(samples.position[i].astype(np.float32).astype(float) / 2.0**level + shift).astype(int)
     face = 2 * axis + int(normal[axis] < 0)
     return Cell(level, is_near, face, int(x[(axis + 1) % 3]), int(x[(axis + 2) % 3]), int(x[axis]))
 

@@ -5,6 +5,7 @@ docs/method/realtime.md#radiance-cache
 
 import warp as wp
 
+from lumisplat.constants.realtime import LAYER_SHIFT
 from lumisplat.device.math.random import mix
 from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.radiance_cache import (
@@ -25,6 +26,7 @@ from lumisplat.device.structs.radiance_cache import (
 
 wp.set_module_options({"enable_backward": False})
 
+SHIFT = wp.constant(wp.float32(LAYER_SHIFT))
 COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
@@ -101,7 +103,7 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
         axis = face // 2
         u = int(wp.floor(scaled[(axis + 1) % 3]))
         v = int(wp.floor(scaled[(axis + 2) % 3]))
-        w = int(wp.floor(scaled[axis]))
+        w = int(wp.floor(scaled[axis] + SHIFT))
         head = wp.int64(2 * (8 * (level + LEVEL_LAST) + face) + int(is_near))
         place.key = with_coordinate(with_coordinate(with_coordinate(head, u >> 3), v >> 3), w)
         place.cell = 8 * (v & 7) + (u & 7)

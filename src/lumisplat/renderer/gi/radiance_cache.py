@@ -87,10 +87,10 @@ class RadianceCache:
         self._launcher.run_banded(tile_kernels.clear_tiles, self._config.tiles, self._tiles)
         self._is_overflow_told = False
 
-    def outdate(self) -> None:
-        """The light has changed: what is known counts for next to nothing beside what is found from now on."""
+    def outdate(self, share: float) -> None:
+        """The light has changed: what is known counts for this share of what it did."""
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, self._tiles)
+            self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self._tiles)
 
     def insert(self, samples: CacheSamples, frame: int) -> None:
         """Adds the direct radiance of a frame's samples to the means of their cells.

@@ -6,7 +6,6 @@ docs/method/realtime.md#radiance-cache
 
 import warp as wp
 
-from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.radiance_cache import (
     cached_radiance,
@@ -38,8 +37,6 @@ from lumisplat.device.structs.radiance_cache import (
 )
 
 wp.set_module_options({"enable_backward": False})
-
-OUTDATED = wp.constant(wp.float32(OUTDATED_SHARE))
 
 
 @wp.kernel
@@ -155,8 +152,8 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 
 @wp.kernel
-def outdate_means(start: int, tiles: CacheTiles):
-    """Item = mean of a tile: it counts for next to nothing."""
+def outdate_means(start: int, share: float, tiles: CacheTiles):
+    """Item = mean of a tile: it counts for a share of what it did, in samples and in frames."""
     i = start + wp.tid()
     tile = i // TILE_MEANS
     if tile >= tiles.counts[COUNT_LIVE]:
@@ -164,10 +161,11 @@ def outdate_means(start: int, tiles: CacheTiles):
     within = i - tile * TILE_MEANS
     slot = tiles.slots[tile]
     at = slot * TILE_MEANS + within
-    tiles.direct[at][3] = OUTDATED * tiles.direct[at][3]
-    tiles.indirect[at][3] = OUTDATED * tiles.indirect[at][3]
+    tiles.direct[at][3] = share * tiles.direct[at][3]
+    tiles.indirect[at][3] = share * tiles.indirect[at][3]
     if within < TILE_CELLS:
-        tiles.frames[slot * TILE_CELLS + within] = wp.min(tiles.frames[slot * TILE_CELLS + within], 1)
+        frames = tiles.frames[slot * TILE_CELLS + within]
+        tiles.frames[slot * TILE_CELLS + within] = wp.min(frames, wp.max(int(share * float(frames)), 1))
 
 
 @wp.kernel

@@ -5,7 +5,6 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 
 import warp as wp
 
-from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.probe_places import tile_of
 from lumisplat.device.gi.probe_rays import neighbour_weight, refresh_key, shows_the_same, start_probe_ray
@@ -18,7 +17,6 @@ from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeG
 
 wp.set_module_options({"enable_backward": False})
 
-OUTDATED = wp.constant(wp.float32(OUTDATED_SHARE))
 
 AROUND = wp.constant(2)
 """Pixels to each side that fill one without probes."""
@@ -86,10 +84,10 @@ def add_samples(
 
 
 @wp.kernel
-def outdate_cells(start: int, cells_inout: ProbeCells):
-    """Item = cell: its means count for next to nothing."""
+def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
+    """Item = cell: its means count for a share of what they did."""
     k = start + wp.tid()
-    cells_inout.samples[k] = OUTDATED * cells_inout.samples[k]
+    cells_inout.samples[k] = share * cells_inout.samples[k]
 
 
 @wp.kernel

@@ -85,12 +85,12 @@ class ScreenProbes:
         run(place_kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
         self._has_history = True
 
-    def outdate(self) -> None:
-        """The light has changed: what is known counts for next to nothing beside what is found from now on.
+    def outdate(self, share: float) -> None:
+        """The light has changed: what is known counts for this share of what it did.
 
         After ``place``.
         """
-        self._launcher.run_banded(light_kernels.outdate_cells, self.count * self._cell_count, self.cells)
+        self._launcher.run_banded(light_kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
 
     def rays(self, frame: int) -> RayData:
         """One ray for each cell of the probes that this frame refreshes; those of a mesh into itself are none.

@@ -67,9 +67,9 @@ class IndirectLight:
         with self._launcher.stage("probes"):
             shown = self._shown(surfaces)
             self.probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
-            if scene.motion.has_new_light:
-                self.probes.outdate()
-                self.cache.outdate()
+            if scene.motion.known_share < 1.0:
+                self.probes.outdate(scene.motion.known_share)
+                self.cache.outdate(scene.motion.known_share)
             rays = self.probes.rays(frame)
         hits = self._bounced.find(scene, plan, rays, "probe_rays")
         self.cache.insert(hits.samples, frame)

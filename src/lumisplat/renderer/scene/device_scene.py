@@ -17,8 +17,9 @@ from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel, tile_grid
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
+from lumisplat.renderer.scene.light_changes import in_order
 from lumisplat.renderer.scene.mesh_assets import MeshAssets
-from lumisplat.renderer.scene.motion import Motion, in_order
+from lumisplat.renderer.scene.motion import Motion
 from lumisplat.renderer.scene.shading_scene import ShadingTables
 from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
-from typing import Any, TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import InstanceMotion
 from lumisplat.renderer.scene.camera_table import camera_table
+from lumisplat.renderer.scene.light_changes import LightChanges
 from lumisplat.renderer.scene.upload import as_device_array, first_of
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.struct_tables import upload_structs
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-
-SMALL = 16
-"""Numbers that an array has at most whose values are compared."""
 
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
 
@@ -39,9 +34,9 @@ class Motion:
         self._scene: Scene | None = None
         self._camera: Camera | None = None
         self._positions: wp.array[wp.vec3] | None = None
-        self._light: list[object] = []
-        self.has_new_light = False
-        """Whether lights, materials or instances have come, gone or changed since the frame before."""
+        self._changes = LightChanges()
+        self.known_share = 1.0
+        """Share of its weight that what is known of light keeps; 1 unless light has changed."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
         """That of the frame before; written by ``sync``."""
         self.splats: DeviceArray
@@ -60,15 +55,14 @@ class Motion:
         assign_table(self.camera, camera_table(self._camera or camera))
         self.splats = upload_structs(self._splat_rows(scene, before), InstanceMotion, self._device)
         self.meshes = upload_structs(self._mesh_rows(scene, before), InstanceMotion, self._device)
-        light = light_of(scene)
-        self.has_new_light = self._scene is not None and light != self._light
-        self._light = light
+        self.known_share = self._changes.share(scene)
         self._scene, self._camera = scene, camera
         self._positions = positions
 
     def forget(self) -> None:
         """No instance was anywhere before."""
         self._scene = self._camera = self._positions = None
+        self._changes.forget()
 
     def _splat_rows(self, scene: Scene, before: Scene) -> list[InstanceMotion]:
         rows: list[InstanceMotion] = []
@@ -101,36 +95,6 @@ class Motion:
                 row.deforms, row.positions = 1, self._positions
             place(row, instance.transform, old.transform)
         return rows
-
-
-def light_of(scene: Scene) -> list[object]:
-    """What the light of a scene comes from, and what reflects it, to be compared; not where reflecting things are.
-
-    Arrays and materials are compared by identity.
-    """
-    lights = [(type(light), *map(comparable, vars_of(light))) for light in scene.lights]
-    shining = [(id(i.mesh), i.transform.tobytes()) for i in scene.meshes if i.mesh.material.is_emissive]
-    materials = [id(instance.material) for instance in scene.splats]
-    return [*lights, shining, materials, [id(instance.mesh.material) for instance in scene.meshes]]
-
-
-def in_order(lights: Sequence[Light]) -> list[Light]:
-    """The enabled ones of some lights, in an order that is not that of their list but follows from what they are."""
-    enabled = [light for light in lights if light.enabled]
-    return sorted(enabled, key=lambda light: (type(light).__name__, repr([*map(comparable, vars_of(light))])))
-
-
-def vars_of(noun: Any) -> list[object]:
-    """The values of a dataclass."""
-    return [getattr(noun, field.name) for field in fields(noun)]
-
-
-def comparable(value: object) -> object:
-    """The value; of a large array its identity, of a small one its numbers."""
-    if not isinstance(value, np.ndarray):
-        return value
-    numbers = cast(npt.NDArray[Any], value)
-    return id(numbers) if numbers.size > SMALL else numbers.tobytes()
 
 
 def numbers_before(

@@ -1,0 +1,111 @@
+"""How far what is known of light holds, by what has changed (docs/method/realtime.md#light-that-changes)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, CHANGED_STRENGTH, OUTDATED_SHARE
+from lumisplat.scene.lights import Light
+from lumisplat.scene.scene import Scene
+
+SMALL = 16
+"""Numbers that an array has at most whose values are compared."""
+
+STRENGTH = ("color", "intensity")
+"""Fields of lights that say how strong they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightOfScene:
+    """What the light of a scene comes from, and what reflects it; not where reflecting things are.
+
+    Arrays and materials are compared by identity.
+    """
+
+    sources: list[object]
+    """Which lights and which meshes that shine there are."""
+    strengths: list[npt.NDArray[np.float64]]
+    """Of each light, by channel."""
+    rest: list[object]
+    """All else of the lights, places of meshes that shine, and materials."""
+
+
+class LightChanges:
+    """Compares the light of each frame with that of the frame before."""
+
+    def __init__(self) -> None:
+        self._before: LightOfScene | None = None
+        self._frames_ago = CHANGED_FRAMES
+
+    def forget(self) -> None:
+        """There was no frame before."""
+        self._before, self._frames_ago = None, CHANGED_FRAMES
+
+    def share(self, scene: Scene) -> float:
+        """The share of its weight that what is known of light keeps in the frame that shows a scene.
+
+        Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
+        If anything else about light changes, what is known is a little old: for so many frames, it fades.
+        """
+        before, now = self._before or light_of(scene), light_of(scene)
+        self._before = now
+        is_other = is_suddenly_other(before, now)
+        has_changed = is_other or before.rest != now.rest or not same_strengths(before, now)
+        self._frames_ago = 0 if has_changed else self._frames_ago + 1
+        if is_other:
+            return OUTDATED_SHARE
+        return CHANGED_SHARE if self._frames_ago < CHANGED_FRAMES else 1.0
+
+
+def light_of(scene: Scene) -> LightOfScene:
+    """The light of a scene, to be compared."""
+    shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
+    sources = [*((type(light), light.enabled) for light in scene.lights), [id(i.mesh) for i in shining]]
+    strengths = [strength_of(light) for light in scene.lights]
+    lights = [values_of(light) for light in scene.lights]
+    places = [instance.transform.tobytes() for instance in shining]
+    materials = [id(instance.material) for instance in scene.splats]
+    rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
+    return LightOfScene(sources, strengths, rest)
+
+
+def strength_of(light: Light) -> npt.NDArray[np.float64]:
+    """Of a light, by channel; shape (3,)."""
+    return np.asarray(light.color, np.float64) * light.intensity
+
+
+def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:
+    """Whether a light came or went, or one is more than ``CHANGED_STRENGTH`` times as strong, or weaker by as much."""
+    if before.sources != now.sources:
+        return True
+    both = zip(before.strengths, now.strengths, strict=True)
+    return any(np.any(np.maximum(a, b) > CHANGED_STRENGTH * np.minimum(a, b)) for a, b in both)
+
+
+def same_strengths(before: LightOfScene, now: LightOfScene) -> bool:
+    """Whether all lights are as strong as they were; there are as many."""
+    return all(map(np.array_equal, before.strengths, now.strengths))
+
+
+def in_order(lights: Sequence[Light]) -> list[Light]:
+    """The enabled ones of some lights, in an order that is not that of their list but follows from what they are."""
+    enabled = [light for light in lights if light.enabled]
+    return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light, leave_out=()))))
+
+
+def values_of(light: Light, leave_out: Sequence[str] = STRENGTH) -> list[object]:
+    """The values of a light's fields but some, to be compared."""
+    return [comparable(getattr(light, field.name)) for field in fields(light) if field.name not in leave_out]
+
+
+def comparable(value: object) -> object:
+    """The value; of a large array its identity, of a small one its numbers."""
+    if not isinstance(value, np.ndarray):
+        return value
+    numbers = cast(npt.NDArray[Any], value)
+    return id(numbers) if numbers.size > SMALL else numbers.tobytes()

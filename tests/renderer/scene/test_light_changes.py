@@ -1,0 +1,83 @@
+"""How much of what is known of light a frame keeps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lumisplat as ls
+from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, OUTDATED_SHARE
+from lumisplat.renderer.scene.light_changes import LightChanges, in_order
+from support.scenes.raster_scenes import octahedron, random_gaussians
+
+SKY = np.ones((4, 8, 3), np.float32)
+SHINING = octahedron((0.9, 0.0, 0.0), 0.2, material=ls.MaterialPbr(emissive=(1, 1, 1)))
+SPOT = ls.LightSpot((0.0, 2.0, 0.0), (0.0, -1.0, 0.0), color=(1.0, 0.5, 0.2), intensity=3.0)
+LIT = ls.Scene([random_gaussians(3)], [octahedron((0.1, 0.0, 0.0), 0.5), SHINING], [SPOT, ls.LightEnvironment(SKY)])
+ELSEWHERE = np.diag([2.0, 2.0, 2.0, 1.0])
+
+
+def with_spot(**changes: object) -> ls.Scene:
+    """The scene with another spot light."""
+    return replace(LIT, lights=[replace(SPOT, **changes), LIT.lights[1]])  # pyright: ignore[reportArgumentType]
+
+
+def with_sky(**settings: object) -> ls.Scene:
+    """The scene with another sky."""
+    sky = {"image": SKY} | settings
+    return replace(LIT, lights=[SPOT, ls.LightEnvironment(**sky)])  # pyright: ignore[reportArgumentType]
+
+
+SAME = {
+    "nothing": LIT,
+    "equal lights": with_spot(),
+    "a mesh that moves": replace(LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, ELSEWHERE), LIT.meshes[1]]),
+    "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE)]),
+}
+CHANGED = {
+    "a lamp's place": with_spot(position=(0.0, 2.1, 0.0)),
+    "where it shines": with_spot(direction=(0.1, -1.0, 0.0)),
+    "its cone": with_spot(outer_angle=0.5),
+    "its strength, a little": with_spot(intensity=2.0),
+    "its colour, a little": with_spot(color=(1.0, 0.5, 0.3)),
+    "another sky": with_sky(image=0.5 * SKY),
+    "a sky that turns": with_sky(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
+    "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(SHINING, ELSEWHERE)]),
+    "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
+    "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
+}
+OTHER = {
+    "a lamp that has gone out": with_spot(intensity=0.0),
+    "a lamp of another colour": with_spot(color=(1.0, 0.5, 1.0)),
+    "a lamp that is off": with_spot(enabled=False),
+    "a lamp that is gone": replace(LIT, lights=LIT.lights[1:]),
+    "what shines is gone": replace(LIT, meshes=LIT.meshes[:1]),
+}
+
+
+@pytest.mark.parametrize("change", SAME | CHANGED | OTHER)
+def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
+    """For some frames if it has changed a little; for next to nothing in the frame in which it is suddenly another."""
+    changes = LightChanges()
+    assert [changes.share(LIT) for _ in range(3)] == [1.0] * 3
+    after = [changes.share((SAME | CHANGED | OTHER)[change]) for _ in range(CHANGED_FRAMES + 1)]
+    first = 1.0 if change in SAME else CHANGED_SHARE if change in CHANGED else OUTDATED_SHARE
+    assert after[0] == first
+    assert after[1:] == ([1.0] * CHANGED_FRAMES if change in SAME else [CHANGED_SHARE] * (CHANGED_FRAMES - 1) + [1.0])
+
+
+def test_nothing_is_outdated_at_the_beginning() -> None:
+    """In the first frame, and in the first one of another sequence."""
+    changes = LightChanges()
+    assert changes.share(LIT) == 1.0
+    changes.forget()
+    assert changes.share(ls.Scene()) == 1.0
+
+
+def test_lights_are_in_one_order() -> None:
+    """Whatever that of the list; those that are off are left out."""
+    lights = [*LIT.lights, ls.LightPoint((1.0, 0.0, 0.0)), ls.LightPoint((0.0, 0.0, 0.0), enabled=False)]
+    assert in_order(lights) == in_order(lights[::-1])
+    assert len(in_order(lights)) == 3
