@@ -27,11 +27,11 @@ class LightOfScene:
     Arrays and materials are compared by identity.
     """
 
-    sources: list[object]
+    sources: Sequence[object]
     """Which lights and which meshes that shine there are."""
     strengths: list[npt.NDArray[np.float64]]
     """Of each light, by channel."""
-    rest: list[object]
+    rest: Sequence[object]
     """All else of the lights, places of meshes that shine, and materials."""
 
 
