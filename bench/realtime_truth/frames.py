@@ -1,0 +1,214 @@
+"""Sequences in real time, the paths that are their truth, and how far apart the two are."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from bench.realtime_truth.scenes import WIDTH, View
+from bench.timing import parser, quiet_warp
+from lumisplat.config import PATH_PARTS
+from lumisplat.math.tone_map import lit_picture
+
+Doubles = npt.NDArray[np.float64]
+_Result = TypeVar("_Result")
+
+BLOCK = 16
+"""Side of the blocks whose means are compared, pixels."""
+FAINT = 0.1
+"""Blocks with less than this share of their layer's mean are measured by this share of it: nothing is divided by 0."""
+BOUNCES = 16
+"""Of the truth: with 8, the default, white rooms lack 0.9 % of their light, with 32 nothing more."""
+BARS = {"direct": 0.03, "indirect": 0.05, "diffuse": 0.05, "glossy": 0.10}
+"""Most that a block of a layer may be off on meshes; twice that on Gaussians."""
+LAYERS = {
+    "direct": ("direct_diffuse",),
+    "indirect": ("indirect_diffuse",),
+    "glossy": ("direct_glossy", "indirect_glossy"),
+}
+
+
+def options(name: str, description: str | None, *, samples: int = 0, width: int = WIDTH) -> argparse.ArgumentParser:
+    """A parser of what the commands have in common; with ``samples`` for those that have paths as their truth."""
+    given = parser(f"realtime_truth.{name}", description)
+    given.add_argument("--width", type=int, default=width, help=f"of pictures, pixels (default: {width})")
+    if samples:
+        given.add_argument("--samples", type=int, default=samples, help=f"of the truth (default: {samples})")
+        said = "keeps the truth's pictures there, and takes those that are there; empty it when paths change"
+        given.add_argument("--truths", type=Path, metavar="FOLDER", help=said)
+    quiet_warp()
+    return given
+
+
+def tell(text: str) -> None:
+    """A line of what goes on, apart from the tables."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)
+
+
+def head(first: str, *names: str) -> None:
+    """The first two lines of a table."""
+    print(f"| {' | '.join((first, *names))} |\n| --- {'| ---: ' * len(names)}|", flush=True)
+
+
+def realtime(**settings: Any) -> ls.RenderConfig:
+    """Settings of a sequence, with its layers."""
+    given = {"aovs": PATH_PARTS, "tone_map": ls.ToneMap.NEUTRAL} | settings
+    return ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **given)
+
+
+def paths(samples: int, seed: int, max_bounces: int | None = None) -> ls.RenderConfig:
+    """Settings of a frame of paths whose first surface is that of real time."""
+    return ls.RenderConfig(
+        pipeline=ls.Pipeline.PATH,
+        samples=samples,
+        seed=seed,
+        path=ls.PathConfig(primary=ls.PathPrimary.ISO),
+        max_bounces=max_bounces,
+        tone_map=ls.ToneMap.NEUTRAL,
+        aovs=(*PATH_PARTS, "albedo"),
+    )
+
+
+def frames_of(renderer: ls.Renderer, view: View, count: int) -> Iterator[ls.Frame]:
+    """The next frames of a sequence that stands still."""
+    for _ in range(count):
+        yield renderer.render(view.scene, view.camera)
+
+
+def last_of(renderer: ls.Renderer, view: View, count: int) -> ls.Frame:
+    """The last of so many frames."""
+    *_, frame = frames_of(renderer, view, count)
+    return frame
+
+
+def cpu_seconds(work: Callable[[], _Result]) -> tuple[float, _Result]:
+    """Processor time of all threads, and the result."""
+    started = time.process_time()
+    result = work()
+    return time.process_time() - started, result
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Two independent frames of paths: what they agree on is without their noise."""
+
+    pictures: Doubles
+    """Tone-mapped, shape (2, H, W, 3)."""
+    whole: Doubles
+    """That of both together, shape (H, W, 3)."""
+    images: dict[str, Doubles]
+    """``color`` and the layers, linear, each of shape (2, H, W, 3)."""
+
+    def layer(self, name: str) -> Doubles:
+        """One of `LAYERS`, or ``diffuse``, or an image, shape (2, H, W, 3)."""
+        return _layer(name, lambda part: self.images[part])
+
+    def squared_error(self, picture: npt.NDArray[np.floating]) -> float:
+        """Mean squared error of a tone-mapped picture, without what is the truth's noise."""
+        first, second = (np.asarray(picture, np.float64) - half for half in self.pictures)
+        return float(np.mean(first * second))
+
+    def psnr(self, picture: npt.NDArray[np.floating]) -> float:
+        """The same in dB."""
+        return decibels(self.squared_error(picture))
+
+
+def decibels(squared_error: float) -> float:
+    """PSNR."""
+    return -10.0 * float(np.log10(max(squared_error, 1e-9)))
+
+
+def layer_of(frame: ls.Frame, name: str) -> Doubles:
+    """One of `LAYERS`, or ``diffuse``, or an image, shape (H, W, 3)."""
+    return _layer(name, lambda part: np.asarray(getattr(frame, part), np.float64))
+
+
+def _layer(name: str, image: Callable[[str], Doubles]) -> Doubles:
+    if name == "diffuse":
+        return _layer("direct", image) + _layer("indirect", image)
+    return sum((image(part) for part in LAYERS.get(name, (name,))), np.zeros(1))
+
+
+def truth_of(view: View, samples: int, device: str, folder: Path | None) -> Truth:
+    """Paths of a view, half of the samples in each frame; kept in the folder if there is one."""
+    size = f"{view.camera.width}x{view.camera.height}"
+    stored = folder / f"{view.name.replace(' ', '_')}-{size}-{samples}.npz" if folder else None
+    if stored and stored.is_file():
+        images = {name: values.astype(np.float64) for name, values in np.load(stored).items()}
+        return Truth(images.pop("pictures"), images.pop("whole"), images)
+    tell(f"{samples} paths a pixel: {view.name}, {size}")
+    halves = [
+        ls.create_renderer(paths(samples // 2, seed, BOUNCES), device).render(view.scene, view.camera)
+        for seed in (1, 2)
+    ]
+    pictures = np.stack([half.pixels_srgb() for half in halves]).astype(np.float64)
+    captured, weight, light = (
+        np.mean([getattr(half, part) for half in halves], axis=0) for part in ("captured", "captured_weight", "light")
+    )
+    whole = lit_picture(captured, weight, light, view.camera.exposure, ls.ToneMap.NEUTRAL)
+    whole = np.clip(whole, 0.0, 1.0).astype(np.float64)
+    images = {
+        name: np.stack([np.asarray(getattr(half, name), np.float64) for half in halves])
+        for name in ("color", *PATH_PARTS)
+    }
+    if stored:
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        kept = {"pictures": pictures, "whole": whole, **images}
+        np.savez(stored, **{name: values.astype(np.float32) for name, values in kept.items()})  # pyright: ignore[reportArgumentType]
+    return Truth(pictures, whole, images)
+
+
+class Bias(NamedTuple):
+    """How far means of blocks are off, as shares of the truth."""
+
+    mean: float
+    """Signed, of the whole picture."""
+    rms: float
+    """Root mean square over blocks."""
+    largest: float
+    """The largest block's, signed."""
+    beyond: float
+    """Share of the blocks that are off by more than the bar."""
+    noise: float
+    """Root mean square of the truth's own standard errors."""
+
+
+def bias(image: Doubles, truth: Doubles, bar: float) -> Bias:
+    """Of an image, shape (H, W, 3), beside two frames of the truth, shape (2, H, W, 3)."""
+    ours, (first, second) = blocks(image), (blocks(half) for half in truth)
+    expected = 0.5 * (first + second)
+    scale = np.maximum(expected, FAINT * expected.mean())
+    off, noise = (ours - expected) / scale, 0.5 * (first - second) / scale
+    return Bias(
+        mean=float(ours.mean() / expected.mean() - 1.0),
+        rms=rms(off),
+        largest=float(off.flat[np.argmax(np.abs(off))]),
+        beyond=float(np.mean(np.abs(off) > bar)),
+        noise=rms(noise),
+    )
+
+
+def blocks(image: npt.NDArray[np.floating]) -> Doubles:
+    """Means over whole blocks of pixels, and over channels."""
+    rows, columns = image.shape[0] // BLOCK, image.shape[1] // BLOCK
+    whole = np.asarray(image[: rows * BLOCK, : columns * BLOCK], np.float64)
+    return whole.reshape(rows, BLOCK, columns, BLOCK, 3).mean(axis=(1, 3, 4))
+
+
+def rms(values: Doubles) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def percent(value: float, digits: int = 1) -> str:
+    """With a sign where it may have one."""
+    return f"{100.0 * value:.{digits}f} %"
