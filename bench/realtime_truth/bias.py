@@ -6,7 +6,8 @@ on meshes, twice that on Gaussians. Then the PSNR of tone-mapped pictures (bars:
 30 dB demo scene), and furnaces, which have to be 1 within 0.5 %. Where captures keep their look, direct and indirect
 diffuse light are taken together: the two pipelines put the light of captures in different ones.
 
-The truth's noise is left out of PSNR: it is the product of the errors beside two independent halves of the truth. Its
+What single frames are off is bias and noise; *32 frames* are the mean of the last half of them, whose bias it is. The
+truth's noise is left out of PSNR: it is the product of the errors beside two independent halves of the truth. Its
 share of a block's bias is the last column. About 10 minutes of processor time, most of it for the truth; seconds with
 ``--width 96 --samples 4 --frames 4 --only rooms``.
 """
@@ -22,6 +23,7 @@ from bench.realtime_truth.frames import (
     BARS,
     bias,
     blocks,
+    frames_of,
     head,
     last_of,
     layer_of,
@@ -46,7 +48,8 @@ def main() -> None:
     views = [*(rooms(given.width) if "rooms" in chosen else ()), *([demo(given.width)] if "demo" in chosen else ())]
     pictures = list[str]()
     if views:
-        head("view", "layer", "bar", "mean", "rms of blocks", "largest", "blocks beyond the bar", "truth's noise")
+        of = "mean", "rms of blocks", "largest", "beyond"
+        head("view", "layer", "bar", *of, *(f"32 frames: {name}" for name in of), "truth's noise")
         for view in views:
             pictures.append(compared(view, given))
         print()
@@ -62,18 +65,19 @@ def compared(view: View, given: argparse.Namespace) -> str:
     """Prints the rows of a view's layers, and returns that of its picture."""
     truth = truth_of(view, given.samples, given.device, given.truths)
     tell(f"{given.frames} frames: {view.name}")
-    frame = last_of(ls.create_renderer(realtime(), given.device), view, given.frames)
+    *_, frame = frames = list(frames_of(ls.create_renderer(realtime(), given.device), view, given.frames))
     for name in ("diffuse", "glossy", "color") if view.keeps_look else ("direct", "indirect", "glossy", "color"):
         if not truth.layer(name).any():
             continue
         bar = view.slack * BARS[name] if name in BARS else np.inf
         found = bias(layer_of(frame, name), truth.layer(name), bar)
-        print(
-            f"| {view.name} | {name} | {percent(bar, 0) if name in BARS else '-'} | {percent(found.mean)} | "
-            f"{percent(found.rms)} | {percent(found.largest)} | {percent(found.beyond) if name in BARS else '-'} | "
-            f"{percent(found.noise)} |",
-            flush=True,
-        )
+        late = np.mean([layer_of(one, name) for one in frames[given.frames // 2 :]], axis=0)
+        steady = bias(late, truth.layer(name), bar)
+        beyond = [percent(one.beyond) if name in BARS else "-" for one in (found, steady)]
+        shown = [view.name, name, percent(bar, 0) if name in BARS else "-"]
+        shown += [percent(value) for value in (found.mean, found.rms, found.largest)] + beyond[:1]
+        shown += [percent(value) for value in (steady.mean, steady.rms, steady.largest)] + beyond[1:]
+        print(f"| {' | '.join(shown)} | {percent(found.noise)} |", flush=True)
     picture = frame.pixels_srgb()
     plain = ls.psnr(picture, truth.whole.astype(np.float32))
     return f"| {view.name} | {truth.psnr(picture):.1f} | {plain:.1f} | {view.psnr_min or '-'} |"

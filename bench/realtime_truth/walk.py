@@ -1,8 +1,8 @@
 """What a long walk holds: memory of the process and of the device, and tiles of the radiance cache.
 
-``python -m bench.realtime_truth.walk`` renders 1,000 small frames of a room with Gaussians, in which the camera walks to and
-fro, and prints what is held after some of them. After the first hundred it has to stay the same: the camera has then been
-everywhere twice. About 3 minutes of processor time; ``--frames 40 --width 64`` takes seconds.
+``python -m bench.realtime_truth.walk`` renders 1,000 small frames of a room with Gaussians, in which the camera walks
+to and fro, and prints what is held after some of them. After the first hundred it has to stay the same: the camera has
+then been everywhere twice. About 3 minutes of processor time; ``--frames 40 --width 64`` takes seconds.
 """
 
 from __future__ import annotations
