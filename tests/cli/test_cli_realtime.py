@@ -33,6 +33,24 @@ pipeline = "realtime"
 max_bounces = 0
 """
 
+MOVING = """
+[[cameras.keyframes]]
+time = 0.0
+eye = [0, 0, 0]
+
+[[cameras.keyframes]]
+time = 1.0
+eye = [0.1, 0, 0]
+
+[animation]
+frames = 2
+fps = 10
+
+[environment]
+intensity = 0.1
+"""
+"""Behind the camera of the scene; light of the sky is noisy."""
+
 PASSES = ("surfaces", "direct", "indirect", "filters", "sum")
 """Those of docs/method/realtime.md, in its order, of a scene without mirrors."""
 
@@ -95,6 +113,20 @@ def test_qualities_differ_and_are_of_real_time(work, caplog):
         outcome = work.run("render", "@scene.toml", "-o", "@other.png", *options)
         assert outcome.status == 0
         assert f"not used by --pipeline {pipeline}: --quality (it is of --pipeline realtime)" in caplog.text
+
+
+@pytest.mark.parametrize("command", ["animate", "orbit"])
+def test_frames_of_sequences_have_qualities_too(work, command):
+    """Each is another picture; frames of one quality are the same again."""
+    options = ("--device", "cpu", *(("--seconds", "0.2", "--fps", "10") if command == "orbit" else ()))
+    scene, render, settings = SCENE.replace("intensity = 8", "intensity = 0.5").partition("[render]")
+    work.path("scene.toml").write_text(scene + MOVING + render + settings)
+    made: dict[str, bytes] = {}
+    for folder, quality in (("preview", "preview"), ("high", "high"), ("again", "high")):
+        outcome = work.run(command, "@scene.toml", "-o", f"@{folder}", "--quality", quality, *options)
+        assert outcome.status == 0, outcome.err
+        made[folder] = work.path(f"{folder}/frame_0001.png").read_bytes()
+    assert made["preview"] != made["high"] == made["again"]
 
 
 def test_stats_are_by_pass(work):

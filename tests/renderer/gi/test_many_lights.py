@@ -110,9 +110,10 @@ def blocks_of(image: np.ndarray) -> np.ndarray:
     return np.stack([blocks(image[..., channel]) for channel in range(3)], axis=-1)
 
 
-def test_a_thousand_lamps_light_a_floor_as_they_do() -> None:
-    """After 32 frames the mean is right within 1 %, and blocks of 8 x 8 pixels of each colour within noise."""
-    found, truth = lit_floor(1000, 32)
+@pytest.mark.parametrize("interval", [1, 2])
+def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
+    """After 32 samples a pixel the mean is right within 1 %, and blocks of 8 x 8 pixels of each colour within noise."""
+    found, truth = lit_floor(1000, 32 * interval, realtime=ls.RealtimeConfig(light_interval=interval))
     errors = found / truth - 1.0
     assert abs(found.mean() / truth.mean() - 1.0) < 0.01
     assert abs(errors.mean()) < 0.01
