@@ -120,6 +120,9 @@ class RealtimeConfig:
     black."""
     highlight_rays: bool = True
     """Narrow highlights show what rays of their own see, one for four pixels; else what probes see, blurred."""
+    antialiasing: bool = False
+    """Pixels are means over frames, whose samples are elsewhere in them each time: smooth edges, and light that lags
+    behind by up to 32 frames where it changes slowly."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """How the noise is taken out."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)
@@ -131,6 +134,7 @@ class RealtimeConfig:
         take_enum(self, "quality", RealtimeQuality)
         check_whole("light_interval", self.light_interval, 1, 2)
         check_flag("highlight_rays", self.highlight_rays)
+        check_flag("antialiasing", self.antialiasing)
         check_kind("filter", self.filter, FilterConfig)
         check_kind("probes", self.probes, ProbeConfig)
         check_kind("cache", self.cache, RadianceCacheConfig)

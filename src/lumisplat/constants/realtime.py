@@ -44,6 +44,23 @@ nothing."""
 WARM_UP_FRAMES = 32
 """Frames of a view that stands still, of which the last is shown: as many as direct light is averaged over."""
 
+# --- Antialiasing over frames ---
+
+ANTIALIASING_FRAMES = 32.0
+"""Frames that a pixel is the mean of at most, each with a sample elsewhere in it."""
+
+ANTIALIASING_MOVING = 3.0
+"""The same where its history lies between pixels: each interpolation blurs it."""
+
+ANTIALIASING_SIGMAS = 3.0
+"""Standard deviations by which the samples of a pixel that stands still may differ from their mean."""
+
+ANTIALIASING_LEAST = 0.05
+"""Share of the light around a pixel by which its history may be outside what its neighbours show."""
+
+FAR_AWAY = 1e6
+"""Distance at which the background is for its motion, scene units."""
+
 # --- Rays that leave surfaces ---
 
 RAY_LIFT = 1e-4

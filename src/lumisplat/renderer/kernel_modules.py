@@ -6,6 +6,7 @@ from lumisplat.config import REALTIME_AOVS, RasterStrategy, RenderConfig
 from lumisplat.device.structs.bvh import DRAWS_SHARED
 from lumisplat.renderer.film import adaptive_kernels, film_kernels, lit_picture_kernels, picture_kernels
 from lumisplat.renderer.gi import (
+    antialiasing_kernels,
     light_grid_kernels,
     lobe_kernels,
     radiance_cache_kernels,
@@ -65,7 +66,8 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
         modules += [path_kernels, path_gaussians_kernels, ray_order_kernels, stochastic_hit_kernels]
         modules += [incoherent_shadow_kernels] if plan.casts_shadows and plan.splat_shadows.exist else []
     if plan.has_history:
-        modules += [*realtime_modules(), *[kept_kernels] * bool(plan.aovs & {*REALTIME_AOVS})]
+        modules += [*realtime_modules(), *[antialiasing_kernels] * plan.jitters]
+        modules += [*[kept_kernels] * bool(plan.aovs & {*REALTIME_AOVS})]
     if plan.spawns_shadow_rays and (plan.has_history or not plan.traces_paths):
         modules += [direct_light_kernels]
     modules += [gaussian_bvh_kernels] if plan.follows_rays else []

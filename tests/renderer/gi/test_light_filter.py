@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.renderer.scene.camera_table import subpixel
 from support.oracles.light_filter_oracle import Filter, luminance
 from support.scenes.filter_sequence import FilterSequence, Mask
 from support.scenes.gi_surfaces import Doubles, Seen, seen_in_box, seen_plane, tilted
@@ -310,8 +311,8 @@ def test_threads_and_schedules_give_the_same_bits(threads: int, parallel: bool) 
 
 
 @pytest.mark.parametrize(("radius", "passes"), [(1, 4), (2, 3), (1, 0)])
-@pytest.mark.parametrize("moves", [False, True])
-def test_it_is_the_twin(radius: int, passes: int, moves: bool) -> None:
+@pytest.mark.parametrize("moves", ["", "camera", "samples"])
+def test_it_is_the_twin(radius: int, passes: int, moves: str) -> None:
     """A noisy sequence in float64: light and ages of histories, to 1e-5 of the light, which jumps by as much.
 
     With a moving camera to 2e-5 of the brightest sample: in float32, a place is known to 4e-6 pixels in x and in y, and
@@ -320,8 +321,10 @@ def test_it_is_the_twin(radius: int, passes: int, moves: bool) -> None:
     sequence, twin = FilterSequence(radius=radius, passes=passes), Filter(radius=radius, passes=passes)
     for step in range(12):
         seen, diffuse, glossy, sampled = moving(step)
-        if not moves:
+        if moves != "camera":
             seen = moving(0)[0]
+        if moves == "samples":
+            seen = seen_in_box(box_camera(0.0), offset=subpixel(step))
         found, truth = sequence.render(seen, diffuse, glossy, sampled), twin.render(seen, diffuse, glossy, sampled)
         np.testing.assert_allclose(sequence.ages(), twin.history.frames, rtol=2e-5)
-        np.testing.assert_allclose(found, truth, rtol=1e-5, atol=2e-5 * diffuse.max() if moves else 1e-5)
+        np.testing.assert_allclose(found, truth, rtol=1e-5, atol=2e-5 * diffuse.max() if moves == "camera" else 1e-5)

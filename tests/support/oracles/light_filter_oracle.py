@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import LUMINANCE
 from lumisplat.constants import realtime as limits
+from lumisplat.renderer.scene.camera_table import CENTER
 from support.scenes.gi_surfaces import Doubles, Seen
 
 Mask = npt.NDArray[np.bool_]
@@ -67,23 +69,32 @@ def neighbours(seen: Seen, radius: int, step: int = 1) -> Iterator[tuple[int, in
 
 
 def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
-    """The history of the surfaces that pixels show, by bilinear weights of those pixels that showed them."""
+    """The history of the surfaces that pixels show, by bilinear weights of those pixels that showed them.
+
+    If none did, of surfaces that stand still the plain mean of those of the 3 x 3 pixels around, unless samples are at
+    the centres of pixels.
+    """
     camera, found = before.camera, empty(len(seen.share))
     known = np.where(np.isnan(seen.previous), camera.eye, seen.previous)
     way = known - camera.eye
     local = way @ camera.camera_from_world[:3, :3].T
     ahead = (seen.share > 0.0) & (local[:, 2] > camera.near)
     depth = np.where(ahead, local[:, 2], 1.0)
-    x = camera.fx * local[:, 0] / depth + camera.cx - 0.5
-    y = camera.fy * local[:, 1] / depth + camera.cy - 0.5
+    x = camera.fx * local[:, 0] / depth + camera.cx - seen.offset[0]
+    y = camera.fy * local[:, 1] / depth + camera.cy - seen.offset[1]
     x, y = (np.where(np.abs(u - np.round(u)) < limits.STILL_PX, np.round(u), u) for u in (x, y))
     tolerated = np.maximum(limits.SAME_SURFACE_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
     total = np.zeros(len(way))
-    for row in (0, 1):
-        for column in (0, 1):
-            at_x, at_y = np.floor(x) + column, np.floor(y) + row
-            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y))
-            inside = ahead & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
+    near = np.stack([np.floor(x), np.floor(y)]), range(2), range(2)
+    around = near[0], range(-1, 2), range(-1, 2)
+    own_y, own_x = np.divmod(np.arange(len(way)), camera.width)
+    stands = (x == own_x) & (y == own_y) & (seen.offset != CENTER)
+    for (left, top), rows, columns in (near, around):
+        is_left = ahead & (total == 0.0) & (stands | (len(rows) == 2))
+        for row, column in product(rows, columns):
+            at_x, at_y = left + column, top + row
+            weight = (1.0 - np.abs(x - at_x)) * (1.0 - np.abs(y - at_y)) if len(rows) == 2 else np.ones(len(way))
+            inside = is_left & (at_x >= 0) & (at_x < camera.width) & (at_y >= 0) & (at_y < camera.height)
             taps = np.where(inside, at_y * camera.width + at_x, 0).astype(np.int64)
             counts = inside & is_same(seen, known, tolerated, before, taps) & (history.frames[taps] > 0.0)
             weight = np.where(counts, weight, 0.0)

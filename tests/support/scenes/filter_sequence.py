@@ -56,7 +56,7 @@ class FilterSequence:
         before = self._seen or seen
         now = seen.upload()
         scene = SimpleNamespace(
-            camera=camera_rows(seen.camera),
+            camera=camera_rows(seen.camera, offset=seen.offset),
             motion=SimpleNamespace(camera=camera_rows(before.camera)),
             image_size=(seen.camera.width, seen.camera.height),
         )

@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
-from lumisplat.renderer.scene.camera_table import camera_table
+from lumisplat.renderer.scene.camera_table import CENTER, camera_table
 from lumisplat.runtime.struct_tables import table_dtype
 
 Doubles = npt.NDArray[np.float64]
@@ -30,6 +30,8 @@ class Seen:
     previous: Doubles
     face: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Which of the scene's faces; -1: none."""
+    offset: tuple[float, float] = CENTER
+    """Where samples are in their pixels."""
 
     def upload(self, device: str = "cpu") -> SurfacePixels:
         """The struct that kernels read."""
@@ -43,18 +45,18 @@ class Seen:
         return pixels
 
 
-def camera_rows(camera: ls.Camera, device: str = "cpu") -> wp.array[CameraData]:
-    """The camera as kernels read it."""
-    rows = camera_table(camera)
+def camera_rows(camera: ls.Camera, device: str = "cpu", offset: tuple[float, float] = CENTER) -> wp.array[CameraData]:
+    """The camera as kernels read it, with samples at a place in their pixels."""
+    rows = camera_table(camera, offset)
     table = wp.zeros(1, dtype=CameraData, device=device)
     assert rows.dtype == table_dtype(CameraData)
     table.assign(rows)
     return table
 
 
-def pixel_rays(camera: ls.Camera) -> tuple[Doubles, Doubles]:
-    """Origin, shape (3,), and unit directions, shape (H W, 3), of a pinhole's pixel centres."""
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+def pixel_rays(camera: ls.Camera, offset: tuple[float, float] = CENTER) -> tuple[Doubles, Doubles]:
+    """Origin, shape (3,), and unit directions, shape (H W, 3), of a pinhole's samples at a place in their pixels."""
+    x, y = np.meshgrid(np.arange(camera.width) + offset[0], np.arange(camera.height) + offset[1])
     local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
     ways = local.reshape(-1, 3) @ camera.world_from_camera[:3, :3].T
     return np.asarray(camera.eye, np.float64), ways / np.linalg.norm(ways, axis=1, keepdims=True)
@@ -76,13 +78,13 @@ def inward(face: npt.NDArray[np.int64]) -> Doubles:
     return normals
 
 
-def seen_in_box(camera: ls.Camera, extent: float = 0.0) -> Seen:
+def seen_in_box(camera: ls.Camera, extent: float = 0.0, offset: tuple[float, float] = CENTER) -> Seen:
     """The unit cube around the origin from inside."""
-    eye, ways = pixel_rays(camera)
+    eye, ways = pixel_rays(camera, offset)
     t, face = box_exit(np.broadcast_to(eye, ways.shape), ways)
     position = eye + t[:, None] * ways
     ones = np.ones(len(t))
-    return Seen(camera, ones, position, inward(face), t, extent * ones, position.copy(), face)
+    return Seen(camera, ones, position, inward(face), t, extent * ones, position.copy(), face, offset)
 
 
 def seen_plane(camera: ls.Camera, normal: npt.ArrayLike, extent: float = 0.0) -> Seen:

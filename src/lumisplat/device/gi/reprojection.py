@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX
+from lumisplat.constants.realtime import SAME_NORMAL_MESH, SAME_NORMAL_SPLATS, SAME_SURFACE_PX, STILL_PX
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
 
@@ -11,6 +11,13 @@ wp.set_module_options({"enable_backward": False})
 SURFACE_PX = wp.constant(wp.float32(SAME_SURFACE_PX))
 NORMAL_MESH = wp.constant(wp.float32(SAME_NORMAL_MESH))
 NORMAL_SPLATS = wp.constant(wp.float32(SAME_NORMAL_SPLATS))
+STILL = wp.constant(wp.float32(STILL_PX))
+
+
+@wp.func
+def snapped(x: float) -> float:
+    """A coordinate in pixels; that of the pixel's centre, if it is there but for rounding."""
+    return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
 
 
 @wp.func

@@ -80,6 +80,20 @@ class PixelHistory:
 
 
 @struct
+class ShownPixels:
+    """What the pixels of a frame show, before and while it is averaged with the frames before; row by row."""
+
+    color: wp.array[wp.vec3]
+    """Linear radiance."""
+    motion: wp.array[wp.vec3]
+    """In pixels, of the surface that ends the pixel or of the background, and its distance; NaN: it was not there."""
+    place: wp.array[wp.vec2]
+    """Where the pixel was in the frame before, in pixels from the centre of the first."""
+    weight: wp.array[float]
+    """Of this frame in the mean, 0..1; 1: there is no history."""
+
+
+@struct
 class LightChange:
     """How the light of a few neighbouring pixels differs from their histories."""
 
@@ -103,6 +117,20 @@ class FilteredLight:
     glossy: wp.array[wp.vec3]
     variance: wp.array[wp.vec2]
     """Of the luminance of each."""
+
+
+@struct
+class ShownHistory:
+    """What pixels have shown as means over frames, one element a pixel, row by row."""
+
+    frames: wp.array[float]
+    """In the mean; 0: there is no history."""
+    color: wp.array[wp.vec3]
+    """Linear radiance."""
+    sample: wp.array[float]
+    """Luminance of the last frame's sample."""
+    change: wp.array[float]
+    """Mean of the squared differences between the luminances of successive samples."""
 
 
 @struct

@@ -57,7 +57,7 @@ class LightFilter:
             device_array(before.frames).zero_()
         self._has_history = True
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
-        inputs = surfaces.now, surfaces.before, scene.motion.camera, before, found
+        inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
         self._run(scene, temporal_filter_kernels.reproject, *inputs)
         inputs = float(self._config.frames), surfaces.now, scene.camera, light, found, now
         self._run(scene, temporal_filter_kernels.accumulate, *inputs)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import warp as wp
 
 from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
+from lumisplat.renderer.gi.antialiasing import Antialiasing
 from lumisplat.renderer.gi.lobes import Lobes
 from lumisplat.renderer.light.light_images import LightImages
 from lumisplat.renderer.light.surfaces import Surfaces
@@ -53,6 +54,7 @@ class RealtimeIntegrator:
         self._mirrors = Mirrors(
             launcher, buffers, config, tracer=tracer, shadows=self._shadows, cache=self._indirect.cache
         )
+        self._antialiasing = Antialiasing(launcher, buffers)
         self._kept = Kept(launcher, buffers)
         self._bounces = config.max_bounces != 0
         frames = {"direct": settings.frames, "indirect": min(settings.frames, settings.indirect_frames)}
@@ -70,6 +72,7 @@ class RealtimeIntegrator:
         self._size = None
         self._gbuffer.forget()
         self._indirect.forget()
+        self._antialiasing.forget()
         for light in self._filters.values():
             light.forget()
 
@@ -111,6 +114,9 @@ class RealtimeIntegrator:
                 with frame_pass("sum"):
                     layers = self._layers[f"{name}_diffuse"], self._layers[f"{name}_glossy"]
                     self._lights.add(scene, wave, kind, filtered, layers)
+        if plan.jitters:
+            with frame_pass("antialiasing"):
+                self._antialiasing.average(scene, plan, wave, self._layers, sample)
         if explaining := sorted(plan.aovs & {*REALTIME_AOVS}):
             with frame_pass("views"):
                 self._layers |= self._explained(explaining, scene, surfaces, wave.count, sample)

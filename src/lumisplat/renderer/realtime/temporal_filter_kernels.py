@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, STILL_PX, YOUNG_FRAMES
+from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, YOUNG_FRAMES
 from lumisplat.device.gi.motion import pixel_before
-from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, tolerance
+from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, snapped, tolerance
 from lumisplat.device.math.color import luminance
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import LightChange, LightHistory, PixelHistory, SurfaceLight, SurfacePixels
@@ -15,7 +15,6 @@ SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
 LEAST = wp.constant(wp.float32(CHANGE_LEAST))
 YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
 MOMENTS = wp.constant(wp.float32(MOMENT_FRAMES))
-STILL = wp.constant(wp.float32(STILL_PX))
 
 
 @wp.func
@@ -48,21 +47,19 @@ def store_history(pixel: int, own: PixelHistory, history: LightHistory):
 
 
 @wp.func
-def snapped(x: float) -> float:
-    """A coordinate in pixels; that of the pixel's centre, if it is there but for rounding."""
-    return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
-
-
-@wp.func
 def history_of(
     pixel: int,
     size: wp.vec2i,
     surfaces: SurfacePixels,
     before: SurfacePixels,
+    camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
     image: LightHistory,
 ) -> PixelHistory:
-    """The history of the surface that a pixel shows: of those of the four pixels around where it was that showed it."""
+    """The history of the surface that a pixel shows: of those of the four pixels around where it was that showed it.
+
+    If none did, and it stands still, of those of the 3 x 3 pixels: samples move in their pixels, and see past edges.
+    """
     history = PixelHistory()
     position = surfaces.previous[pixel]
     if wp.isnan(position[0]):
@@ -70,8 +67,9 @@ def history_of(
     at = pixel_before(position, camera_before)
     if at[2] <= 0.0:
         return history
-    x = snapped(at[0] - 0.5)
-    y = snapped(at[1] - 0.5)
+    # Histories are of whole pixels, the point is the sample's.
+    x = snapped(at[0] - camera[0].offset[0])
+    y = snapped(at[1] - camera[0].offset[1])
     left = int(wp.floor(x))
     top = int(wp.floor(y))
     extent = surfaces.extent[pixel]
@@ -87,6 +85,15 @@ def history_of(
                 if is_same and image.frames[tap] > 0.0:
                     history = with_tap(history, weight, tap, image)
                     total += weight
+    is_jittered = camera[0].offset[0] != 0.5 or camera[0].offset[1] != 0.5
+    if total == 0.0 and is_jittered and x == float(pixel % size[0]) and y == float(pixel // size[0]):
+        for row in range(wp.max(top - 1, 0), wp.min(top + 2, size[1])):
+            for column in range(wp.max(left - 1, 0), wp.min(left + 2, size[0])):
+                tap = row * size[0] + column
+                is_same = is_same_surface(position, surfaces.normal[pixel], tolerated, cosine_min, tap, before)
+                if is_same and image.frames[tap] > 0.0:
+                    history = with_tap(history, 1.0, tap, image)
+                    total += 1.0
     if total > 0.0:
         history = scaled(history, 1.0 / total)
     return history
@@ -111,6 +118,7 @@ def reproject(
     size: wp.vec2i,
     surfaces: SurfacePixels,
     before: SurfacePixels,
+    camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
     history: LightHistory,
     history_out: LightHistory,
@@ -122,6 +130,7 @@ def reproject(
         size: Width and height of the images.
         surfaces: What the pixels show.
         before: What they showed in the frame before.
+        camera: Of the frame.
         camera_before: The camera then.
         history: That of the frame before.
         history_out: Where its surfaces are now.
@@ -129,7 +138,7 @@ def reproject(
     pixel = start + wp.tid()
     own = PixelHistory()
     if surfaces.share[pixel] > 0.0:
-        own = history_of(pixel, size, surfaces, before, camera_before, history)
+        own = history_of(pixel, size, surfaces, before, camera, camera_before, history)
     store_history(pixel, own, history_out)
 
 

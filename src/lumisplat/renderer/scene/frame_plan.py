@@ -188,7 +188,8 @@ class FramePlan:
             time_limit=config.time_limit,
             noise=config.noise,
             adapts=may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive),
-            jitters=config.jitter and not is_realtime and (is_open or config.samples is not None or not keeps),
+            jitters=may_jitter(config, is_lit=is_lit)
+            and (is_realtime or is_open or config.samples is not None or not keeps),
             samples_wanted=samples_wanted,
             grain=grain,
             has_lobes=has_lobes,
@@ -223,6 +224,11 @@ class FramePlan:
         plan = cls.of(replace(samples_only, pipeline=pipeline, aovs=(), lighting=lighting), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
         return replace(plan, for_camera=False, has_headlight=has_headlight, has_receivers=False)
+
+
+def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
+    """Whether samples may be anywhere in their pixels; in real time, if frames are averaged."""
+    return config.jitter and (config.pipeline is not Pipeline.REALTIME or (is_lit and config.realtime.antialiasing))
 
 
 def bounces_light(config: RenderConfig) -> bool:

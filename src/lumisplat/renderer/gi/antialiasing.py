@@ -1,0 +1,76 @@
+"""Host pass: antialiasing over frames, whose samples are elsewhere in their pixels in each frame."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from lumisplat.constants import SHADE_BANDS_PER_THREAD
+from lumisplat.device.structs.gi import ShownHistory, ShownPixels
+from lumisplat.renderer.gi import antialiasing_kernels as kernels
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace.ray_wave import RayWave
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.launcher import Kernel, Launcher
+
+
+class Antialiasing:
+    """Averages what pixels show over frames, along its motion.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays, and what is kept from frame to frame.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self._has_history = False
+
+    def forget(self) -> None:
+        """Drops all that earlier frames have shown."""
+        self._has_history = False
+
+    def average(
+        self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
+    ) -> None:
+        """Makes what the rays of a frame see, and its layers, means over frames: all with the same weights.
+
+        Args:
+            scene: The scene on the device, with the motion of its instances and of the camera.
+            plan: Plan of the frame.
+            wave: The first wave, with one ray a pixel.
+            layers: By name, one element a ray; those that the plan asks for are averaged.
+            frame: Its number.
+        """
+        width, height = scene.image_size
+        size, radiance = wp.vec2i(width, height), wave.row.radiance
+        shown = self._buffers.struct("antialiasing.shown", ShownPixels, width * height)
+        shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
+        before, now = (self._history(scene, number) for number in (frame - 1, frame))
+        if not self._has_history:
+            device_array(before.frames).zero_()
+        self._has_history = True
+        motion = scene.motion
+        inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
+        self._run(kernels.show, wave.count, *inputs, wave.data, shown, shares)
+        self._run(kernels.weigh, width * height, size, before, shown, now)
+        images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
+        images |= {name: image for name, image in layers.items() if name in plan.aovs}
+        images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_only else {}
+        for name, image in images.items():
+            means = [self._mean(scene, name, number) for number in (frame - 1, frame)]
+            inputs = size, scene.camera, shown, means[0], image, means[1]
+            self._run(kernels.blend, wave.count, *inputs)
+        self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)
+
+    def _run(self, kernel: Kernel, count: int, *inputs: object) -> None:
+        bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
+        self._launcher.run_banded(kernel, count, *inputs, bands=bands)
+
+    def _history(self, scene: DeviceScene, frame: int) -> ShownHistory:
+        width, height = scene.image_size
+        return self._buffers.struct(f"antialiasing.history{frame % 2}", ShownHistory, width * height)
+
+    def _mean(self, scene: DeviceScene, name: str, frame: int) -> DeviceArray:
+        width, height = scene.image_size
+        return self._buffers.get(f"antialiasing.{name}{frame % 2}", wp.vec3, width * height)

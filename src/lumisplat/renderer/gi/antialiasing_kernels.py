@@ -1,0 +1,293 @@
+"""Means over frames of what pixels show (Karis 2014; docs/method/realtime.md#antialiasing)."""
+
+import warp as wp
+
+from lumisplat.constants.realtime import (
+    ANTIALIASING_FRAMES,
+    ANTIALIASING_LEAST,
+    ANTIALIASING_MOVING,
+    ANTIALIASING_SIGMAS,
+    FAR_AWAY,
+    STILL_PX,
+)
+from lumisplat.device.camera.ray_blocks import pixel_number
+from lumisplat.device.film.first_surface import first_surface
+from lumisplat.device.film.sample_sums import is_finite
+from lumisplat.device.gi.motion import mesh_before, motion_of, splat_before
+from lumisplat.device.gi.reprojection import snapped
+from lumisplat.device.math.color import captured_color, luminance
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.gi import InstanceMotion, ShownHistory, ShownPixels
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.structs.shading import ShadingScene, WaveData
+
+wp.set_module_options({"enable_backward": False})
+
+FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
+MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
+SIGMAS = wp.constant(wp.float32(ANTIALIASING_SIGMAS))
+LEAST = wp.constant(wp.float32(ANTIALIASING_LEAST))
+FAR = wp.constant(wp.float32(FAR_AWAY))
+STILL = wp.constant(wp.float32(STILL_PX))
+
+
+@wp.kernel
+def show(
+    start: int,
+    camera: wp.array[CameraData],
+    camera_before: wp.array[CameraData],
+    scene: wp.array[ShadingScene],
+    assets: wp.array[GaussianData],
+    splat_motions: wp.array[InstanceMotion],
+    mesh_motions: wp.array[InstanceMotion],
+    wave: wp.array[WaveData],
+    shown_out: ShownPixels,
+    shares_out: wp.array[wp.vec3],
+):
+    """Item = ray: what its pixel shows, and how that has moved.
+
+    Args:
+        start: First item.
+        camera: The camera.
+        camera_before: That of the frame before.
+        scene: The scene.
+        assets: Of its splat instances.
+        splat_motions: Of these instances.
+        mesh_motions: Of the mesh instances.
+        wave: What the rays see.
+        shown_out: Receives colour and motion, and the distance of the surface in place of its change.
+        shares_out: One element a ray; receives the share that was captured, and alpha.
+    """
+    i = start + wp.tid()
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
+        return
+    share = wave[0].radiance.captured_weight[i]
+    shares_out[i] = wp.vec3(share, wave[0].radiance.alpha[i], 0.0)
+    captured = captured_color(wave[0].radiance.captured[i], share)
+    if wave[0].radiance.capture_factor:
+        captured = wp.cw_mul(captured, wave[0].radiance.capture_factor[i])
+    shown_out.color[pixel] = captured + wave[0].radiance.light[i]
+    direction = wave[0].rays.direction[i]
+    position = camera[0].eye + FAR * direction
+    previous = camera_before[0].eye + FAR * direction
+    depth = wp.inf
+    if wave[0].rays.is_active[i]:
+        surface = first_surface(i, scene, wave)
+        if surface.instance >= 0:
+            depth = surface.depth
+            position = wave[0].rays.origin[i] + depth * direction
+            if surface.gaussian >= 0:
+                previous = splat_before(
+                    position, surface.instance, surface.gaussian, scene[0].splats, assets, splat_motions
+                )
+            else:
+                previous = mesh_before(
+                    position,
+                    wave[0].meshes.instance[i],
+                    wave[0].meshes.face[i],
+                    wave[0].meshes.weights[i],
+                    scene[0].meshes,
+                    mesh_motions,
+                )
+    moved = motion_of(position, previous, camera, camera_before)
+    shown_out.motion[pixel] = wp.vec3(moved[0], moved[1], depth)
+
+
+@wp.func
+def is_still(motion: wp.vec3) -> bool:
+    """Whether a pixel shows what it showed in the frame before; not where that is not known."""
+    return wp.abs(motion[0]) < STILL and wp.abs(motion[1]) < STILL
+
+
+@wp.func
+def cubic(share: float) -> wp.vec4:
+    """Weights of four neighbours of a point at a share of the way between the middle two (Catmull and Rom 1974)."""
+    s = share
+    r = 1.0 - share
+    return wp.vec4(-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s)
+
+
+@wp.func
+def image_at(image: wp.array[wp.vec3], size: wp.vec2i, place: wp.vec2) -> wp.vec3:
+    """The value of an image at a place, in pixels from the centre of the first, by Catmull-Rom's cubics."""
+    left = int(wp.floor(place[0]))
+    top = int(wp.floor(place[1]))
+    across = place[0] - float(left)
+    down = place[1] - float(top)
+    if across == 0.0 and down == 0.0:
+        return image[top * size[0] + left]
+    horizontal = cubic(across)
+    vertical = cubic(down)
+    total = wp.vec3(0.0)
+    for row in range(4):
+        y = wp.clamp(top + row - 1, 0, size[1] - 1)
+        for column in range(4):
+            x = wp.clamp(left + column - 1, 0, size[0] - 1)
+            total += vertical[row] * horizontal[column] * image[y * size[0] + x]
+    return total
+
+
+@wp.func
+def motion_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> wp.vec3:
+    """Motion of the nearest of the surfaces around a pixel: edges move with what is before; NaN: it is not known."""
+    nearest = motions[y * size[0] + x]
+    if wp.isnan(nearest[0]):
+        return nearest
+    for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
+        for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
+            other = motions[row * size[0] + column]
+            if other[2] < nearest[2] and not wp.isnan(other[0]):
+                nearest = other
+    return nearest
+
+
+@wp.func
+def is_by_chance(
+    x: int,
+    y: int,
+    size: wp.vec2i,
+    colors: wp.array[wp.vec3],
+    motions: wp.array[wp.vec3],
+    history: ShownHistory,
+) -> bool:
+    """Whether all pixels around stand still, and their samples are from their means as such samples are by chance."""
+    means = history.color
+    frames = history.frames
+    changes = history.change
+    for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
+        for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
+            tap = row * size[0] + column
+            if not is_still(motions[tap]) or frames[tap] <= 0.0:
+                return False
+            sample = luminance(colors[tap])
+            mean = luminance(means[tap])
+            deviation = wp.sqrt(0.5 * changes[tap])
+            if wp.abs(sample - mean) > SIGMAS * deviation + LEAST * wp.max(sample, mean):
+                return False
+    return True
+
+
+@wp.func
+def share_inside(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
+    """Share that a mean keeps: all within the colours of the 3 x 3 pixels around, the less the farther outside."""
+    low = colors[y * size[0] + x]
+    high = low
+    total = float(0.0)
+    count = float(0.0)
+    for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
+        for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
+            color = colors[row * size[0] + column]
+            low = wp.min(low, color)
+            high = wp.max(high, color)
+            total += luminance(color)
+            count += 1.0
+    outside = wp.max(wp.max(low - mean, mean - high))
+    # Of the brighter of the two: else what becomes darker would be followed faster, and noise make pictures darker.
+    tolerated = LEAST * wp.max(total / count, luminance(mean))
+    if outside <= tolerated:
+        return 1.0
+    ratio = wp.max(tolerated, 0.0) / outside
+    return ratio * ratio * ratio * ratio
+
+
+@wp.kernel
+def weigh(start: int, size: wp.vec2i, history: ShownHistory, shown_inout: ShownPixels, history_out: ShownHistory):
+    """Item = pixel: where it was, and what its history counts for beside what it shows now.
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        history: That of the frame before.
+        shown_inout: The pixels; receive place and weight.
+        history_out: That of this frame.
+    """
+    pixel = start + wp.tid()
+    x = pixel % size[0]
+    y = pixel // size[0]
+    color = shown_inout.color[pixel]
+    motions = shown_inout.motion
+    colors = shown_inout.color
+    motion = motion_around(x, y, size, motions)
+    frames = float(0.0)
+    mean = color
+    change = float(0.0)
+    place = wp.vec2(float(x), float(y))
+    bright = luminance(color)
+    if not wp.isnan(motion[0]):
+        stands = is_still(motion)
+        if not stands:
+            place = wp.vec2(snapped(place[0] - motion[0]), snapped(place[1] - motion[1]))
+        near_x = int(wp.round(place[0]))
+        near_y = int(wp.round(place[1]))
+        if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
+            tap = near_y * size[0] + near_x
+            frames = history.frames[tap]
+            if place[0] != float(near_x) or place[1] != float(near_y):
+                frames = wp.min(frames, MOVING)
+            if frames > 0.0:
+                mean = image_at(history.color, size, place)
+                kept = float(1.0)
+                if not (stands and is_by_chance(x, y, size, colors, motions, history)):
+                    kept = share_inside(x, y, size, colors, mean)
+                frames *= kept
+                if stands:
+                    difference = bright - history.sample[tap]
+                    step = kept * difference * difference  # a change that ends the history is none of its noise
+                    change = history.change[tap] + (step - history.change[tap]) / (frames + 1.0)
+    if not (frames > 0.0 and is_finite(mean)):  # NaN, too, ends a history
+        frames = 0.0
+        change = 0.0
+        place = wp.vec2(float(x), float(y))
+        mean = color
+    weight = 1.0 / (frames + 1.0)
+    shown_inout.place[pixel] = place
+    shown_inout.weight[pixel] = weight
+    history_out.frames[pixel] = wp.min(frames + 1.0, FRAMES)
+    history_out.color[pixel] = mean + weight * (color - mean)
+    history_out.sample[pixel] = bright
+    history_out.change[pixel] = change
+
+
+@wp.kernel
+def blend(
+    start: int,
+    size: wp.vec2i,
+    camera: wp.array[CameraData],
+    shown: ShownPixels,
+    before: wp.array[wp.vec3],
+    image_inout: wp.array[wp.vec3],
+    after_out: wp.array[wp.vec3],
+):
+    """Item = ray: the mean of an image over frames.
+
+    Args:
+        start: First item.
+        size: Width and height of the images.
+        camera: The camera.
+        shown: What the pixels show, with place and weight.
+        before: The mean of the frame before, one element a pixel.
+        image_inout: Of this frame, one element a ray; receives the mean.
+        after_out: The mean, one element a pixel.
+    """
+    i = start + wp.tid()
+    pixel = pixel_number(i, camera)
+    if pixel < 0:
+        return
+    value = image_inout[i]
+    weight = shown.weight[pixel]
+    if weight < 1.0:
+        mean = image_at(before, size, shown.place[pixel])
+        value = mean + weight * (value - mean)
+    image_inout[i] = value
+    after_out[pixel] = value
+
+
+@wp.kernel
+def store_shares(start: int, camera: wp.array[CameraData], shares: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
+    """Item = ray: writes the share that was captured, and alpha."""
+    i = start + wp.tid()
+    if pixel_number(i, camera) < 0:
+        return
+    wave_inout[0].radiance.captured_weight[i] = wp.clamp(shares[i][0], 0.0, 1.0)
+    wave_inout[0].radiance.alpha[i] = wp.clamp(shares[i][1], 0.0, 1.0)
