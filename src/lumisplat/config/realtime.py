@@ -89,7 +89,8 @@ class RadianceCacheConfig:
     samples_min: int = 8
     """Samples below which a mean counts as noisy, and one over more cells is taken."""
     bounces: int = 8192
-    """Cells of which a frame traces one ray each, for the light that they receive from other surfaces."""
+    """Rays of a frame that leave cells, for the light that these receive from other surfaces: one a cell, or up to 16
+    where fewer cells share them."""
     unused_frames: int = 50
     """A tile that no ray has hit for so many frames is forgotten."""
 

@@ -99,6 +99,9 @@ LAYER_SHIFT = 0.382
 """Where, in cells, layers of cells begin: walls lie at whole numbers, halves or quarters, where rounding would put
 their points into two layers."""
 
+CELL_RAYS_MAX = 16
+"""Rays that a cell of long rays sends in a frame at most, where few cells share those of a frame."""
+
 # --- Light grid ---
 
 GRID_LIGHTS = 16

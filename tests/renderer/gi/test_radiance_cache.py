@@ -183,8 +183,9 @@ def add_twin_bounces(
         for i in range(len(batch)):
             places[tuple(batch.position[i])] = twin.cell_of(batch, i)
     twin.places = places  # pyright: ignore[reportAttributeAccessIssue]
-    for i in np.flatnonzero(host["is_active"]):
-        twin.add_bounce(places[tuple(host["position"][i])], host["albedo"][i].astype(float), seen[i])
+    for i in np.flatnonzero(host["is_active"] & (host["ray"] == 0)):
+        place = places[tuple(host["position"][i])]
+        twin.add_bounces(place, host["albedo"][i].astype(float), seen[i : i + host["rays"][i]])
 
 
 def test_a_gradient_is_off_by_half_a_cell() -> None:

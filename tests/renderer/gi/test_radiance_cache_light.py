@@ -183,7 +183,7 @@ def test_sides_of_a_wall_share_no_cell() -> None:
 def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: int) -> None:
     """(1 - 1/N)^n after n frames, of direct light, and of light from other surfaces once those are dark."""
     rng = np.random.default_rng(5)
-    rig = CacheRig(history=history, bounce_history=bounce_history)
+    rig = CacheRig(history=history, bounce_history=bounce_history, bounces=64)  # a ray for each cell
     position = on_floor(rng, 3000, 8.0)
     wall = np.array([100.0, 100.0, 100.0])
 
@@ -224,7 +224,7 @@ def test_outdated_light_stays_until_other_is_found() -> None:
     assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "better than nothing"
     _, host = rig.points(40)
     cells = {*zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True)}
-    assert len(cells) == host["is_active"].sum() == 64, "all cells still send rays"
+    assert len(cells) == 64, "all cells still send rays"
     assert host["cell"][host["is_active"]].max() < 64
     rig.insert(made_samples(position, radiance=0.0), 40)
     assert rig.look_up(made_samples(position)) == pytest.approx(0.5, abs=0.01), "what bounces know stays, too"

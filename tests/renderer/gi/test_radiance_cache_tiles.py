@@ -146,7 +146,7 @@ def test_points_are_samples_of_their_cells() -> None:
         assert (host["albedo"][active] == samples.albedo[index]).all()
         assert (host["normal"][active] == [0, 0, 1]).all() and (host["extent"][active] == 0.25).all()
         drawn += list(host["position"][active][:, 0] % 1.0)
-        keys += list(host["key"][active])
+        keys += list(host["key"][active & (host["ray"] == 0)])
     assert len(set(keys)) > 0.999 * len(keys)
     assert np.mean(drawn) == pytest.approx(0.5, abs=4 * 0.2887 / np.sqrt(len(drawn)))
     assert np.var(drawn) == pytest.approx(1 / 12, rel=0.1)
@@ -179,3 +179,27 @@ def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
     """One line that says what is wrong."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         RadianceCacheConfig(**settings)
+
+
+@pytest.mark.parametrize(("budget", "rays"), [(66, 1), (128, 1), (130, 2), (500, 7), (4096, 16)])
+def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
+    """As many as fit, and 16 at most; cells of short rays one each. They are neighbours, and count from 0."""
+    rng = np.random.default_rng(4)
+    rig = CacheRig(bounces=budget)
+    rig.insert(made_samples(on_floor(rng, 3000, 8.0)), 0)
+    rig.insert(made_samples(np.array([[0.2, 0.2, 0.5], [3.2, 5.2, 0.5]]), distance=0.1), 0)
+    _, host = rig.points(0)
+    active = host["is_active"]
+    assert active.sum() == 64 * rays + 2
+    assert active[: 64 * rays + 2].all()
+    single = active & (host["rays"] == 1) if rays > 1 else np.zeros_like(active)
+    assert single.sum() == (2 if rays > 1 else 0)
+    far = active & ~single
+    if rays > 1:
+        assert (host["rays"][far] == rays).all()
+        assert (host["ray"][far].reshape(64, rays) == np.arange(rays)).all()
+        places = (64 * host["slot"] + host["cell"])[far].reshape(64, rays)
+        assert (places == places[:, :1]).all()
+        assert len(set(places[:, 0])) == 64
+    else:
+        assert (host["rays"][active] == 1).all() and (host["ray"][active] == 0).all()

@@ -81,12 +81,13 @@ class RadianceCacheOracle:
             mean.weight += len(batch)
             mean.value = total / mean.weight
 
-    def add_bounce(self, cell: Cell, albedo: np.ndarray, seen: np.ndarray) -> None:
-        """Adds what one ray from a cell has seen."""
-        mean = self.indirect.setdefault(cell, Mean(np.zeros(3)))
+    def add_bounces(self, cell: Cell, albedo: np.ndarray, seen: np.ndarray) -> None:
+        """Adds what the rays of a frame from a cell have seen, shape (N, 3)."""
+        mean, count = self.indirect.setdefault(cell, Mean(np.zeros(3))), len(seen)
         weight = mean_weight(mean.weight, self.bounce_history)
-        mean.value = (mean.value * weight + np.minimum(albedo, ALBEDO_MAX) * seen) / (weight + 1)
-        mean.weight = min(mean.weight + 1, max(self.bounce_history, self.samples_min))
+        total = np.minimum(albedo, ALBEDO_MAX) * seen.sum(axis=0)
+        mean.value = (mean.value * weight + total) / (weight + count)
+        mean.weight = min(mean.weight + count, max(self.bounce_history, self.samples_min))
 
     def outdate(self, share: float) -> None:
         """What is known counts for a share of what it did beside what comes."""

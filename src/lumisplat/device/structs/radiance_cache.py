@@ -75,7 +75,7 @@ class CacheSamples:
 class CachePoints:
     """Points of cells from which rays look for the light that the cells receive, one element a ray.
 
-    Points of one tile are neighbours.
+    Points of one cell are neighbours, and those of one tile.
     """
 
     is_active: wp.array[bool]
@@ -89,8 +89,12 @@ class CachePoints:
     extent: wp.array[float]
     """As in the sample that the point is of, scene units."""
     key: wp.array[wp.uint32]
-    """Key of the random numbers of the ray, see ``device/math/random.py``: of cell and frame, whatever the tile's slot
-    is."""
+    """Key of the random numbers of the cell's rays, see ``device/math/random.py``: of cell and frame, whatever the
+    tile's slot is."""
+    ray: wp.array[int]
+    """Number of the ray among those of the cell, from 0."""
+    rays: wp.array[int]
+    """How many the cell has."""
     slot: wp.array[int]
     """Of the tile."""
     cell: wp.array[int]

@@ -6,6 +6,7 @@ docs/method/realtime.md#radiance-cache
 
 import warp as wp
 
+from lumisplat.constants.realtime import CELL_RAYS_MAX
 from lumisplat.device.gi.means import mean_weight
 from lumisplat.device.gi.radiance_cache import (
     cached_radiance,
@@ -23,6 +24,7 @@ from lumisplat.device.math.random import mix
 from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.radiance_cache import (
     AGE_LAST,
+    COORDINATE_BITS,
     COUNT_LIVE,
     NO_TILE,
     REFLECTANCE_MAX,
@@ -37,6 +39,10 @@ from lumisplat.device.structs.radiance_cache import (
 )
 
 wp.set_module_options({"enable_backward": False})
+
+RAYS_MAX = wp.constant(CELL_RAYS_MAX)
+NEAR_SHIFT = wp.constant(3 * COORDINATE_BITS)
+"""Of the bit of a key that says whether its tile is of short rays."""
 
 
 @wp.kernel
@@ -212,13 +218,37 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
         ages_out[rank] = tiles.bounced[tiles.slots[rank]]
 
 
+@wp.func
+def is_of_near(key: wp.int64) -> bool:
+    """Whether the cells of a tile are those of short rays."""
+    return ((key >> wp.int64(NEAR_SHIFT)) & wp.int64(1)) != wp.int64(0)
+
+
 @wp.kernel
-def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: wp.array[int]):
-    """Cells with samples of each tile, in an order."""
+def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: wp.array[int], far_out: wp.array[int]):
+    """Cells with samples of each tile, in an order, and those of them that are of long rays."""
     i = start + wp.tid()
     cells_out[i] = 0
+    far_out[i] = 0
     if ranks[i] < tiles.counts[COUNT_LIVE]:
         cells_out[i] = tiles.filled[tiles.slots[ranks[i]]]
+        if not is_of_near(tiles.keys[ranks[i]]):
+            far_out[i] = cells_out[i]
+
+
+@wp.func
+def rays_of_far_cells(budget: int, ends: wp.array[int], far_ends: wp.array[int]) -> int:
+    """Rays that each cell of long rays sends, those of short rays one each, so that all fit: one at least."""
+    last = ends.shape[0] - 1
+    near = ends[last] - far_ends[last]
+    return wp.clamp((budget - near) // wp.max(far_ends[last], 1), 1, RAYS_MAX)
+
+
+@wp.kernel
+def count_rays(start: int, budget: int, ends: wp.array[int], far_ends: wp.array[int], ray_ends_out: wp.array[int]):
+    """Rays of each tile's cells and of those before it in the order, by their cells."""
+    i = start + wp.tid()
+    ray_ends_out[i] = ends[i] + (rays_of_far_cells(budget, ends, far_ends) - 1) * far_ends[i]
 
 
 @wp.func
@@ -234,20 +264,42 @@ def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
 
 @wp.kernel
 def list_points(
-    start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], ends: wp.array[int], points: CachePoints
+    start: int,
+    frame: int,
+    tiles: CacheTiles,
+    ranks: wp.array[int],
+    ends: wp.array[int],
+    far_ends: wp.array[int],
+    ray_ends: wp.array[int],
+    points: CachePoints,
 ):
-    """Points of the cells of the tiles that wait longest, as many whole tiles as fit."""
+    """Item = ray: the point of its cell, of the tiles that wait longest; as many whole tiles as fit.
+
+    Args:
+        start: First item.
+        frame: Number of the frame.
+        tiles: Of the cache.
+        ranks: Of the tiles, those that wait longest first.
+        ends: Cells of the tiles up to each one, in this order.
+        far_ends: The same of cells of long rays.
+        ray_ends: The same of their rays.
+        points: Of the rays.
+    """
     i = start + wp.tid()
     points.is_active[i] = False
-    tile = first_not_below(ends, ends.shape[0], i + 1)
-    if tile == ends.shape[0]:
+    count = points.is_active.shape[0]
+    tile = first_not_below(ray_ends, ray_ends.shape[0], i + 1)
+    if tile == ray_ends.shape[0]:
         return
-    if ends[tile] > points.is_active.shape[0]:
+    if ray_ends[tile] > count:
         return
     rank = ranks[tile]
     slot = tiles.slots[rank]
-    number = i - ends[tile] + tiles.filled[slot]
-    cell = filled_cell(tiles, slot, number)
+    rays = int(1)
+    if not is_of_near(tiles.keys[rank]):
+        rays = rays_of_far_cells(count, ends, far_ends)
+    number = i - ray_ends[tile] + rays * tiles.filled[slot]
+    cell = filled_cell(tiles, slot, number // rays)
     if number == 0:
         tiles.bounced[slot] = frame + 1
     at = slot * TILE_CELLS + cell
@@ -257,27 +309,35 @@ def list_points(
     points.albedo[i] = tiles.albedo[at]
     points.extent[i] = tiles.extent[at]
     points.key[i] = cell_key(tiles.keys[rank], cell, frame)
+    points.ray[i] = number % rays
+    points.rays[i] = rays
     points.slot[i] = slot
     points.cell[i] = cell
 
 
 @wp.kernel
 def add_bounces(start: int, grid: CacheGrid, points: CachePoints, seen: wp.array[wp.vec3], tiles: CacheTiles):
-    """Adds what each point's ray has seen, times the albedo, to its cell's mean.
+    """Adds what the rays of a cell have seen, times the albedo, to its mean; the first one does it for all.
 
     Rays that follow the cosine of the normal see the irradiance over pi. A slot that another tile has got since has not
     bounced.
     """
     i = start + wp.tid()
-    if points.is_active[i] and wp.isfinite(seen[i]) and tiles.bounced[points.slot[i]] > 0:
-        at = points.slot[i] * TILE_MEANS + points.cell[i]
-        mean = tiles.indirect[at]
-        before = mean[3]
+    if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
         albedo = wp.min(points.albedo[i], wp.vec3(REFLECTANCE_MAX))
-        total = wp.vec3d(wp.cw_mul(albedo, seen[i]))
-        mean = mean_with(mean, mean_weight(before, grid.bounce_history), total, 1)
-        mean[3] = wp.min(before + 1.0, wp.max(grid.bounce_history, grid.samples_min))
-        tiles.indirect[at] = mean
+        total = wp.vec3d()
+        count = int(0)
+        for ray in range(i, i + points.rays[i]):
+            if wp.isfinite(seen[ray]):
+                total += wp.vec3d(wp.cw_mul(albedo, seen[ray]))
+                count += 1
+        if count > 0:
+            at = points.slot[i] * TILE_MEANS + points.cell[i]
+            mean = tiles.indirect[at]
+            before = mean[3]
+            mean = mean_with(mean, mean_weight(before, grid.bounce_history), total, count)
+            mean[3] = wp.min(before + float(count), wp.max(grid.bounce_history, grid.samples_min))
+            tiles.indirect[at] = mean
 
 
 @wp.kernel

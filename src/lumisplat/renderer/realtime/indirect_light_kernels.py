@@ -60,15 +60,15 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
     normal = points.normal[i]
     position = points.position[i]
     lift = LIFT * wp.max(wp.abs(position))
-    u = sobol_2d(branch_key(key, 0), 0)
+    u = sobol_2d(key, points.ray[i])
     rays_out.origin[i] = position + wp.where(points.extent[i] > 0.0, 0.0, lift) * normal
     rays_out.direction[i] = around(normal, wp.sqrt(1.0 - u[0]), wp.sqrt(u[0]), u[1])
     rays_out.t_min[i] = offset * points.extent[i]
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = 0.0
-    rays_out.sample_key[i] = key
-    rays_out.pixel_key[i] = key
+    rays_out.sample_key[i] = branch_key(key, points.ray[i])
+    rays_out.pixel_key[i] = rays_out.sample_key[i]
     rays_out.sample[i] = 0
 
 
