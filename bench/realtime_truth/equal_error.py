@@ -6,10 +6,10 @@ many times longer these take than a frame of the running sequence, and than all 
 times). Last the same beside one path a pixel that is denoised, the extra ``denoise`` (bar: 3 times): real time has the
 number of frames that it takes to be as good.
 
-Paths are timed and compared with few samples; between these and beyond, their squared error falls as one over their
-number. The truth are other paths, whose noise is left out. Times are processor time of all threads; of a sequence the
-median frame after the first four, of paths the least for a sample in any frame. About 10 minutes, half of it for the
-truth; half a minute with ``--width 64 --samples 4 --frames 4 --only room``.
+Between and beyond the few numbers of paths that are compared, their squared error falls as one over their number. The
+truth are other paths, whose noise is left out. Times are processor time of all threads, medians of frames of a running
+sequence and of 4 paths a pixel, in turn. About 10 minutes, half of it for the truth; half a minute with ``--width 64
+--samples 4 --frames 4 --only room``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from bench.realtime_truth.frames import (
 from bench.realtime_truth.scenes import View, demo, rooms
 
 SAMPLES = (1, 4, 16, 48)
-WARM_FRAMES = 4
+WARM_FRAMES, TIMED = 4, 3
 BARS = "20 times", "3 times"
 
 
@@ -78,38 +78,49 @@ def main() -> None:
 def compared(view: View, given: argparse.Namespace) -> None:
     """Prints the tables of a view."""
     truth = truth_of(view, given.samples, given.device, given.truths)
-    seconds, errors = sequence(view, truth, given)
-    frame = statistics.median(seconds[WARM_FRAMES:] or seconds)
-    traced = traced_paths(view, truth, given.device)
+    errors = sequence(view, truth, given)
+    frame, second = times(view, given)
+    traced = traced_paths(view, truth, second, given.device)
     shown = ", ".join(f"{count}: {decibels(error):.1f}" for count, error in zip(SAMPLES, traced.errors, strict=True))
     print(f"{view.name}: {frame:.3f} s a frame, {traced.second:.3f} s a path a pixel; dB of paths a pixel: {shown}\n")
     head("frames", "PSNR, dB", "as good as paths", "times longer than a frame", "than all frames", "bar")
     for count in (n for n in (1, 2, 4, 8, 16, 32, 64, 128) if n <= given.frames):
         equal = traced.samples(errors[count - 1])
-        times = equal * traced.second / frame
+        longer = equal * traced.second / frame
         print(
-            f"| {count} | {decibels(errors[count - 1]):.1f} | {equal:.1f} | {times:.1f} | "
-            f"{equal * traced.second / sum(seconds[:count]):.1f} | {BARS[0]} |"
+            f"| {count} | {decibels(errors[count - 1]):.1f} | {equal:.1f} | {longer:.1f} | {longer / count:.1f} | "
+            f"{BARS[0]} |"
         )
     if traced.denoised:
-        beside_denoised(traced.denoised, seconds, errors, frame)
+        beside_denoised(traced.denoised, errors, frame)
     print(flush=True)
 
 
-def sequence(view: View, truth: Truth, given: argparse.Namespace) -> tuple[list[float], list[float]]:
-    """Seconds and squared errors of the frames of a sequence."""
+def settings_of(given: argparse.Namespace) -> ls.RenderConfig:
+    """Those of the sequence."""
+    return realtime(aovs=(), realtime=ls.RealtimeConfig(quality=given.quality))
+
+
+def sequence(view: View, truth: Truth, given: argparse.Namespace) -> list[float]:
+    """Squared errors of the frames of a sequence."""
     tell(f"{given.frames} frames: {view.name}")
-    settings = realtime(aovs=(), realtime=ls.RealtimeConfig(quality=given.quality))
-    renderer = ls.create_renderer(settings, given.device)
-    renderer.render(view.scene, view.camera)  # uploads, and builds trees
-    renderer.reset()
-    seconds, errors = list[float](), list[float]()
-    frames = frames_of(renderer, view, given.frames)
-    for _ in range(given.frames):
-        taken, frame = cpu_seconds(lambda: shown(next(frames)))
-        seconds.append(taken)
-        errors.append(max(truth.squared_error(frame.pixels_srgb()), 1e-9))
-    return seconds, errors
+    frames = frames_of(ls.create_renderer(settings_of(given), given.device), view, given.frames)
+    return [max(truth.squared_error(frame.pixels_srgb()), 1e-9) for frame in frames]
+
+
+def times(view: View, given: argparse.Namespace) -> tuple[float, float]:
+    """Seconds of a frame of a running sequence, and of one path a pixel, in turn."""
+    renderers = [ls.create_renderer(config, given.device) for config in (settings_of(given), paths(4, seed=0))]
+    taken: list[list[float]] = [[], []]
+    for number in range(WARM_FRAMES + TIMED):
+        for seconds, renderer in zip(taken, renderers, strict=True):
+            is_timed = number >= WARM_FRAMES
+            camera = view.camera if is_timed or renderer is renderers[0] else view.camera.scaled(16)
+            found, _ = cpu_seconds(lambda renderer=renderer, camera=camera: shown(renderer.render(view.scene, camera)))
+            if is_timed:
+                seconds.append(found)
+    frame, four_paths = (statistics.median(seconds) for seconds in taken)
+    return frame, four_paths / 4
 
 
 def shown(frame: ls.Frame) -> ls.Frame:
@@ -118,46 +129,39 @@ def shown(frame: ls.Frame) -> ls.Frame:
     return frame
 
 
-def traced_paths(view: View, truth: Truth, device: str) -> Paths:
+def traced_paths(view: View, truth: Truth, second: float, device: str) -> Paths:
     """Few paths a pixel, the least of them denoised, too."""
-    errors, second = list[float](), math.inf
+    errors = list[float]()
     denoised = None
     for count in SAMPLES:
         tell(f"{count} paths a pixel: {view.name}")
         renderer = ls.create_renderer(paths(count, seed=0), device)
-        renderer.render(view.scene, view.camera.scaled(16))  # uploads, and builds trees
-        taken, frame = cpu_seconds(lambda renderer=renderer: shown(renderer.render(view.scene, view.camera)))
+        frame = renderer.render(view.scene, view.camera)
         errors.append(truth.squared_error(frame.pixels_srgb()))
-        second = min(second, taken / count)
         if count == 1:
-            denoised = denoised_once(frame, truth, taken)
+            denoised = denoised_once(frame, truth, second)
     return Paths(second, tuple(errors), denoised)
 
 
-def denoised_once(frame: ls.Frame, truth: Truth, taken: float) -> tuple[float, float] | None:
-    """Seconds of a frame and its denoising, and its squared error."""
+def denoised_once(frame: ls.Frame, truth: Truth, second: float) -> tuple[float, float] | None:
+    """Seconds of a path a pixel and its denoising, and its squared error."""
     try:
         frame.denoised()  # the first one of a size makes the filter ready
     except ls.MissingExtraError as error:
         tell(f"no denoised paths: {error}")
         return None
     more, clean = cpu_seconds(frame.denoised)
-    return taken + more, truth.squared_error(clean.pixels_srgb())
+    return second + more, truth.squared_error(clean.pixels_srgb())
 
 
-def beside_denoised(
-    denoised: tuple[float, float], seconds: Sequence[float], errors: Sequence[float], frame: float
-) -> None:
+def beside_denoised(denoised: tuple[float, float], errors: Sequence[float], frame: float) -> None:
     """Prints the row of one path a pixel, denoised."""
     taken, error = denoised
-    better = [number for number, ours in enumerate(errors) if ours <= error]
+    better = [number + 1 for number, ours in enumerate(errors) if ours <= error]
     print()
     head("1 path a pixel, denoised", "PSNR, dB", "frames that reach it", "longer than a frame", "than all", "bar")
-    reached = f"{better[0] + 1}" if better else f"more than {len(errors)}"
-    all_frames = f"{taken / sum(seconds[: better[0] + 1]):.2f}" if better else "-"
-    print(
-        f"| {taken:.3f} s | {decibels(error):.1f} | {reached} | {taken / frame:.2f} times | {all_frames} | {BARS[1]} |"
-    )
+    reached, than_all = (f"{better[0]}", f"{taken / better[0] / frame:.2f}") if better else ("none", "-")
+    print(f"| {taken:.3f} s | {decibels(error):.1f} | {reached} | {taken / frame:.2f} | {than_all} | {BARS[1]} |")
 
 
 if __name__ == "__main__":
