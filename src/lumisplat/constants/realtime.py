@@ -102,6 +102,10 @@ their points into two layers."""
 CELL_RAYS_MAX = 16
 """Rays that a cell of long rays sends in a frame at most, where few cells share those of a frame."""
 
+BOUNCES_PER_RAY = 4
+"""Times a frame that each cell takes in what its rays see: what they have met has taken in more light each time. A
+look-up costs much less than a ray."""
+
 # --- Light grid ---
 
 GRID_LIGHTS = 16

@@ -5,6 +5,8 @@ What decides where a sample goes is rounded to float32, as kernels do it; the re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -81,13 +83,17 @@ class RadianceCacheOracle:
             mean.weight += len(batch)
             mean.value = total / mean.weight
 
-    def add_bounces(self, cell: Cell, albedo: np.ndarray, seen: np.ndarray) -> None:
-        """Adds what the rays of a frame from a cell have seen, shape (N, 3)."""
-        mean, count = self.indirect.setdefault(cell, Mean(np.zeros(3))), len(seen)
-        weight = mean_weight(mean.weight, self.bounce_history)
-        total = np.minimum(albedo, ALBEDO_MAX) * seen.sum(axis=0)
-        mean.value = (mean.value * weight + total) / (weight + count)
-        mean.weight = min(mean.weight + count, max(self.bounce_history, self.samples_min))
+    def add_bounces(self, rays: dict[Cell, Sequence[int]], albedo: dict[Cell, np.ndarray], hits: Samples) -> None:
+        """Adds what the rays of a frame see, by numbers of hits for each cell: four times, so that hits know of it."""
+        before = {cell: copy(self.indirect.get(cell, Mean(np.zeros(3)))) for cell in rays}
+        for _ in range(4):
+            seen = self.look_up(hits)
+            for cell, numbers in rays.items():
+                mean, count = before[cell], len(numbers)
+                weight = mean_weight(mean.weight, self.bounce_history)
+                total = np.minimum(albedo[cell], ALBEDO_MAX) * seen[numbers].sum(axis=0)
+                known = min(mean.weight + count, max(self.bounce_history, self.samples_min))
+                self.indirect[cell] = Mean((mean.value * weight + total) / (weight + count), known)
 
     def outdate(self, share: float) -> None:
         """What is known counts for a share of what it did beside what comes."""

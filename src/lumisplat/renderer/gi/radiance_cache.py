@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config import RadianceCacheConfig
+from lumisplat.constants.realtime import BOUNCES_PER_RAY
 from lumisplat.device.structs.radiance_cache import (
     COUNT_DROPPED,
     COUNT_EVICTED,
@@ -149,18 +150,22 @@ class RadianceCache:
         return points
 
     def add_bounces(self, points: CachePoints, hits: CacheSamples) -> None:
-        """Adds the light that cells reflect of other surfaces.
+        """Adds the light that cells reflect of others, which know of it in turn: several bounces along each ray.
 
         Args:
             points: Of the last `bounce_points`; those of tiles that have gone since do not count.
             hits: What the ray from each has hit, already inserted. Where they are not active no surface was hit, and
                 no light comes from there: that of the sky is direct.
         """
-        count = self._config.bounces
-        seen = self._look_up("seen", hits)
+        run, count, tiles = self._launcher.run_banded, self._config.bounces, self._tiles
+        means = self._get("means_before", wp.vec4, count)
         with self._launcher.stage(_STAGE):
-            self._launcher.run_banded(kernels.add_bounces, count, self._grid, points, seen, self._tiles)
-            self._launcher.run_banded(kernels.update_bounced_tiles, count, points, self._tiles)
+            run(kernels.keep_means, count, points, tiles, means)
+        for _ in range(BOUNCES_PER_RAY):
+            seen = self._look_up("seen", hits)
+            with self._launcher.stage(_STAGE):
+                run(kernels.add_bounces, count, self._grid, points, means, seen, tiles)
+                run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, frame: int) -> None:
         """Forgets the tiles that no ray has hit for as many frames as the settings say; the end of a frame."""

@@ -316,11 +316,34 @@ def list_points(
 
 
 @wp.kernel
-def add_bounces(start: int, grid: CacheGrid, points: CachePoints, seen: wp.array[wp.vec3], tiles: CacheTiles):
-    """Adds what the rays of a cell have seen, times the albedo, to its mean; the first one does it for all.
+def keep_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
+    """Item = ray: what its cell knew before the bounces of the frame."""
+    i = start + wp.tid()
+    if points.is_active[i]:
+        means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]
+
+
+@wp.kernel
+def add_bounces(
+    start: int,
+    grid: CacheGrid,
+    points: CachePoints,
+    means: wp.array[wp.vec4],
+    seen: wp.array[wp.vec3],
+    tiles: CacheTiles,
+):
+    """Adds what the rays of a cell see, times the albedo, to its mean; the first one does it for all.
 
     Rays that follow the cosine of the normal see the irradiance over pi. A slot that another tile has got since has not
     bounced.
+
+    Args:
+        start: First item.
+        grid: Settings.
+        points: Of the rays.
+        means: What their cells knew before.
+        seen: What the rays see, linear.
+        tiles: Where the means go.
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
@@ -332,12 +355,10 @@ def add_bounces(start: int, grid: CacheGrid, points: CachePoints, seen: wp.array
                 total += wp.vec3d(wp.cw_mul(albedo, seen[ray]))
                 count += 1
         if count > 0:
-            at = points.slot[i] * TILE_MEANS + points.cell[i]
-            mean = tiles.indirect[at]
-            before = mean[3]
-            mean = mean_with(mean, mean_weight(before, grid.bounce_history), total, count)
+            before = means[i][3]
+            mean = mean_with(means[i], mean_weight(before, grid.bounce_history), total, count)
             mean[3] = wp.min(before + float(count), wp.max(grid.bounce_history, grid.samples_min))
-            tiles.indirect[at] = mean
+            tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]] = mean
 
 
 @wp.kernel
