@@ -24,6 +24,7 @@ def test_previews_take_less_and_high_more() -> None:
     assert low.cache.bounces < middle.cache.bounces < high.cache.bounces
     assert middle.filter.frames < high.filter.frames
     assert middle.probes.tile > high.probes.tile
+    assert high.antialiasing and not middle.antialiasing and not low.antialiasing
 
 
 def test_settings_that_are_given_stay() -> None:

@@ -36,6 +36,7 @@ _OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     },
     RealtimeQuality.BALANCED: {},
     RealtimeQuality.HIGH: {
+        "": {"antialiasing": True},
         "filter": {"frames": 64, "indirect_frames": 16},
         "probes": {"tile": 8},
         "cache": {"bounces": 16_384},

@@ -228,7 +228,9 @@ class FramePlan:
 
 def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
     """Whether samples may be anywhere in their pixels; in real time, if frames are averaged."""
-    return config.jitter and (config.pipeline is not Pipeline.REALTIME or (is_lit and config.realtime.antialiasing))
+    if config.pipeline is Pipeline.REALTIME:
+        return config.jitter and is_lit and config.realtime.of_quality.antialiasing
+    return config.jitter
 
 
 def bounces_light(config: RenderConfig) -> bool:
