@@ -21,6 +21,7 @@ import numpy as np
 import lumisplat as ls
 from bench.realtime_truth.frames import (
     BARS,
+    add_quality,
     bias,
     blocks,
     frames_of,
@@ -42,6 +43,7 @@ def main() -> None:
     asked = options("bias", __doc__, samples=64)
     asked.add_argument("--frames", type=int, default=64, help="of each sequence (default: 64)")
     asked.add_argument("--only", default="rooms,demo,furnaces", help="some of rooms, demo, furnaces")
+    add_quality(asked)
     given = asked.parse_args()
     chosen = given.only.split(",")
     views = [*(rooms(given.width) if "rooms" in chosen else ()), *([demo(given.width)] if "demo" in chosen else ())]
@@ -64,7 +66,13 @@ def compared(view: View, given: argparse.Namespace) -> str:
     """Prints the rows of a view's layers, and returns that of its picture."""
     truth = truth_of(view, given.samples, given.device, given.truths)
     tell(f"{given.frames} frames: {view.name}")
-    *_, frame = frames = list(frames_of(ls.create_renderer(realtime(), given.device), view, given.frames))
+    *_, frame = frames = list(
+        frames_of(
+            ls.create_renderer(realtime(realtime=ls.RealtimeConfig(quality=given.quality)), given.device),
+            view,
+            given.frames,
+        )
+    )
     for name in ("diffuse", "glossy", "color") if view.keeps_look else ("direct", "indirect", "glossy", "color"):
         if not truth.layer(name).any():
             continue

@@ -25,6 +25,7 @@ import numpy as np
 import lumisplat as ls
 from bench.realtime_truth.frames import (
     Truth,
+    add_quality,
     cpu_seconds,
     decibels,
     frames_of,
@@ -66,7 +67,7 @@ def main() -> None:
     """Prints a table for each view."""
     asked = options("equal_error", __doc__, samples=64)
     asked.add_argument("--frames", type=int, default=64, help="of the sequence (default: 64)")
-    asked.add_argument("--quality", default="balanced", help="preview, balanced or high (default: balanced)")
+    add_quality(asked)
     asked.add_argument("--only", default="room,demo", help="some of room, demo")
     given = asked.parse_args()
     chosen = given.only.split(",")

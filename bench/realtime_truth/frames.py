@@ -49,6 +49,11 @@ def options(name: str, description: str | None, *, samples: int = 0, width: int 
     return given
 
 
+def add_quality(asked: argparse.ArgumentParser) -> None:
+    """The option of those whose frames may be of another quality."""
+    asked.add_argument("--quality", default="balanced", help="preview, balanced or high (default: balanced)")
+
+
 def tell(text: str) -> None:
     """A line of what goes on, apart from the tables."""
     print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)

@@ -25,6 +25,7 @@ import lumisplat as ls
 from bench.presets import DATA, load_capture
 from bench.realtime_truth.frames import (
     Doubles,
+    add_quality,
     bias,
     decibels,
     head,
@@ -49,13 +50,16 @@ def main() -> None:
     """Prints the table."""
     asked = options("relit_assets", __doc__, samples=48, width=128)
     asked.add_argument("--pictures", type=Path, metavar="FOLDER")
+    add_quality(asked)
     given = asked.parse_args()
     head("asset, environment", "PSNR, dB", "of the asset", "with the truth's noise", "SSIM", "of the truth", "light")
     rows: list[tuple[float, ...]] = []
     for view in views(given.width):
         truth = truth_of(view, given.samples, given.device, given.truths)
         tell(f"{FRAMES} frames: {view.name}")
-        frame = last_of(ls.create_renderer(realtime(), given.device), view, FRAMES)
+        frame = last_of(
+            ls.create_renderer(realtime(realtime=ls.RealtimeConfig(quality=given.quality)), given.device), view, FRAMES
+        )
         picture, whole = frame.pixels_srgb(), truth.whole.astype(np.float32)
         covered = frame.alpha > 0.5
         first, second = (picture[covered] - half[covered] for half in truth.pictures)

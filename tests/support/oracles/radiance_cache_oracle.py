@@ -5,7 +5,7 @@ What decides where a sample goes is rounded to float32, as kernels do it; the re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -83,7 +83,7 @@ class RadianceCacheOracle:
             mean.weight += len(batch)
             mean.value = total / mean.weight
 
-    def add_bounces(self, rays: dict[Cell, Sequence[int]], albedo: dict[Cell, np.ndarray], hits: Samples) -> None:
+    def add_bounces(self, rays: Mapping[Cell, Sequence[int]], albedo: Mapping[Cell, np.ndarray], hits: Samples) -> None:
         """Adds what the rays of a frame see, by numbers of hits for each cell: four times, so that hits know of it."""
         before = {cell: copy(self.indirect.get(cell, Mean(np.zeros(3)))) for cell in rays}
         for _ in range(4):
