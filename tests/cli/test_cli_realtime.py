@@ -118,7 +118,11 @@ def test_qualities_differ_and_are_of_real_time(work, caplog):
 @pytest.mark.parametrize("command", ["animate", "orbit"])
 def test_frames_of_sequences_have_qualities_too(work, command):
     """Each is another picture; frames of one quality are the same again."""
-    options = ("--device", "cpu", *(("--seconds", "0.2", "--fps", "10") if command == "orbit" else ()))
+    options = (
+        "--device",
+        "cpu",
+        *(("--seconds", "0.2", "--fps", "10", "--width", "24", "--height", "16") if command == "orbit" else ()),
+    )
     scene, render, settings = SCENE.replace("intensity = 8", "intensity = 0.5").partition("[render]")
     work.path("scene.toml").write_text(scene + MOVING + render + settings)
     made: dict[str, bytes] = {}

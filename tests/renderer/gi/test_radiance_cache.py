@@ -130,10 +130,10 @@ def test_reset_is_a_new_cache() -> None:
 def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
     """Random surfaces, frames and bounces, few and many samples a cell, against dictionaries in float64."""
     rng = np.random.default_rng(4)
-    rig = CacheRig(history=history, bounce_history=bounce_history, tiles=4096, bounces=256)
+    rig = CacheRig(history=history, bounce_history=bounce_history, tiles=4096, bounces=128)
     twin = RadianceCacheOracle(rig.config.cell_size, history, min(8, history), bounce_history)
     worst = 0.0
-    for frame in range(7):
+    for frame in range(5):
         samples = anywhere(rng, 300)
         dense = made_samples(on_floor(rng, 300, 4.0), from_eye=8.0 * 1.2**frame, radiance=rng.uniform(0, 1, (300, 3)))
         for batch in (samples, dense):
@@ -143,7 +143,8 @@ def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
         add_twin_bounces(twin, host, hits, [samples, dense])
         probes = anywhere(rng, 100)
-        for batch in (probes, dense, replace(dense, distance=np.full(300, 0.2, np.float32))):
+        some = taken(dense, np.arange(80))
+        for batch in (probes, some, replace(some, distance=np.full(80, 0.2, np.float32))):
             worst = max(worst, np.abs(rig.look_up(batch) - twin.look_up(batch)).max())
             worst = max(worst, np.abs(rig.look_up_indirect(batch) - twin.look_up_indirect(batch)).max())
     assert worst < 3e-6
@@ -154,9 +155,9 @@ def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
 def test_outdated_means_are_the_twins(share: float) -> None:
     """When light changes after three frames: right after it, and while cells find other light, some of few samples."""
     rng = np.random.default_rng(10)
-    rig = CacheRig(history=16, bounce_history=4, bounces=256)
+    rig = CacheRig(history=16, bounce_history=4, bounces=128)
     twin = RadianceCacheOracle(rig.config.cell_size, 16, 8, 4)
-    probes = made_samples(on_floor(rng, 200, 4.0), from_eye=8.0)
+    probes = made_samples(on_floor(rng, 80, 4.0), from_eye=8.0)
     for frame in range(6):
         count = 600 if frame < 3 else 60
         floor = made_samples(on_floor(rng, count, 4.0), from_eye=8.0, radiance=rng.uniform(0, 1, (count, 3)))

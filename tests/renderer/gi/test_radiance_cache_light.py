@@ -69,6 +69,17 @@ def test_plates_light_each_other(frames: int, albedo: float) -> None:
     assert found[is_upper].mean(0) == pytest.approx(truth * upper, rel=0.01)
 
 
+def test_light_bounces_four_times_a_frame() -> None:
+    """Between plates that reflect 1 of the lamps and half of their light: 1 + 1/2 + ... + 1/16 after one frame."""
+    rng = np.random.default_rng(6)
+    rig = CacheRig(bounces=8192)
+    shine, half = np.ones((2, 3)), np.full((2, 3), 0.5)
+    rig.insert(plates(on_plates(rng, 4000), shine, half), 0)
+    rig.bounce(0, lambda host: (plates(between_plates(rng, host), shine, half), True))
+    found = rig.look_up(plates(on_plates(rng, 500), shine, half))
+    assert found == pytest.approx(1.9375, rel=1e-5)
+
+
 def in_box(rng: np.random.Generator, host: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where rays from points of a cubic room hit its walls, with normals and distances."""
     active = host["is_active"][:, None]
