@@ -163,8 +163,7 @@ def test_outdated_means_are_the_twins(share: float) -> None:
         floor = made_samples(on_floor(rng, count, 4.0), from_eye=8.0, radiance=rng.uniform(0, 1, (count, 3)))
         rig.insert(floor, frame)
         twin.insert(floor, frame)
-        far = np.full((rig.config.bounces, 3), 1000.0)
-        hits = made_samples(far, radiance=rng.uniform(0, 1, far.shape))
+        hits = made_samples(on_floor(rng, rig.config.bounces, 4.0), from_eye=8.0)
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
         add_twin_bounces(twin, host, hits, [floor])
         if frame == 2:

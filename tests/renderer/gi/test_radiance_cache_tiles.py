@@ -187,19 +187,17 @@ def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
     rng = np.random.default_rng(4)
     rig = CacheRig(bounces=budget)
     rig.insert(made_samples(on_floor(rng, 3000, 8.0)), 0)
-    rig.insert(made_samples(np.array([[0.2, 0.2, 0.5], [3.2, 5.2, 0.5]]), distance=0.1), 0)
+    near = np.array([[0.2, 0.2, 0.5], [3.2, 5.2, 0.5]])
+    rig.insert(made_samples(near, distance=0.1), 0)
     _, host = rig.points(0)
-    active = host["is_active"]
-    assert active.sum() == 64 * rays + 2
-    assert active[: 64 * rays + 2].all()
-    single = active & (host["rays"] == 1) if rays > 1 else np.zeros_like(active)
-    assert single.sum() == (2 if rays > 1 else 0)
-    far = active & ~single
-    if rays > 1:
-        assert (host["rays"][far] == rays).all()
-        assert (host["ray"][far].reshape(64, rays) == np.arange(rays)).all()
-        places = (64 * host["slot"] + host["cell"])[far].reshape(64, rays)
-        assert (places == places[:, :1]).all()
-        assert len(set(places[:, 0])) == 64
-    else:
-        assert (host["rays"][active] == 1).all() and (host["ray"][active] == 0).all()
+    assert host["is_active"][: 64 * rays + 2].all()
+    assert not host["is_active"][64 * rays + 2 :].any()
+    active = {name: values[host["is_active"]] for name, values in host.items()}
+    is_near = (active["position"][:, None] == near.astype(np.float32)).all(2).any(1)
+    assert is_near.sum() == 2
+    assert (active["rays"] == np.where(is_near, 1, rays)).all()
+    assert (active["ray"][is_near] == 0).all()
+    assert (active["ray"][~is_near].reshape(64, rays) == np.arange(rays)).all()
+    places = (64 * active["slot"] + active["cell"])[~is_near].reshape(64, rays)
+    assert (places == places[:, :1]).all()
+    assert len(set(places[:, 0])) == 64

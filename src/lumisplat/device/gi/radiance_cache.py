@@ -111,6 +111,12 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
 
 
 @wp.func
+def is_of_short_rays(key: wp.int64) -> bool:
+    """Whether the cells of a tile are those of short rays; the bit before the three coordinates."""
+    return ((key >> wp.int64(3 * COORDINATE_BITS)) & wp.int64(1)) != wp.int64(0)
+
+
+@wp.func
 def is_near(samples: CacheSamples, i: int, level: int) -> bool:
     """Whether a ray is shorter than a cell: what it left may be on the other side of a wall from the rest of that."""
     return samples.distance[i] < width_of(level) + samples.extent[i]

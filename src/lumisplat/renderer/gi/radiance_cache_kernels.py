@@ -16,6 +16,7 @@ from lumisplat.device.gi.radiance_cache import (
     far_radiance,
     is_first_of_cell,
     is_first_of_tile,
+    is_of_short_rays,
     level_of,
     mean_index,
     slot_of,
@@ -24,7 +25,6 @@ from lumisplat.device.math.random import mix
 from lumisplat.device.math.search import first_not_below
 from lumisplat.device.structs.radiance_cache import (
     AGE_LAST,
-    COORDINATE_BITS,
     COUNT_LIVE,
     NO_TILE,
     REFLECTANCE_MAX,
@@ -41,8 +41,6 @@ from lumisplat.device.structs.radiance_cache import (
 wp.set_module_options({"enable_backward": False})
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
-NEAR_SHIFT = wp.constant(3 * COORDINATE_BITS)
-"""Of the bit of a key that says whether its tile is of short rays."""
 
 
 @wp.kernel
@@ -218,12 +216,6 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
         ages_out[rank] = tiles.bounced[tiles.slots[rank]]
 
 
-@wp.func
-def is_of_near(key: wp.int64) -> bool:
-    """Whether the cells of a tile are those of short rays."""
-    return ((key >> wp.int64(NEAR_SHIFT)) & wp.int64(1)) != wp.int64(0)
-
-
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: wp.array[int], far_out: wp.array[int]):
     """Cells with samples of each tile, in an order, and those of them that are of long rays."""
@@ -232,7 +224,7 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: 
     far_out[i] = 0
     if ranks[i] < tiles.counts[COUNT_LIVE]:
         cells_out[i] = tiles.filled[tiles.slots[ranks[i]]]
-        if not is_of_near(tiles.keys[ranks[i]]):
+        if not is_of_short_rays(tiles.keys[ranks[i]]):
             far_out[i] = cells_out[i]
 
 
@@ -296,7 +288,7 @@ def list_points(
     rank = ranks[tile]
     slot = tiles.slots[rank]
     rays = int(1)
-    if not is_of_near(tiles.keys[rank]):
+    if not is_of_short_rays(tiles.keys[rank]):
         rays = rays_of_far_cells(count, ends, far_ends)
     number = i - ray_ends[tile] + rays * tiles.filled[slot]
     cell = filled_cell(tiles, slot, number // rays)

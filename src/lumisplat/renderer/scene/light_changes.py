@@ -16,15 +16,12 @@ from lumisplat.scene.scene import Scene
 SMALL = 16
 """Numbers that an array has at most whose values are compared."""
 
-STRENGTH = ("color", "intensity")
-"""Fields of lights that say how strong they are."""
-
 
 @dataclass(frozen=True, slots=True)
 class LightOfScene:
     """What the light of a scene comes from, and what reflects it; not where reflecting things are.
 
-    Arrays and materials are compared by identity.
+    Arrays and materials are compared by identity: both scenes have to live.
     """
 
     sources: Sequence[object]
@@ -32,7 +29,7 @@ class LightOfScene:
     strengths: list[npt.NDArray[np.float64]]
     """Of each light, by channel."""
     rest: Sequence[object]
-    """All else of the lights, places of meshes that shine, and materials."""
+    """The lights, places of meshes that shine, and materials."""
 
 
 class LightChanges:
@@ -52,10 +49,10 @@ class LightChanges:
         Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
         If anything else about light changes, what is known is a little old: for so many frames, it fades.
         """
-        before, now = self._before or light_of(scene), light_of(scene)
-        self._before = now
+        now = light_of(scene)
+        before, self._before = self._before or now, now
         is_other = is_suddenly_other(before, now)
-        has_changed = is_other or before.rest != now.rest or not same_strengths(before, now)
+        has_changed = is_other or before.rest != now.rest
         self._frames_ago = 0 if has_changed else self._frames_ago + 1
         if is_other:
             return OUTDATED_SHARE
@@ -87,20 +84,15 @@ def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:
     return any(np.any(np.maximum(a, b) > CHANGED_STRENGTH * np.minimum(a, b)) for a, b in both)
 
 
-def same_strengths(before: LightOfScene, now: LightOfScene) -> bool:
-    """Whether all lights are as strong as they were; there are as many."""
-    return all(map(np.array_equal, before.strengths, now.strengths))
-
-
 def in_order(lights: Sequence[Light]) -> list[Light]:
     """The enabled ones of some lights, in an order that is not that of their list but follows from what they are."""
     enabled = [light for light in lights if light.enabled]
-    return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light, leave_out=()))))
+    return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light))))
 
 
-def values_of(light: Light, leave_out: Sequence[str] = STRENGTH) -> list[object]:
-    """The values of a light's fields but some, to be compared."""
-    return [comparable(getattr(light, field.name)) for field in fields(light) if field.name not in leave_out]
+def values_of(light: Light) -> list[object]:
+    """The values of a light's fields, to be compared."""
+    return [comparable(getattr(light, field.name)) for field in fields(light)]
 
 
 def comparable(value: object) -> object:
