@@ -61,6 +61,11 @@ ANTIALIASING_LEAST = 0.05
 FAR_AWAY = 1e6
 """Distance at which the background is for its motion, scene units."""
 
+# --- Screen probes ---
+
+PROBE_NORMALS = 16
+"""Side of the map of directions to whose nearest centre a probe's normal is moved where its cosines are looked up."""
+
 # --- Rays that leave surfaces ---
 
 RAY_LIFT = 1e-4
@@ -89,6 +94,12 @@ CHANGED_SHARE = 0.7
 
 CHANGED_FRAMES = 8
 """Frames for which means fade after a change."""
+
+MOVED_SHARE = 0.8
+"""The same when things move that light falls on."""
+
+MOVED_FRAMES = 16
+"""Frames for which means fade then."""
 
 CHANGED_STRENGTH = 2.0
 """A light that is suddenly more than so many times as strong as before counts as another."""

@@ -11,6 +11,8 @@ _Doubles = npt.NDArray[np.float64]
 
 _POINTS = 64
 """Points along each side of a cell at which harmonics are summed."""
+_COSINE_POINTS = 16
+"""The same for cosines."""
 
 
 def directions_of_square(points: npt.ArrayLike) -> _Doubles:
@@ -35,11 +37,7 @@ def cell_means(cells: int, degree: int) -> _Doubles:
     Returns:
         Shape (cells^2, (degree + 1)^2), cells row by row.
     """
-    steps = (np.arange(_POINTS) + 0.5) / _POINTS
-    within = np.stack(np.meshgrid(steps, steps), axis=-1)
-    corners = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 2)
-    rows = [sh_basis(directions_of_square((within + corner) / cells), degree).mean(axis=(0, 1)) for corner in corners]
-    return np.array(rows)
+    return np.array([sh_basis(directions_of_square(points), degree).mean(axis=0) for points in _points(cells, _POINTS)])
 
 
 def harmonics_of_cells(cells: int, degree: int) -> _Doubles:
@@ -57,3 +55,33 @@ def harmonics_of_cells(cells: int, degree: int) -> _Doubles:
         Shape (cells^2, (degree + 1)^2), cells row by row.
     """
     return np.asarray(np.linalg.pinv(cell_means(cells, degree)).T, np.float64)
+
+
+def irradiance_beyond(cells: int, degree: int, normals: int) -> _Doubles:
+    """What each cell's mean adds to an irradiance that the fit of the harmonics leaves out.
+
+    Cosines, integrated over the cells, times what the cells' means are apart from those of the fit: light of no higher
+    degree adds nothing.
+
+    Args:
+        cells: Cells along each side.
+        degree: Highest degree of the harmonics.
+        normals: Cells along each side of another map, whose centres are the normals of surfaces.
+
+    Returns:
+        Shape (normals^2, cells^2), both row by row.
+    """
+    directions = directions_of_square(_points(cells, _COSINE_POINTS))
+    centers = directions_of_square(_points(normals, 1)[:, 0])
+    cosines = np.array([np.maximum(directions @ center, 0.0).mean(axis=1) for center in centers])
+    means = cell_means(cells, degree)
+    beyond = cosines - cosines @ means @ np.linalg.pinv(means)
+    return np.asarray(4.0 * np.pi / cells**2 * beyond, np.float64)
+
+
+def _points(cells: int, count: int) -> _Doubles:
+    """Evenly spread points of each cell, as many along each side, shape (cells^2, count^2, 2)."""
+    steps = (np.arange(count) + 0.5) / count
+    within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    corners = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
+    return (within + corners) / cells

@@ -10,7 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.math.octahedral import cell_means, directions_of_square, harmonics_of_cells
+from lumisplat.math.octahedral import cell_means, directions_of_square, harmonics_of_cells, irradiance_beyond
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.buffers import device_array
 from support.oracles.screen_probe_oracle import cell_of, spiral, square_of
@@ -72,6 +72,27 @@ def test_harmonics_that_fit_are_exact_to_their_degree() -> None:
     np.testing.assert_allclose(fit.sum(axis=0), np.eye(9)[0] * np.sqrt(4.0 * np.pi), atol=1e-12)
     coefficients = np.random.default_rng(1).normal(size=9)
     np.testing.assert_allclose(fit.T @ (cell_means(8, 2) @ coefficients), coefficients, atol=1e-12)
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_what_harmonics_leave_out_is_added(power: int) -> None:
+    """Nothing to light of degree 2; above a surface that sees none below it, errors are about half as large.
+
+    The light is the cosine above the surface to a power: pi times 2 / (2 + power) arrive.
+    """
+    beyond, fit, means = irradiance_beyond(8, 2, 16), harmonics_of_cells(8, 2), cell_means(8, 2)
+    np.testing.assert_allclose(beyond @ means, 0.0, atol=1e-12)
+    directions, convolved = spiral(100_000), np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
+    _, _, cells = mapped(directions)
+    errors = list[tuple[float, float]]()
+    for normal in spiral(40):
+        light = np.maximum(directions @ normal, 0.0) ** power
+        seen = np.bincount(cells, light, 64) / np.bincount(cells)
+        _, _, facing = mapped(normal[None], 16)
+        alone, rest = sh_basis(normal, 2) * convolved @ fit.T @ seen, beyond[facing[0]] @ seen
+        errors.append(tuple((alone + share * rest) / (np.pi * 2.0 / (2.0 + power)) - 1.0 for share in (0.0, 1.0)))
+    alone, both = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert both < 0.6 * alone
 
 
 def test_means_over_cells_are_those_of_the_sphere() -> None:

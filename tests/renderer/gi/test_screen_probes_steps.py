@@ -286,7 +286,7 @@ def test_look_ups_are_the_twins(extent: float) -> None:
             for i in (y * 10 + x, adaptive[y * 10 + x]):
                 if i >= 0 and known["is_placed"][i]:
                     apart = float(np.linalg.norm(known["pixel"][i] - point) / 16)
-                    value = oracle.probe_irradiance(radiance[i], seen.normal[pixel])
+                    value = oracle.probe_irradiance(radiance[i], seen.normal[pixel], known["normal"][i])
                     position, normal = known["position"][i], known["normal"][i]
                     distance, wide = float(known["distance"][i]), float(known["extent"][i])
                     around.append((apart, oracle.Probe(position, normal, distance, wide, value)))

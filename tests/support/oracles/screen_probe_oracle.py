@@ -83,11 +83,28 @@ def cell_means(side: int) -> Doubles:
     return np.array([basis[index == cell].mean(axis=0) for cell in range(side * side)])
 
 
-def probe_irradiance(radiance: Doubles, normal: Doubles) -> Doubles:
-    """Irradiance of a surface by the cells of one probe, through harmonics of degree 2 that fit their means."""
-    harmonics = np.linalg.lstsq(cell_means(int(np.sqrt(len(radiance)))), radiance)[0]
+@cache
+def cosines(side: int, facing: int) -> Doubles:
+    """Means of the clamped cosine over each cell, of surfaces that face the centre of a cell of 16 x 16."""
+    directions = spiral(20_000)
+    index = np.array([cell_of(way, side) for way in directions])
+    towards = directions[[cell_of(way, 16) == facing for way in directions]].mean(axis=0)
+    cosine = np.maximum(directions @ towards / np.linalg.norm(towards), 0.0)
+    return np.array([cosine[index == cell].mean() for cell in range(side * side)])
+
+
+def probe_irradiance(radiance: Doubles, normal: Doubles, probe_normal: Doubles) -> Doubles:
+    """Irradiance of a surface by the cells of one probe.
+
+    By harmonics of degree 2 that fit their means; what these leave of the cells is weighted by the cosines of a surface
+    that faces about as the probe does.
+    """
+    side = int(np.sqrt(len(radiance)))
+    means = cell_means(side)
+    harmonics = np.linalg.lstsq(means, radiance)[0]
     convolved = np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
-    return sh_basis(normal, 2) * convolved @ harmonics
+    beyond = cosines(side, cell_of(probe_normal, 16)) @ (radiance - means @ harmonics)
+    return sh_basis(normal, 2) * convolved @ harmonics + 4.0 * np.pi / len(radiance) * beyond
 
 
 @dataclass(slots=True)

@@ -25,13 +25,14 @@ class ProbeSequence:
     Args:
         tracer: Answers the rays.
         threads: CPU threads.
-        **settings: Of `ProbeConfig`.
+        **settings: Of `ProbeConfig`; tiles are 16 pixels wide unless they say otherwise.
     """
 
     def __init__(self, tracer: Tracer, threads: int = 1, **settings: float) -> None:
         self.tracer = tracer
         self.launcher = Launcher("cpu", threads=threads)
-        self.probes = ScreenProbes(self.launcher, Buffers("cpu"), ProbeConfig(**settings))  # pyright: ignore[reportArgumentType]
+        config = ProbeConfig(**{"tile": 16, **settings})  # pyright: ignore[reportArgumentType]
+        self.probes = ScreenProbes(self.launcher, Buffers("cpu"), config)
         self.frame = 0
         self._before: ls.Camera | None = None
         self.rays: tuple[Doubles, Doubles] = np.zeros((0, 3)), np.zeros((0, 3))

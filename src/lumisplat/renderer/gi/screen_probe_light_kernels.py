@@ -5,10 +5,12 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 
 import warp as wp
 
+from lumisplat.constants.realtime import PROBE_NORMALS
 from lumisplat.device.gi.means import mean_weight
+from lumisplat.device.gi.octahedral import cell_of_direction
 from lumisplat.device.gi.probe_places import tile_of
 from lumisplat.device.gi.probe_rays import neighbour_weight, refresh_key, shows_the_same, start_probe_ray
-from lumisplat.device.gi.screen_probes import HARMONICS, gathered_light
+from lumisplat.device.gi.screen_probes import C0, COSINE_0, HARMONICS, gathered_light
 from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
@@ -18,6 +20,7 @@ from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeG
 wp.set_module_options({"enable_backward": False})
 
 
+NORMALS = wp.constant(PROBE_NORMALS)
 AROUND = wp.constant(2)
 """Pixels to each side that fill one without probes."""
 JITTER_X = wp.constant(wp.uint32(0))
@@ -145,11 +148,23 @@ def filter_cells(
 def project_probes(
     start: int,
     grids: wp.array[ProbeGrid],
+    probes: ProbeData,
     fit: wp.array[float],
+    beyond: wp.array[float],
     weights: wp.array[float],
     light_inout: ProbeLight,
 ):
-    """Fills the cells of a probe that nothing is known of with the mean of the others, and finds its harmonics."""
+    """Fills the cells of a probe that nothing is known of with the mean of the others, and finds its harmonics.
+
+    Args:
+        start: First item.
+        grids: How the probes lie on the pixels.
+        probes: The probes.
+        fit: What each cell adds to the harmonics.
+        beyond: What each cell adds to the irradiance besides, by the normal of the surface.
+        weights: Of the cells; 0: nothing is known.
+        light_inout: What the cells see; receives the harmonics.
+    """
     i = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     total = wp.vec3(0.0)
@@ -171,6 +186,11 @@ def project_probes(
         for cell in range(count):
             sum += fit[cell * HARMONICS + h] * light_inout.radiance[i * count + cell]
         light_inout.harmonics[HARMONICS * i + h] = sum
+    missing = wp.vec3(0.0)
+    row = cell_of_direction(probes.normal[i], NORMALS) * count
+    for cell in range(count):
+        missing += beyond[row + cell] * light_inout.radiance[i * count + cell]
+    light_inout.harmonics[HARMONICS * i] += missing / (COSINE_0 * C0)
 
 
 @wp.kernel

@@ -8,11 +8,12 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config.probes import ProbeConfig
+from lumisplat.constants.realtime import PROBE_NORMALS as NORMALS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, ProbeLight, TileNeeds
-from lumisplat.math.octahedral import harmonics_of_cells
+from lumisplat.math.octahedral import harmonics_of_cells, irradiance_beyond
 from lumisplat.renderer.gi import screen_probe_kernels as place_kernels
 from lumisplat.renderer.gi import screen_probe_light_kernels as light_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
@@ -40,6 +41,8 @@ class ScreenProbes:
         self._launcher, self._buffers, self._config, self._seed = launcher, buffers, config, seed
         fit = harmonics_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
         self._fit = buffers.upload("probes.fit", wp.float32, fit)
+        beyond = irradiance_beyond(config.cells, _DEGREE, NORMALS).astype(np.float32).ravel()
+        self._beyond = buffers.upload("probes.beyond", wp.float32, beyond)
         self._size: tuple[int, int] | None = None
         self._has_history = False
 
@@ -118,7 +121,8 @@ class ScreenProbes:
         weights = self._buffers.get("probes.weights", wp.float32, self.count * self._cell_count)
         places = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
         run(light_kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)
-        run(light_kernels.project_probes, self.count, self._grids, self._fit, weights, self.light)
+        tables = self._fit, self._beyond
+        run(light_kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
 
     def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
         """Irradiance of surfaces of the frame by what the probes see, linear, one vec3 a pixel; 0 without a surface."""
