@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, OUTDATED_SHARE
+from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, MOVED_FRAMES, MOVED_SHARE, OUTDATED_SHARE
 from lumisplat.renderer.scene.light_changes import LightChanges, in_order
 from support.scenes.raster_scenes import octahedron, random_gaussians
 
@@ -33,6 +33,8 @@ def with_sky(**settings: object) -> ls.Scene:
 SAME = {
     "nothing": LIT,
     "equal lights": with_spot(),
+}
+MOVED = {
     "a mesh that moves": replace(LIT, meshes=[ls.MeshInstance(LIT.meshes[0].mesh, ELSEWHERE), LIT.meshes[1]]),
     "a capture that moves": replace(LIT, splats=[ls.SplatInstance(LIT.splats[0].gaussians, ELSEWHERE)]),
 }
@@ -63,9 +65,18 @@ def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
     changes = LightChanges()
     assert [changes.share(LIT) for _ in range(3)] == [1.0] * 3
     after = [changes.share((SAME | CHANGED | OTHER)[change]) for _ in range(CHANGED_FRAMES + 1)]
-    first = 1.0 if change in SAME else CHANGED_SHARE if change in CHANGED else OUTDATED_SHARE
-    assert after[0] == first
-    assert after[1:] == ([1.0] * CHANGED_FRAMES if change in SAME else [CHANGED_SHARE] * (CHANGED_FRAMES - 1) + [1.0])
+    assert after[0] == (1.0 if change in SAME else CHANGED_SHARE if change in CHANGED else OUTDATED_SHARE)
+    assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_SHARE] * (CHANGED_FRAMES - 1)
+    assert after[CHANGED_FRAMES] in (1.0, MOVED_SHARE)  # what is gone may have moved
+
+
+@pytest.mark.parametrize("move", MOVED)
+def test_what_is_known_fades_while_things_move(move: str) -> None:
+    """More slowly, and for longer, than if a light had changed."""
+    changes = LightChanges()
+    changes.share(LIT)
+    after = [changes.share(MOVED[move]) for _ in range(MOVED_FRAMES + 1)]
+    assert after == [MOVED_SHARE] * MOVED_FRAMES + [1.0]
 
 
 def test_nothing_is_outdated_at_the_beginning() -> None:

@@ -9,7 +9,14 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants.realtime import CHANGED_FRAMES, CHANGED_SHARE, CHANGED_STRENGTH, OUTDATED_SHARE
+from lumisplat.constants.realtime import (
+    CHANGED_FRAMES,
+    CHANGED_SHARE,
+    CHANGED_STRENGTH,
+    MOVED_FRAMES,
+    MOVED_SHARE,
+    OUTDATED_SHARE,
+)
 from lumisplat.scene.lights import Light
 from lumisplat.scene.scene import Scene
 
@@ -19,7 +26,7 @@ SMALL = 16
 
 @dataclass(frozen=True, slots=True)
 class LightOfScene:
-    """What the light of a scene comes from, and what reflects it; not where reflecting things are.
+    """What the light of a scene comes from, and what reflects it.
 
     Arrays and materials are compared by identity: both scenes have to live.
     """
@@ -30,6 +37,8 @@ class LightOfScene:
     """Of each light, by channel."""
     rest: Sequence[object]
     """The lights, places of meshes that shine, and materials."""
+    things: Sequence[object]
+    """What reflects light and casts shadows: which sets and meshes, and where."""
 
 
 class LightChanges:
@@ -37,26 +46,30 @@ class LightChanges:
 
     def __init__(self) -> None:
         self._before: LightOfScene | None = None
-        self._frames_ago = CHANGED_FRAMES
+        self._changed_ago, self._moved_ago = CHANGED_FRAMES, MOVED_FRAMES
 
     def forget(self) -> None:
         """There was no frame before."""
-        self._before, self._frames_ago = None, CHANGED_FRAMES
+        self._before, self._changed_ago, self._moved_ago = None, CHANGED_FRAMES, MOVED_FRAMES
 
     def share(self, scene: Scene) -> float:
         """The share of its weight that what is known of light keeps in the frame that shows a scene.
 
         Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
-        If anything else about light changes, what is known is a little old: for so many frames, it fades.
+        If anything else about light changes, what is known is a little old: for so many frames, it fades. It fades more
+        slowly if things move, whose shadows and reflections are but a part of the light.
         """
         now = light_of(scene)
         before, self._before = self._before or now, now
         is_other = is_suddenly_other(before, now)
         has_changed = is_other or before.rest != now.rest
-        self._frames_ago = 0 if has_changed else self._frames_ago + 1
+        self._changed_ago = 0 if has_changed else self._changed_ago + 1
+        self._moved_ago = 0 if before.things != now.things else self._moved_ago + 1
         if is_other:
             return OUTDATED_SHARE
-        return CHANGED_SHARE if self._frames_ago < CHANGED_FRAMES else 1.0
+        if self._changed_ago < CHANGED_FRAMES:
+            return CHANGED_SHARE
+        return MOVED_SHARE if self._moved_ago < MOVED_FRAMES else 1.0
 
 
 def light_of(scene: Scene) -> LightOfScene:
@@ -68,7 +81,9 @@ def light_of(scene: Scene) -> LightOfScene:
     places = [instance.transform.tobytes() for instance in shining]
     materials = [id(instance.material) for instance in scene.splats]
     rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
-    return LightOfScene(sources, strengths, rest)
+    things = [(id(i.gaussians), i.transform.tobytes()) for i in scene.splats]
+    things += [(id(i.mesh), i.transform.tobytes()) for i in scene.meshes]
+    return LightOfScene(sources, strengths, rest, things)
 
 
 def strength_of(light: Light) -> npt.NDArray[np.float64]:
