@@ -23,8 +23,10 @@ def test_previews_take_less_and_high_more() -> None:
     assert low.probes.refreshed < middle.probes.refreshed
     assert low.cache.bounces < middle.cache.bounces < high.cache.bounces
     assert middle.filter.frames < high.filter.frames
-    assert middle.probes.tile > high.probes.tile
-    assert high.antialiasing and not middle.antialiasing and not low.antialiasing
+    assert middle.probes.refreshed < high.probes.refreshed
+    assert low.probes.tile > middle.probes.tile == high.probes.tile
+    assert middle.cache.cell_size > high.cache.cell_size
+    assert high.antialiasing and middle.antialiasing and not low.antialiasing
 
 
 def test_settings_that_are_given_stay() -> None:

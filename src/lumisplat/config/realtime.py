@@ -24,22 +24,21 @@ class RealtimeQuality(Enum):
     BALANCED = "balanced"
     """For animations: the settings as they are by default."""
     HIGH = "high"
-    """For pictures to keep: more probes, and means over more frames, which follow changes more slowly."""
+    """For pictures to keep: more rays, and means over more frames, which follow changes more slowly."""
 
 
 _OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     RealtimeQuality.PREVIEW: {
-        "": {"light_interval": 2, "highlight_rays": False},
+        "": {"light_interval": 2, "highlight_rays": False, "antialiasing": False},
         "filter": {"passes": 2},
-        "probes": {"refreshed": 0.1},
+        "probes": {"tile": 16, "refreshed": 0.1},
         "cache": {"bounces": 2048},
     },
     RealtimeQuality.BALANCED: {},
     RealtimeQuality.HIGH: {
-        "": {"antialiasing": True},
         "filter": {"frames": 64, "indirect_frames": 16},
-        "probes": {"tile": 8},
-        "cache": {"bounces": 16_384},
+        "probes": {"refreshed": 0.5},
+        "cache": {"cell_size": 1.0 / 16.0, "bounces": 16_384},
     },
 }
 """Settings that take the place of defaults, by group; those of ``RealtimeConfig`` itself under no name."""
@@ -122,9 +121,8 @@ class RealtimeConfig:
     black."""
     highlight_rays: bool = True
     """Narrow highlights show what rays of their own see, one for four pixels; else what probes see, blurred."""
-    antialiasing: bool = False
-    """Pixels are means over frames, whose samples are elsewhere in them each time: smooth edges, and light that lags
-    behind by up to 32 frames where it changes slowly."""
+    antialiasing: bool = True
+    """Pixels are means over frames, whose samples are elsewhere in them each time: edges are smooth."""
     filter: FilterConfig = field(default_factory=FilterConfig)
     """How the noise is taken out."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)

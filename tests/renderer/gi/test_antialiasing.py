@@ -145,6 +145,15 @@ def test_light_that_fades_is_followed() -> None:
         assert frame.color[24, 32, 0] == pytest.approx(left, rel=0.1)
 
 
+def test_another_light_is_seen_at_once() -> None:
+    """Even where it is so little different that noise could be."""
+    before, after = scene_of(shining(0.8, 0.8, 0.8)), scene_of(shining(0.784, 0.784, 0.784))
+    smooth = renderer()
+    for _ in range(16):
+        smooth.render(before, CAMERA)
+    assert smooth.render(after, CAMERA).color[CAMERA.height // 2, CAMERA.width // 2] == pytest.approx(0.784, abs=1e-4)
+
+
 def test_threads_do_not_matter() -> None:
     """The same bits with 1, 2 and 5, also of a sequence that begins anew."""
     mesh = shining(0.9, 0.6, 0.3, half=0.5, tilt=0.4)

@@ -169,6 +169,17 @@ def test_a_lamp_that_goes_on() -> None:
     assert max(there) < 1.1
 
 
+def test_short_histories_count_less_when_light_has_changed() -> None:
+    """They cannot tell by themselves; long ones can, and stay."""
+    for frames, expected in ((2, 1.2), (6, 7.0)):
+        sequence = FilterSequence()
+        for _ in range(frames):
+            sequence.render(plane(), even())
+        sequence.known_share = 0.1
+        sequence.render(plane(), even())
+        np.testing.assert_allclose(sequence.ages(), expected, rtol=1e-6)
+
+
 def test_pixels_without_samples_keep_their_history() -> None:
     """Whatever their sample says, as long as there is none."""
     sequence, seen = FilterSequence(passes=0), plane()

@@ -186,7 +186,7 @@ def test_shadow_only_captures_are_darkened_as_in_hybrid_frames() -> None:
     receiver = replace(floor, shadow_only=True, material=None)
     ball, lamp = ROOM.meshes[-2], ls.LightPoint((2.0, 1.5, 4.5), intensity=10.0)
     scene = ls.Scene([receiver], [ball], [lamp])
-    _, frame = sequence(scene, 2)
+    _, frame = sequence(scene, 2, realtime=ls.RealtimeConfig(antialiasing=False))  # in the middles of pixels
     hybrid = ls.render(scene, VIEW, ls.RenderConfig(pipeline=ls.Pipeline.HYBRID), device="cpu")
     captured = frame.instance_index == 0
     np.testing.assert_allclose(frame.color[captured], hybrid.color[captured], atol=0.02)

@@ -35,6 +35,8 @@ class FilterSequence:
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
         self.filter = LightFilter(launcher, self._buffers, ls.FilterConfig(**settings), "light")
         self.frame = 0
+        self.known_share = 1.0
+        """Of the next frames, as of ``Motion``."""
         self._seen: Seen | None = None
         self._before: SurfacePixels | None = None
 
@@ -57,7 +59,7 @@ class FilterSequence:
         now = seen.upload()
         scene = SimpleNamespace(
             camera=camera_rows(seen.camera, offset=seen.offset),
-            motion=SimpleNamespace(camera=camera_rows(before.camera)),
+            motion=SimpleNamespace(camera=camera_rows(before.camera), known_share=self.known_share),
             image_size=(seen.camera.width, seen.camera.height),
         )
         surfaces = Surfaces(1, now, self._before or now)

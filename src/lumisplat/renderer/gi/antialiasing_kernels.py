@@ -192,12 +192,20 @@ def share_inside(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean
 
 
 @wp.kernel
-def weigh(start: int, size: wp.vec2i, history: ShownHistory, shown_inout: ShownPixels, history_out: ShownHistory):
+def weigh(
+    start: int,
+    size: wp.vec2i,
+    known_share: float,
+    history: ShownHistory,
+    shown_inout: ShownPixels,
+    history_out: ShownHistory,
+):
     """Item = pixel: where it was, and what its history counts for beside what it shows now.
 
     Args:
         start: First item.
         size: Width and height of the images.
+        known_share: Share of its frames for which a history counts in this one, by what has changed.
         history: That of the frame before.
         shown_inout: The pixels; receive place and weight.
         history_out: That of this frame.
@@ -222,7 +230,7 @@ def weigh(start: int, size: wp.vec2i, history: ShownHistory, shown_inout: ShownP
         near_y = int(wp.round(place[1]))
         if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
             tap = near_y * size[0] + near_x
-            frames = history.frames[tap]
+            frames = known_share * history.frames[tap]
             if place[0] != float(near_x) or place[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0:

@@ -59,7 +59,7 @@ class LightFilter:
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
         self._run(scene, temporal_filter_kernels.reproject, *inputs)
-        inputs = float(self._config.frames), surfaces.now, scene.camera, light, found, now
+        inputs = float(self._config.frames), scene.motion.known_share, surfaces.now, scene.camera, light, found, now
         self._run(scene, temporal_filter_kernels.accumulate, *inputs)
         return now
 

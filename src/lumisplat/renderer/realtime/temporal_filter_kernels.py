@@ -176,6 +176,7 @@ def accumulate(
     start: int,
     size: wp.vec2i,
     frames_max: float,
+    known_share: float,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     light: SurfaceLight,
@@ -184,12 +185,13 @@ def accumulate(
 ):
     """Item = pixel: adds its sample of this frame to its history, which is the shorter the more the light has changed.
 
-    Whether it has is told by the 5 x 5 pixels around (docs/method/realtime.md#filters).
+    Whether it has is told by the 5 x 5 pixels around (docs/method/realtime.md#filters); short histories cannot tell.
 
     Args:
         start: First item.
         size: Width and height of the images.
         frames_max: Frames after which old samples fade.
+        known_share: Share of its frames for which a short history counts in this one, by what has changed.
         surfaces: What the pixels show.
         camera: Of the frame.
         light: The samples.
@@ -199,6 +201,8 @@ def accumulate(
     pixel = start + wp.tid()
     own = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
+        if own.frames < YOUNG:
+            own.frames *= known_share
         if own.frames >= YOUNG:
             x = pixel % size[0]
             y = pixel // size[0]
