@@ -84,13 +84,14 @@ def test_what_harmonics_leave_out_is_added(power: int) -> None:
     np.testing.assert_allclose(beyond @ means, 0.0, atol=1e-12)
     directions, convolved = spiral(100_000), np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
     _, _, cells = mapped(directions)
-    errors = list[tuple[float, float]]()
+    errors = list[list[float]]()
     for normal in spiral(40):
         light = np.maximum(directions @ normal, 0.0) ** power
         seen = np.bincount(cells, light, 64) / np.bincount(cells)
         _, _, facing = mapped(normal[None], 16)
         alone, rest = sh_basis(normal, 2) * convolved @ fit.T @ seen, beyond[facing[0]] @ seen
-        errors.append(tuple((alone + share * rest) / (np.pi * 2.0 / (2.0 + power)) - 1.0 for share in (0.0, 1.0)))
+        truth = np.pi * 2.0 / (2.0 + power)
+        errors.append([float(found) / truth - 1.0 for found in (alone, alone + rest)])
     alone, both = np.sqrt(np.mean(np.square(errors), axis=0))
     assert both < 0.6 * alone
 
