@@ -169,7 +169,6 @@ def smoothed(
     """One pass: light and variances as means over neighbours some steps apart."""
     own = np.repeat((frames > 0.0)[:, None] * 1.0, 2, axis=1)
     bright = luminance(light)
-    per_bright = own / (limits.LUMINANCE_SIGMAS * np.sqrt(variance) + 1e-8)
     shown = seen.share > 0.0
     per_distance = 1.0 / np.where(shown, tolerance(seen, seen.distance), 1.0)
     power = np.where(seen.extent > 0.0, 8, 64)
@@ -183,7 +182,8 @@ def smoothed(
         weight = counts * np.maximum(cosine, 0.0) ** power * falloff(np.where(counts, across, 3.0))
         weight = np.where(weight <= limits.WEIGHT_LEAST, 0.0, weight)
         weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
-        of_each = weight[:, None] * falloff(per_bright * (bright[taps] - bright))
+        chance = limits.LUMINANCE_SIGMAS * np.sqrt(0.5 * (variance + variance[taps])) + 1e-8
+        of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
         weights += of_each
         sums += of_each[..., None] * light[taps]
         squares += of_each * of_each * variance[taps]

@@ -148,8 +148,6 @@ def filter_pass(
     of_glossies = light.glossy
     variances = light.variance
     own = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
-    per_diffuse = own / (SIGMAS * wp.sqrt(variance[0]) + TINY)
-    per_glossy = own / (SIGMAS * wp.sqrt(variance[1]) + TINY)
     weights = wp.vec2(own)
     diffuse = own * diffuse
     glossy = own * glossy
@@ -168,14 +166,17 @@ def filter_pass(
             if weight <= LEAST:
                 continue
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
+            tap_variance = variances[tap]
+            both = 0.5 * (variance + tap_variance)
             tap_diffuse = of_diffuses[tap]
-            of_diffuse = weight * falloff(per_diffuse * (luminance(tap_diffuse) - bright[0]))
+            apart = own * (luminance(tap_diffuse) - bright[0])
+            of_diffuse = weight * falloff(apart / (SIGMAS * wp.sqrt(both[0]) + TINY))
             diffuse += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
-            of_glossy = weight * falloff(per_glossy * (luminance(tap_glossy) - bright[1]))
+            apart = own * (luminance(tap_glossy) - bright[1])
+            of_glossy = weight * falloff(apart / (SIGMAS * wp.sqrt(both[1]) + TINY))
             glossy += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
-            tap_variance = variances[tap]
             squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])
     if weights[0] > 0.0:
         light_out.diffuse[pixel] = diffuse / weights[0]
