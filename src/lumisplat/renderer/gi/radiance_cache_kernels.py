@@ -230,10 +230,10 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: 
 
 @wp.func
 def rays_of_far_cells(budget: int, ends: wp.array[int], far_ends: wp.array[int]) -> int:
-    """Rays that each cell of long rays sends, those of short rays one each: so that all fit, or of half of the rays."""
+    """Rays that each cell of long rays sends, those of short rays one each, so that all fit: one at least."""
     last = ends.shape[0] - 1
     near = ends[last] - far_ends[last]
-    return wp.clamp(wp.max(budget - near, budget // 2) // wp.max(far_ends[last], 1), 1, RAYS_MAX)
+    return wp.clamp((budget - near) // wp.max(far_ends[last], 1), 1, RAYS_MAX)
 
 
 @wp.kernel
