@@ -172,6 +172,7 @@ def test_a_lamp_that_goes_on() -> None:
 def test_rare_bright_samples_give_their_light_to_neighbours() -> None:
     """One sample in a hundred has all of it: less than a fifth is lost in four frames, though most see none."""
     sequence, plain, seen = FilterSequence(), FilterSequence(passes=0), plane()
+    light = mean = np.zeros(0)
     for frame in range(4):
         samples = np.random.default_rng(frame).random((COUNT, 1)) < 0.01
         light, mean = (each.render(seen, np.repeat(100.0 * samples, 3, axis=1))[:, 0] for each in (sequence, plain))

@@ -15,6 +15,7 @@ from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes.light_scenes import box, matte
 from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
+from support.scenes.path_scenes import as_splats
 
 PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 VIEW = room_camera(96, 72)
@@ -44,12 +45,11 @@ def blocks(image: np.ndarray) -> np.ndarray:
     return image.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(1, 3, 4))
 
 
-def paths(scene: ls.Scene, samples: int) -> ls.Frame:
+def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: Any) -> ls.Frame:
     """The truth, of the same first surface."""
     first = ls.PathConfig(primary="iso")  # pyright: ignore[reportArgumentType]
-    return ls.render(
-        scene, VIEW, ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, path=first, aovs=PARTS), device="cpu"
-    )
+    config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, path=first, aovs=PARTS, **settings)
+    return ls.render(scene, camera, config, device="cpu")
 
 
 @pytest.mark.parametrize("of_gaussians", [False, True], ids=["meshes", "gaussians"])
@@ -126,6 +126,19 @@ def test_another_size_begins_anew(caplog: pytest.LogCaptureFixture) -> None:
     assert len([line for line in caplog.messages if "size" in line]) == 1
     assert np.isfinite(again.color).all()
     assert again.color.mean() == pytest.approx(sequence(ROOM, 12, small)[1].color.mean(), rel=0.02)
+
+
+def test_captures_that_shine_light_rooms_by_all_bounces() -> None:
+    """A ball that keeps its look lights a dark room as by paths, to 1.5 %; without its bounces 3 % are missing."""
+    dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
+    *walls, ball, tall = (replace(each, mesh=replace(each.mesh, material=matte(0.5))) for each in dark)
+    shining = as_splats(replace(ball.mesh, material=matte(0.9)), 4000)
+    scene = ls.Scene([replace(shining, world_from_object=ball.transform, material=None)], [*walls, tall])
+    camera = room_camera(48, 36)
+    truth = paths(scene, 32, camera, lighting=True, max_bounces=16)
+    _, frame = sequence(scene, 24, camera, lighting=True)
+    lit = frame.instance_index > 0
+    assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.015)
 
 
 def test_a_lamp_that_goes_out_is_gone() -> None:

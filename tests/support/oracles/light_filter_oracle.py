@@ -182,7 +182,7 @@ def smoothed(
         weight = counts * np.maximum(cosine, 0.0) ** power * falloff(np.where(counts, across, 3.0))
         weight = np.where(weight <= limits.WEIGHT_LEAST, 0.0, weight)
         weight *= falloff(1.5 * (row * row + column * column) / (radius * radius + 1))
-        chance = limits.LUMINANCE_SIGMAS * np.sqrt(0.5 * (variance + variance[taps])) + 1e-8
+        chance = limits.LUMINANCE_SIGMAS * np.sqrt(np.sqrt(variance * variance[taps])) + 1e-8
         of_each = weight[:, None] * falloff(own * (bright[taps] - bright) / chance)
         weights += of_each
         sums += of_each[..., None] * light[taps]

@@ -7,6 +7,7 @@ insert what these hit, and `add_bounces`; `evict`.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -149,20 +150,24 @@ class RadianceCache:
             run(kernels.list_points, rays, frame, tiles, ranks, ends, far_ends, ray_ends, points)
         return points
 
-    def add_bounces(self, points: CachePoints, hits: CacheSamples) -> None:
+    def add_bounces(
+        self, points: CachePoints, hits: CacheSamples, seen_of: Callable[[DeviceArray], DeviceArray] | None = None
+    ) -> None:
         """Adds the light that cells reflect of others, which know of it in turn: several bounces along each ray.
 
         Args:
             points: Of the last `bounce_points`; those of tiles that have gone since do not count.
             hits: What the ray from each has hit, already inserted. Where they are not active no surface was hit, and
                 no light comes from there: that of the sky is direct.
+            seen_of: From what these reflect to what the rays see, linear, vec3; None: no more than that.
         """
         run, count, tiles = self._launcher.run_banded, self._config.bounces, self._tiles
         means = self._get("means_before", wp.vec4, count)
         with self._launcher.stage(_STAGE):
             run(kernels.keep_means, count, points, tiles, means)
         for _ in range(BOUNCES_PER_RAY):
-            seen = self._look_up("seen", hits)
+            reflected = self._look_up("reflected", hits)
+            seen = seen_of(reflected) if seen_of else reflected
             with self._launcher.stage(_STAGE):
                 run(kernels.add_bounces, count, self._grid, points, means, seen, tiles)
                 run(kernels.update_bounced_tiles, count, points, tiles)

@@ -167,7 +167,7 @@ def filter_pass(
                 continue
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
             tap_variance = variances[tap]
-            both = 0.5 * (variance + tap_variance)
+            both = wp.vec2(wp.sqrt(variance[0] * tap_variance[0]), wp.sqrt(variance[1] * tap_variance[1]))
             tap_diffuse = of_diffuses[tap]
             apart = own * (luminance(tap_diffuse) - bright[0])
             of_diffuse = weight * falloff(apart / (SIGMAS * wp.sqrt(both[0]) + TINY))

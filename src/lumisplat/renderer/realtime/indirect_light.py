@@ -104,7 +104,9 @@ class IndirectLight:
             self._launcher.run_banded(kernels.start_cache_rays, len(rays.t_max), self._offset, points, rays)
         hits = self._bounced.find(scene, plan, rays, "cache_rays")
         self.cache.insert(hits.samples, frame)
-        self.cache.add_bounces(points, hits.samples)
+        self.cache.add_bounces(
+            points, hits.samples, lambda reflected: self._bounced.seen(hits, reflected, "cache_rays")[0]
+        )
 
     def _shown(self, surfaces: list[Surfaces]) -> SurfacePixels:
         """The surface of each pixel that is the most of it."""
