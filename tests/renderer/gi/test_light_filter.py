@@ -174,8 +174,8 @@ def test_rare_bright_samples_give_their_light_to_neighbours() -> None:
     sequence, plain, seen = FilterSequence(), FilterSequence(passes=0), plane()
     light = mean = np.zeros(0)
     for frame in range(4):
-        samples = np.random.default_rng(frame).random((COUNT, 1)) < 0.01
-        light, mean = (each.render(seen, np.repeat(100.0 * samples, 3, axis=1))[:, 0] for each in (sequence, plain))
+        samples = np.where(np.random.default_rng(frame).random((COUNT, 1)) < 0.01, np.full(3, 100.0), np.zeros(3))
+        light, mean = (each.render(seen, samples)[:, 0] for each in (sequence, plain))
     assert 0.8 * mean.mean() < light.mean() < 1.01 * mean.mean()
     assert light.std() < 0.2 * mean.std()
 
