@@ -16,8 +16,8 @@ class ProbeConfig:
     """
 
     tile: int = 8
-    """Side of the square of pixels that has a probe, 8 to 64: 16 takes a tenth less time on CPUs, for errors twice as
-    large."""
+    """Side of the square of pixels that has a probe, 8 to 64: 16 takes a tenth less time on CPUs, for errors nearly
+    twice as large."""
     cells: int = 8
     """Cells along each side of a probe's map of all directions, 4 to 16; each refresh takes a ray a cell."""
     refreshed: float = 0.25

@@ -96,10 +96,10 @@ CHANGED_FRAMES = 8
 """Frames for which means fade after a change."""
 
 MOVED_SHARE = 0.8
-"""The same when things move that light falls on."""
+"""Share of its weight that a mean keeps in a frame when things move that light falls on."""
 
 MOVED_FRAMES = 16
-"""Frames for which means fade then."""
+"""Frames for which means fade after such a move."""
 
 CHANGED_STRENGTH = 2.0
 """A light that is suddenly more than so many times as strong as before counts as another."""

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config.probes import ProbeConfig
-from lumisplat.constants.realtime import PROBE_NORMALS as NORMALS
+from lumisplat.constants.realtime import PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
 from lumisplat.device.structs.rays import RayData
@@ -41,7 +41,7 @@ class ScreenProbes:
         self._launcher, self._buffers, self._config, self._seed = launcher, buffers, config, seed
         fit = harmonics_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
         self._fit = buffers.upload("probes.fit", wp.float32, fit)
-        beyond = irradiance_beyond(config.cells, _DEGREE, NORMALS).astype(np.float32).ravel()
+        beyond = irradiance_beyond(config.cells, _DEGREE, PROBE_NORMALS).astype(np.float32).ravel()
         self._beyond = buffers.upload("probes.beyond", wp.float32, beyond)
         self._size: tuple[int, int] | None = None
         self._has_history = False

@@ -87,6 +87,12 @@ def falloff(x: float) -> float:
 
 
 @wp.func
+def luminance_weight(apart: float, variance: float, other: float) -> float:
+    """Weight of a neighbour whose luminance is so far apart, by the geometric mean of both standard deviations."""
+    return falloff(apart / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
+
+
+@wp.func
 def normal_weight(cosine: float, extent: float) -> float:
     """Weight of a neighbour by the cosine between the normals: to the power of 8 among Gaussians, else of 64."""
     power = wp.max(cosine, 0.0)
@@ -167,14 +173,13 @@ def filter_pass(
                 continue
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
             tap_variance = variances[tap]
-            both = wp.vec2(wp.sqrt(variance[0] * tap_variance[0]), wp.sqrt(variance[1] * tap_variance[1]))
             tap_diffuse = of_diffuses[tap]
             apart = own * (luminance(tap_diffuse) - bright[0])
-            of_diffuse = weight * falloff(apart / (SIGMAS * wp.sqrt(both[0]) + TINY))
+            of_diffuse = weight * luminance_weight(apart, variance[0], tap_variance[0])
             diffuse += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
             apart = own * (luminance(tap_glossy) - bright[1])
-            of_glossy = weight * falloff(apart / (SIGMAS * wp.sqrt(both[1]) + TINY))
+            of_glossy = weight * luminance_weight(apart, variance[1], tap_variance[1])
             glossy += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)
             squares += wp.vec2(of_diffuse * of_diffuse * tap_variance[0], of_glossy * of_glossy * tap_variance[1])

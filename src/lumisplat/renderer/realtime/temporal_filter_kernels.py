@@ -203,7 +203,7 @@ def accumulate(
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         if own.frames < YOUNG:
             own.frames *= known_share
-        if own.frames >= YOUNG:
+        else:
             x = pixel % size[0]
             y = pixel // size[0]
             extent = surfaces.extent[pixel]
