@@ -101,7 +101,7 @@ class RadianceCacheConfig:
             check_whole("history", self.history, 1, 1024)
         check_whole("bounce_history", self.bounce_history, 1, 1024)
         check_whole("samples_min", self.samples_min, 1, 1024)
-        check_whole("bounces", self.bounces, 64, 2**20)
+        check_whole("bounces", self.bounces, 128, 2**20)
         check_whole("unused_frames", self.unused_frames, 1, 10_000)
 
 

@@ -194,8 +194,8 @@ def test_sides_of_a_wall_share_no_cell() -> None:
 def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: int) -> None:
     """(1 - 1/N)^n after n frames, of direct light, and of light from other surfaces once those are dark."""
     rng = np.random.default_rng(5)
-    rig = CacheRig(history=history, bounce_history=bounce_history, bounces=64)  # a ray for each cell
-    position = on_floor(rng, 3000, 8.0)
+    rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # a ray for each cell
+    position = on_floor(rng, 6000, 16.0)
     wall = np.array([100.0, 100.0, 100.0])
 
     def frame_of(frame: int, light: float) -> None:

@@ -86,13 +86,13 @@ def test_a_frame_larger_than_the_cache_is_counted(parallel: bool) -> None:
 def test_a_long_walk_holds_memory_constant() -> None:
     """1,000 frames, each somewhere else: as many arrays and bytes as after the first."""
     rng = np.random.default_rng(1)
-    rig = CacheRig(tiles=256, bounces=64, unused_frames=20)
+    rig = CacheRig(tiles=256, bounces=128, unused_frames=20)
     held: set[tuple[int, int]] = set()
     most = 0
     for frame in range(1000):
         position = on_floor(rng, 200, 24.0, (0.5 * frame, 0.1 * frame))
         rig.insert(made_samples(position), frame)
-        far = made_samples(np.full((64, 3), 1e4))
+        far = made_samples(np.full((rig.config.bounces, 3), 1e4))
         rig.bounce(frame, lambda _, far=far: (far, True))
         rig.cache.evict(frame)
         rig.look_up(made_samples(position))
@@ -171,7 +171,7 @@ def test_points_of_tiles_that_go_do_not_count() -> None:
         ({"cell_size": float("nan")}, "cell_size is nan, expected more than 0 and less than 1"),
         ({"history": 0}, "history is 0, expected a whole number from 1 to 1024"),
         ({"samples_min": 0}, "samples_min is 0, expected a whole number from 1 to 1024"),
-        ({"bounces": 8.5}, "bounces is 8.5, expected a whole number from 64 to 1048576"),
+        ({"bounces": 8.5}, "bounces is 8.5, expected a whole number from 128 to 1048576"),
         ({"unused_frames": 0}, "unused_frames is 0, expected a whole number from 1 to 10000"),
     ],
 )
@@ -181,7 +181,7 @@ def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
         RadianceCacheConfig(**settings)
 
 
-@pytest.mark.parametrize(("budget", "rays"), [(66, 1), (128, 1), (130, 2), (500, 7), (4096, 16)])
+@pytest.mark.parametrize(("budget", "rays"), [(128, 1), (129, 1), (130, 2), (500, 7), (4096, 16)])
 def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
     """As many as fit, and 16 at most; cells of short rays one each. They are neighbours, and count from 0."""
     rng = np.random.default_rng(4)
@@ -192,6 +192,7 @@ def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
     _, host = rig.points(0)
     assert host["is_active"][: 64 * rays + 2].all()
     assert not host["is_active"][64 * rays + 2 :].any()
+    assert (host["slot"] < 0).tolist() == (~host["is_active"]).tolist()
     active = {name: values[host["is_active"]] for name, values in host.items()}
     is_near = (active["position"][:, None] == near.astype(np.float32)).all(2).any(1)
     assert is_near.sum() == 2
@@ -201,3 +202,24 @@ def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
     places = (64 * active["slot"] + active["cell"])[~is_near].reshape(64, rays)
     assert (places == places[:, :1]).all()
     assert len(set(places[:, 0])) == 64
+
+
+@pytest.mark.parametrize(("far_width", "rays"), [(8.0, 4), (24.0, 1)])
+def test_many_cells_of_short_rays_leave_half_to_those_of_long_ones(far_width: float, rays: int) -> None:
+    """However many they are, and both kinds take turns: after some frames none is left out."""
+    rng = np.random.default_rng(5)
+    rig = CacheRig(bounces=512)
+    rig.insert(made_samples(on_floor(rng, 20_000, 8.0), distance=0.1), 0)
+    near_cells = rig.cache.statistics.cells
+    rig.insert(made_samples(on_floor(rng, 20_000, far_width)), 0)
+    far_cells = rig.cache.statistics.cells - near_cells
+    assert near_cells > 2000 and far_cells == far_width**2
+    visited: set[tuple[int, int]] = set()
+    for frame in range(1 + near_cells // (256 - 64)):
+        _, host = rig.points(frame)
+        active = host["is_active"]
+        of_far = active & (host["rays"] == rays) & (np.arange(512) >= 256)
+        assert of_far[256 : 256 + 64 * rays].all(), "half of the rays are theirs"
+        assert active[: 256 - 64].all() and (host["rays"][:256][active[:256]] == 1).all()
+        visited |= set(zip(host["slot"][active], host["cell"][active], strict=True))
+    assert len(visited) == near_cells + far_cells

@@ -96,7 +96,7 @@ class CachePoints:
     rays: wp.array[int]
     """How many the cell has."""
     slot: wp.array[int]
-    """Of the tile."""
+    """Of the tile; -1: there is no point."""
     cell: wp.array[int]
     """Of the tile, row by row."""
 

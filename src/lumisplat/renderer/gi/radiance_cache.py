@@ -135,19 +135,18 @@ class RadianceCache:
         """Points of a share of the cells, of those that wait longest, for a ray each; for several where cells are few.
 
         The caller traces a ray from each, by the cosine of its normal, inserts what they hit, and gives that to
-        `add_bounces`. As many as the settings say; behind the last tile that fits whole they are not active.
+        `add_bounces`. As many as the settings say, half of them for cells of long rays if these are so many; behind
+        the last tiles of either kind that fit whole they are not active.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self._tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
         with self._launcher.stage(_STAGE):
             ranks = self._ranks(kernels.key_tiles_by_bounce)
-            cells, ends, far, far_ends = (self._per_tile(name) for name in ("cells", "ends", "far", "far_ends"))
-            run(kernels.count_cells, self._config.tiles, tiles, ranks, cells, far)
-            prefix_sum(cells, ends, inclusive=True)
+            near, near_ends, far, far_ends = (self._per_tile(name) for name in ("near", "near_ends", "far", "far_ends"))
+            run(kernels.count_cells, self._config.tiles, tiles, ranks, near, far)
+            prefix_sum(near, near_ends, inclusive=True)
             prefix_sum(far, far_ends, inclusive=True)
-            ray_ends, rays = self._per_tile("ray_ends"), self._config.bounces
-            run(kernels.count_rays, self._config.tiles, rays, ends, far_ends, ray_ends)
-            run(kernels.list_points, rays, frame, tiles, ranks, ends, far_ends, ray_ends, points)
+            run(kernels.list_points, self._config.bounces, frame, tiles, ranks, near_ends, far_ends, points)
         return points
 
     def add_bounces(

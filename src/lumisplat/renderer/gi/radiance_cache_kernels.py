@@ -217,30 +217,35 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 
 @wp.kernel
-def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], cells_out: wp.array[int], far_out: wp.array[int]):
-    """Cells with samples of each tile, in an order, and those of them that are of long rays."""
+def count_cells(
+    start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]
+):
+    """Cells with samples of each tile, in an order: of short rays, or of long ones."""
     i = start + wp.tid()
-    cells_out[i] = 0
+    near_out[i] = 0
     far_out[i] = 0
     if ranks[i] < tiles.counts[COUNT_LIVE]:
-        cells_out[i] = tiles.filled[tiles.slots[ranks[i]]]
-        if not is_of_short_rays(tiles.keys[ranks[i]]):
-            far_out[i] = cells_out[i]
+        cells = tiles.filled[tiles.slots[ranks[i]]]
+        if is_of_short_rays(tiles.keys[ranks[i]]):
+            near_out[i] = cells
+        else:
+            far_out[i] = cells
 
 
 @wp.func
-def rays_of_far_cells(budget: int, ends: wp.array[int], far_ends: wp.array[int]) -> int:
-    """Rays that each cell of long rays sends, those of short rays one each, so that all fit: one at least."""
-    last = ends.shape[0] - 1
-    near = ends[last] - far_ends[last]
-    return wp.clamp((budget - near) // wp.max(far_ends[last], 1), 1, RAYS_MAX)
+def near_rays(budget: int, near: int, far: int) -> int:
+    """Rays for cells of short rays: one each, but no more than half of all if cells of long rays can use the others."""
+    return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 
 
-@wp.kernel
-def count_rays(start: int, budget: int, ends: wp.array[int], far_ends: wp.array[int], ray_ends_out: wp.array[int]):
-    """Rays of each tile's cells and of those before it in the order, by their cells."""
-    i = start + wp.tid()
-    ray_ends_out[i] = ends[i] + (rays_of_far_cells(budget, ends, far_ends) - 1) * far_ends[i]
+@wp.func
+def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
+    """The tile in an order whose cells, with so many rays each, send a ray; -1: none that fits whole."""
+    tile = first_not_below(ends, ends.shape[0], ray // rays + 1)
+    if tile < ends.shape[0]:
+        if ends[tile] * rays <= budget:
+            return tile
+    return -1
 
 
 @wp.func
@@ -260,9 +265,8 @@ def list_points(
     frame: int,
     tiles: CacheTiles,
     ranks: wp.array[int],
-    ends: wp.array[int],
+    near_ends: wp.array[int],
     far_ends: wp.array[int],
-    ray_ends: wp.array[int],
     points: CachePoints,
 ):
     """Item = ray: the point of its cell, of the tiles that wait longest; as many whole tiles as fit.
@@ -272,25 +276,32 @@ def list_points(
         frame: Number of the frame.
         tiles: Of the cache.
         ranks: Of the tiles, those that wait longest first.
-        ends: Cells of the tiles up to each one, in this order.
+        near_ends: Cells of short rays of the tiles up to each one, in this order.
         far_ends: The same of cells of long rays.
-        ray_ends: The same of their rays.
-        points: Of the rays.
+        points: Of the rays, first those of cells of short rays.
     """
     i = start + wp.tid()
     points.is_active[i] = False
-    count = points.is_active.shape[0]
-    tile = first_not_below(ray_ends, ray_ends.shape[0], i + 1)
-    if tile == ray_ends.shape[0]:
-        return
-    if ray_ends[tile] > count:
+    points.slot[i] = -1
+    last = near_ends.shape[0] - 1
+    near = near_rays(points.slot.shape[0], near_ends[last], far_ends[last])
+    is_near = i < near
+    ray = i
+    rays = int(1)
+    tile = int(-1)
+    if is_near:
+        tile = tile_of_ray(near_ends, ray, near, 1)
+    else:
+        ray -= near
+        rest = points.slot.shape[0] - near
+        rays = wp.clamp(rest // wp.max(far_ends[last], 1), 1, RAYS_MAX)
+        tile = tile_of_ray(far_ends, ray, rest, rays)
+    if tile < 0:
         return
     rank = ranks[tile]
     slot = tiles.slots[rank]
-    rays = int(1)
-    if not is_of_short_rays(tiles.keys[rank]):
-        rays = rays_of_far_cells(count, ends, far_ends)
-    number = i - ray_ends[tile] + rays * tiles.filled[slot]
+    end = wp.where(is_near, near_ends[tile], far_ends[tile])
+    number = ray - rays * (end - tiles.filled[slot])
     cell = filled_cell(tiles, slot, number // rays)
     if number == 0:
         tiles.bounced[slot] = frame + 1
