@@ -11,16 +11,13 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.device.structs.light import Bsdf, BsdfSample
-from lumisplat.device.structs.shading import MaterialData
+from lumisplat.device.structs.light import Bsdf
 from lumisplat.math.sheen import albedo_curve, sheen_albedo
-from lumisplat.renderer.scene.materials import material_table
 from lumisplat.runtime.launcher import Launcher
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.probes import probe_light_kernels
+from support.probes.bsdf_rows import UP, Doubles, bsdf_row, direction, samples_of
 
-Doubles = npt.NDArray[np.float64]
-UP = np.array([0.0, 0.0, 1.0])
 WHITE = (1.0, 1.0, 1.0)
 PAINT = ls.MaterialPbr(base_color=WHITE, roughness=0.6)
 METAL = ls.MaterialPbr(base_color=WHITE, roughness=0.7, metallic=1.0)
@@ -33,24 +30,6 @@ COATS = {
 }
 
 
-def bsdf_row(material: ls.MaterialPbr, *, compensates: bool = False) -> npt.NDArray[Any]:
-    """The material's BSDF, 1 row."""
-    mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
-    table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True, compensates=compensates)
-    bsdf = wp.zeros(1, dtype=Bsdf, device="cpu")
-    given = wp.array(table, dtype=MaterialData, device="cpu")
-    color = wp.vec3(*material.base_color)
-    Launcher("cpu", threads=1).run(probe_light_kernels.probe_material, 1, given, color, False, bsdf)
-    return bsdf.numpy()
-
-
-def direction(cosine: npt.ArrayLike, turn: npt.ArrayLike) -> Doubles:
-    """Unit vectors by their cosine with the normal, and their azimuth."""
-    z, turn = np.broadcast_arrays(np.asarray(cosine, np.float64), np.asarray(turn, np.float64))
-    sine = np.sqrt(1.0 - z**2)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
-
-
 def on_device(row: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[Doubles, Doubles]:
     """Values, shape (N, 3), and densities, shape (N,)."""
     count = len(lights)
@@ -60,17 +39,6 @@ def on_device(row: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[Do
     values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
     return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
-
-
-def samples_of(row: npt.NDArray[Any], view: Doubles, count: int) -> npt.NDArray[Any]:
-    """Sampled directions, weights and densities."""
-    randoms = np.random.default_rng(3).random((count, 3), dtype=np.float32)
-    vectors = [np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (UP, view)]
-    inputs = [wp.array(np.repeat(row, count), dtype=Bsdf, device="cpu")]
-    inputs += [wp.array(v, dtype=wp.vec3, device="cpu") for v in (*vectors, randoms)]
-    found = wp.zeros(count, dtype=BsdfSample, device="cpu")
-    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf_samples, count, *inputs, found)
-    return found.numpy()
 
 
 def albedo(row: npt.NDArray[Any], cosine: float) -> tuple[float, float]:

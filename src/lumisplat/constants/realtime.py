@@ -27,6 +27,9 @@ they do in one of some hundred pixels and frames."""
 CHANGE_LEAST = 0.02
 """Share of the light below which no difference counts as a change."""
 
+INDIRECT_SHARED = 4
+"""Pixels that share a sample of indirect light, of which its noise is the same: 2 x 2 share a ray of a highlight."""
+
 MOMENT_FRAMES = 8
 """Frames over which the moments of luminance are averaged at least, from which its variance follows."""
 

@@ -169,6 +169,18 @@ def test_a_lamp_that_goes_on() -> None:
     assert max(there) < 1.1
 
 
+def test_noise_that_pixels_share_is_no_change() -> None:
+    """Of 2 x 2 pixels with the same samples histories stay; as if each had its own, chance is taken for change."""
+    ages: list[float] = []
+    for shared in (1, 4):
+        sequence, seen = FilterSequence(shared=shared), plane()
+        for frame in range(40):
+            blocks = noise(frame).reshape(32, 48, 3)[::2, ::2]
+            sequence.render(seen, blocks.repeat(2, 0).repeat(2, 1).reshape(-1, 3))
+        ages.append(float(np.mean(sequence.ages() > 31.0)))
+    assert ages[0] < 0.8 and ages[1] > 0.97
+
+
 def test_rare_bright_samples_give_their_light_to_neighbours() -> None:
     """One sample in a hundred has all of it: less than a fifth is lost in four frames, though most see none."""
     sequence, plain, seen = FilterSequence(), FilterSequence(passes=0), plane()
@@ -340,7 +352,9 @@ def test_it_is_the_twin(radius: int, passes: int, moves: str) -> None:
     With a moving camera to 2e-5 of the brightest sample: in float32, a place is known to 4e-6 pixels in x and in y, and
     neighbouring histories differ by as much as samples.
     """
-    sequence, twin = FilterSequence(radius=radius, passes=passes), Filter(radius=radius, passes=passes)
+    shared = 4 if passes == 3 else 1
+    sequence = FilterSequence(shared=shared, radius=radius, passes=passes)
+    twin = Filter(radius=radius, passes=passes, shared=shared)
     for step in range(12):
         seen, diffuse, glossy, sampled = moving(step)
         if moves != "camera":

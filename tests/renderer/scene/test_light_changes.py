@@ -13,7 +13,8 @@ from lumisplat.renderer.scene.light_changes import LightChanges, in_order
 from support.scenes.raster_scenes import octahedron, random_gaussians
 
 SKY = np.ones((4, 8, 3), np.float32)
-SHINING = octahedron((0.9, 0.0, 0.0), 0.2, material=ls.MaterialPbr(emissive=(1, 1, 1)))
+GLOWS = ls.MaterialPbr(emissive=(1, 1, 1))
+SHINING = octahedron((0.9, 0.0, 0.0), 0.2, material=GLOWS)
 SPOT = ls.LightSpot((0.0, 2.0, 0.0), (0.0, -1.0, 0.0), color=(1.0, 0.5, 0.2), intensity=3.0)
 LIT = ls.Scene([random_gaussians(3)], [octahedron((0.1, 0.0, 0.0), 0.5), SHINING], [SPOT, ls.LightEnvironment(SKY)])
 ELSEWHERE = np.diag([2.0, 2.0, 2.0, 1.0])
@@ -46,6 +47,7 @@ CHANGED = {
     "its colour, a little": with_spot(color=(1.0, 0.5, 0.3)),
     "another sky": with_sky(image=0.5 * SKY),
     "a sky that turns": with_sky(rotation_wxyz=(0.9, 0.1, 0.0, 0.0)),
+    "what shines is deformed": replace(LIT, meshes=[LIT.meshes[0], octahedron((0.9, 0.1, 0.0), 0.3, material=GLOWS)]),
     "what shines has moved": replace(LIT, meshes=[LIT.meshes[0], ls.MeshInstance(SHINING, ELSEWHERE)]),
     "a material": replace(LIT, splats=[replace(LIT.splats[0], material=ls.MaterialPbr())]),
     "a thing that is gone": replace(LIT, meshes=LIT.meshes[1:]),
@@ -56,6 +58,9 @@ OTHER = {
     "a lamp that is off": with_spot(enabled=False),
     "a lamp that is gone": replace(LIT, lights=LIT.lights[1:]),
     "what shines is gone": replace(LIT, meshes=LIT.meshes[:1]),
+    "what shines is faint": replace(
+        LIT, meshes=[LIT.meshes[0], replace(SHINING, material=replace(GLOWS, emissive=(0.1, 0.1, 0.1)))]
+    ),
 }
 
 

@@ -106,7 +106,7 @@ def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
     return Light(scale * found.frames, scale[:, None, None] * found.light, scale[:, None, None] * found.moments)
 
 
-def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
+def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask, shared: int) -> Doubles:
     """Share of its history that each pixel keeps, by the samples of 5 x 5 pixels; shape (pixels,)."""
     found, expected = luminance(samples), luminance(history.light)
     variance = np.maximum(history.moments[..., 1] - history.moments[..., 0] ** 2, 0.0)
@@ -118,17 +118,19 @@ def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -> 
         sums += np.where(counts[:, None], values, 0.0)
     sampled_sum, expected_sum, noise, brighter, count = sums
     difference = sampled_sum - expected_sum
-    by_chance = limits.CHANGE_SIGMAS * np.sqrt(noise + (limits.CHANGE_LEAST * expected_sum) ** 2)
+    by_chance = limits.CHANGE_SIGMAS * np.sqrt(
+        np.minimum(shared, count) * noise + (limits.CHANGE_LEAST * expected_sum) ** 2
+    )
     is_change = (np.abs(difference) > by_chance) & ((difference <= 0.0) | (brighter >= 0.5 * count))
     ratio = by_chance / np.where(is_change, np.abs(difference), 1.0)
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
 
 
-def accumulated(seen: Seen, history: Light, samples: Doubles, sampled: Mask, frames_max: int) -> Light:
+def accumulated(seen: Seen, history: Light, samples: Doubles, sampled: Mask, frames_max: int, shared: int) -> Light:
     """A history with the samples of one more frame."""
     sampled = sampled & (seen.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
-    count = kept_shares(seen, history, samples, sampled) * history.frames + 1.0
+    count = kept_shares(seen, history, samples, sampled, shared) * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
     add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]
@@ -202,10 +204,11 @@ class Filter:
         frames: Like the others of `FilterConfig`.
         passes: Of each frame.
         radius: Of each pass.
+        shared: Pixels that share a sample.
     """
 
-    def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1) -> None:
-        self._frames, self._passes, self._radius = frames, passes, radius
+    def __init__(self, frames: int = 32, passes: int = 4, radius: int = 1, shared: int = 1) -> None:
+        self._frames, self._passes, self._radius, self._shared = frames, passes, radius, shared
         self._before: Seen | None = None
         self.history = empty(0)
 
@@ -215,7 +218,7 @@ class Filter:
         if self._before is not None:
             history = reprojected(seen, self._before, self.history)
         samples = np.stack([diffuse, glossy], axis=1)
-        self.history = accumulated(seen, history, samples, sampled, self._frames)
+        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared)
         self._before = seen
         light, variance = self.history.light, variances(seen, self.history)
         for number in range(self._passes):

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, transmitted_albedo
 from lumisplat.device.light.environment import environment_density, environment_radiance, sample_environment
 from lumisplat.device.light.interaction import bsdf_of
 from lumisplat.device.light.light import sample_light
@@ -39,6 +40,17 @@ def probe_bsdf_samples(
     i = wp.tid()
     u = randoms[i]
     samples[i] = bsdf_sample(bsdfs[i], normals[i], views[i], wp.vec2(u[0], u[1]), u[2])
+
+
+@wp.kernel
+def probe_albedos(
+    bsdfs: wp.array(dtype=Bsdf), cosines: wp.array(dtype=float), albedos: wp.array(dtype=wp.vec3, ndim=2)
+):
+    """Diffuse, glossy and transmitted albedo to views at cosines."""
+    i = wp.tid()
+    albedos[i, 0] = diffuse_albedo(bsdfs[i], cosines[i])
+    albedos[i, 1] = glossy_albedo(bsdfs[i], cosines[i])
+    albedos[i, 2] = transmitted_albedo(bsdfs[i], cosines[i])
 
 
 @wp.kernel

@@ -27,13 +27,14 @@ class FilterSequence:
     Args:
         threads: CPU threads.
         parallel: Of `Launcher`.
+        shared: Pixels that share a sample.
         **settings: Of `FilterConfig`.
     """
 
-    def __init__(self, threads: int = 1, parallel: bool = False, **settings: int) -> None:
+    def __init__(self, threads: int = 1, parallel: bool = False, *, shared: int = 1, **settings: int) -> None:
         self._buffers = Buffers("cpu")
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
-        self.filter = LightFilter(launcher, self._buffers, ls.FilterConfig(**settings), "light")
+        self.filter = LightFilter(launcher, self._buffers, ls.FilterConfig(**settings), "light", shared)
         self.frame = 0
         self.known_share = 1.0
         """Of the next frames, as of ``Motion``."""

@@ -2,7 +2,6 @@
 
 import warp as wp
 
-from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.device.gi.octahedral import cell_width, direction_in_cell
 from lumisplat.device.gi.probe_places import fits, reach_of
 from lumisplat.device.gi.screen_probes import nearness_weight
@@ -13,7 +12,6 @@ from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeG
 
 wp.set_module_options({"enable_backward": False})
 
-OFFSET = wp.constant(wp.float32(SHADOW_OFFSET))
 RISE = wp.constant(wp.float32(1e-4))
 """How far above a mesh rays begin, as a share of the largest of its coordinates and its distance from the eye."""
 NEVER = wp.constant(2**31 - 1)
@@ -57,7 +55,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
     rays_out.is_active[ray] = True
     rays_out.origin[ray] = position
     rays_out.direction[ray] = direction
-    rays_out.t_min[ray] = OFFSET * extent
+    rays_out.t_min[ray] = grid.offset * extent
     rays_out.t_max[ray] = wp.inf
     rays_out.path_length[ray] = 0.0
     rays_out.spread[ray] = 0.0

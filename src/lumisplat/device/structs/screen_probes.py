@@ -24,6 +24,8 @@ class ProbeGrid:
     """Cells along a side of a probe's map."""
     history: float
     """Most samples that a cell's mean counts for."""
+    offset: float
+    """Scales of a Gaussian within which Gaussians do not block the rays of its probe."""
     frame: int
     has_history: int
     """0: the frame before is another sequence's."""

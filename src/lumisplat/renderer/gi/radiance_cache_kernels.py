@@ -217,9 +217,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 
 @wp.kernel
-def count_cells(
-    start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]
-):
+def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
     """Cells with samples of each tile, in an order: of short rays, or of long ones."""
     i = start + wp.tid()
     near_out[i] = 0

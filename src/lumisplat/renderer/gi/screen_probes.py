@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from lumisplat.config.probes import ProbeConfig
+from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.realtime import PROBE_NORMALS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
@@ -35,10 +36,14 @@ class ScreenProbes:
         buffers: Holds the arrays; not those of other probes.
         config: Settings.
         seed: Of the random numbers.
+        offset: Scales of a Gaussian within which Gaussians do not block rays of a probe on it.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: ProbeConfig, seed: int = 0) -> None:
-        self._launcher, self._buffers, self._config, self._seed = launcher, buffers, config, seed
+    def __init__(
+        self, launcher: Launcher, buffers: Buffers, config: ProbeConfig, seed: int = 0, offset: float = SHADOW_OFFSET
+    ) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._seed, self._offset = seed, offset
         fit = harmonics_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
         self._fit = buffers.upload("probes.fit", wp.float32, fit)
         beyond = irradiance_beyond(config.cells, _DEGREE, PROBE_NORMALS).astype(np.float32).ravel()
@@ -188,6 +193,7 @@ class ScreenProbes:
         grid.tile, grid.cells = self._config.tile, self._config.cells
         grid.tiles_x, grid.tiles_y = self._columns, self._rows
         grid.adaptive, grid.history = self._adaptive, float(self._config.history)
+        grid.offset = self._offset
         grid.frame, grid.has_history = frame, int(self._continues)
         grid.seed = wp.uint32(self._seed)
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])

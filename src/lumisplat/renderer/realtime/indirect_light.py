@@ -39,7 +39,7 @@ class IndirectLight:
         self._offset = config.shadow_rays.offset
         self.cache = RadianceCache(launcher, buffers, config.realtime.cache)
         """What surfaces around reflect."""
-        self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed)
+        self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
         """What sees light from other surfaces."""
 
     def forget(self) -> None:

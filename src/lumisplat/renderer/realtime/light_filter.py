@@ -22,10 +22,12 @@ class LightFilter:
         buffers: Holds the arrays.
         config: Settings.
         name: Of the light; that of its history.
+        shared: Pixels that share each sample of the light.
     """
 
-    def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str) -> None:
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
         self._launcher, self._buffers, self._config, self._name = launcher, buffers, config, name
+        self._shared = float(shared)
         self._has_history = False
 
     def forget(self) -> None:
@@ -59,8 +61,9 @@ class LightFilter:
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
         self._run(scene, temporal_filter_kernels.reproject, *inputs)
-        inputs = float(self._config.frames), scene.motion.known_share, surfaces.now, scene.camera, light, found, now
-        self._run(scene, temporal_filter_kernels.accumulate, *inputs)
+        settings = float(self._config.frames), scene.motion.known_share, self._shared
+        inputs = surfaces.now, scene.camera, light, found, now
+        self._run(scene, temporal_filter_kernels.accumulate, *settings, *inputs)
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: Surfaces, history: LightHistory) -> FilteredLight:

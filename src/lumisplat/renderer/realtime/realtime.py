@@ -8,6 +8,7 @@ from dataclasses import replace
 import warp as wp
 
 from lumisplat.config import PATH_PARTS, REALTIME_AOVS, RenderConfig
+from lumisplat.constants.realtime import INDIRECT_SHARED
 from lumisplat.renderer.gi.antialiasing import Antialiasing
 from lumisplat.renderer.gi.lobes import Lobes
 from lumisplat.renderer.light.light_images import LightImages
@@ -57,10 +58,16 @@ class RealtimeIntegrator:
         self._antialiasing = Antialiasing(launcher, buffers)
         self._kept = Kept(launcher, buffers)
         self._bounces = config.max_bounces != 0
-        frames = {"direct": settings.frames, "indirect": min(settings.frames, settings.indirect_frames)}
+        lights = {
+            "direct": (settings, 1),
+            "indirect": (
+                replace(settings, frames=min(settings.frames, settings.indirect_frames)),
+                INDIRECT_SHARED,
+            ),
+        }
         self._filters = {
-            (name, kind): LightFilter(launcher, buffers, replace(settings, frames=count), f"{name}{kind}")
-            for name, count in frames.items()
+            (name, kind): LightFilter(launcher, buffers, given, f"{name}{kind}", shared)
+            for name, (given, shared) in lights.items()
             for kind in (SPLATS, MESHES)
         }
         self._size: tuple[int, int] | None = None

@@ -154,17 +154,17 @@ def with_pixel(change: LightChange, sampled: float, expected: float, mean: float
 
 
 @wp.func
-def kept_share(change: LightChange) -> float:
+def kept_share(change: LightChange, shared: float) -> float:
     """Share of its history that a pixel keeps: all of it unless the light around it has changed.
 
     What becomes darker does so if the sum of the samples is too low for chance; what becomes brighter, if most samples
-    are brighter besides: a few may be so by chance, and by far.
+    are brighter besides: a few may be so by chance, and by far. ``shared`` pixels have the same noise.
     """
     difference = change.sampled - change.expected
     if difference > 0.0 and change.brighter < 0.5 * change.count:
         return 1.0
     least = LEAST * change.expected
-    by_chance = SIGMAS * wp.sqrt(change.variance + least * least)
+    by_chance = SIGMAS * wp.sqrt(wp.min(shared, change.count) * change.variance + least * least)
     if wp.abs(difference) <= by_chance:
         return 1.0
     ratio = by_chance / wp.abs(difference)
@@ -177,6 +177,7 @@ def accumulate(
     size: wp.vec2i,
     frames_max: float,
     known_share: float,
+    shared: float,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
     light: SurfaceLight,
@@ -192,6 +193,7 @@ def accumulate(
         size: Width and height of the images.
         frames_max: Frames after which old samples fade.
         known_share: Share of its frames for which a short history counts in this one, by what has changed.
+        shared: Pixels that share each sample, and so its noise.
         surfaces: What the pixels show.
         camera: Of the frame.
         light: The samples.
@@ -236,6 +238,6 @@ def accumulate(
                             found = luminance(of_glossies[tap])
                             held = luminance(held_glossies[tap])
                             glossy = with_pixel(glossy, found, held, moments[2], moments[3])
-            own.frames *= wp.min(kept_share(diffuse), kept_share(glossy))
+            own.frames *= wp.min(kept_share(diffuse, shared), kept_share(glossy, shared))
         own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
     store_history(pixel, own, history_out)

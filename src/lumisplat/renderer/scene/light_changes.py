@@ -18,6 +18,7 @@ from lumisplat.constants.realtime import (
     OUTDATED_SHARE,
 )
 from lumisplat.scene.lights import Light
+from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import Scene
 
 SMALL = 16
@@ -34,9 +35,9 @@ class LightOfScene:
     sources: Sequence[object]
     """Which lights and which meshes that shine there are."""
     strengths: list[npt.NDArray[np.float64]]
-    """Of each light, by channel."""
+    """Of each light and mesh that shines, by channel."""
     rest: Sequence[object]
-    """The lights, places of meshes that shine, and materials."""
+    """The lights, meshes that shine and their places, and materials."""
     things: Sequence[object]
     """What reflects light and casts shadows: which sets and meshes, and where."""
 
@@ -75,10 +76,13 @@ class LightChanges:
 def light_of(scene: Scene) -> LightOfScene:
     """The light of a scene, to be compared."""
     shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
-    sources = [*((type(light), light.enabled) for light in scene.lights), [id(i.mesh) for i in shining]]
+    # A mesh that deforms is another one with as many vertices and faces.
+    meshes = [(instance.mesh.vertex_count, instance.mesh.face_count) for instance in shining]
+    sources = [*((type(light), light.enabled) for light in scene.lights), *meshes]
     strengths = [strength_of(light) for light in scene.lights]
+    strengths += [emission_of(instance.mesh.material) for instance in shining]
     lights = [values_of(light) for light in scene.lights]
-    places = [instance.transform.tobytes() for instance in shining]
+    places = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     materials = [id(instance.material) for instance in scene.splats]
     rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
     things = [(id(i.gaussians), i.transform.tobytes()) for i in scene.splats]
@@ -89,6 +93,12 @@ def light_of(scene: Scene) -> LightOfScene:
 def strength_of(light: Light) -> npt.NDArray[np.float64]:
     """Of a light, by channel; shape (3,)."""
     return np.asarray(light.color, np.float64) * light.intensity
+
+
+def emission_of(material: Material) -> npt.NDArray[np.float64]:
+    """Of a material that shines by itself or by ambient light, by channel; shape (3,)."""
+    emission = np.asarray(material.emissive, np.float64)
+    return emission + material.ambient if isinstance(material, MaterialSimple) else emission
 
 
 def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:
