@@ -75,8 +75,8 @@ def lamp(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
     return light, ls.MeshInstance(ls.sphere(0.1, material=WHITE), position=end, name="lamp")
 
 
-def main(width: int = 320, frames: int = 48, warm_up: int = 24) -> None:
-    """Writes out/realtime_room: walk.gif, and its middle frame."""
+def main(width: int = 320, frames: int = 48, warm_up: int = 24, video: str = "walk.gif") -> None:
+    """Writes out/realtime_room: the video, and its middle frame; walk.mp4 takes pip install 'lumisplat[video]'."""
     fps = 24.0
     limbs = {name: limb(size, material, hangs=swing != 0.0) for name, (size, material, _, swing) in LIMBS.items()}
     walls = room()
@@ -94,7 +94,7 @@ def main(width: int = 320, frames: int = 48, warm_up: int = 24) -> None:
             pictures.append(frame.pixels_srgb())
         if number == frames // 2:
             frame.save("out/realtime_room/middle.png")
-    ls.save_animation("out/realtime_room/walk.gif", pictures, fps=fps)
+    ls.save_animation(f"out/realtime_room/{video}", pictures, fps=fps)
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def variants() -> dict[str, dict[str, Any]]:
         "a tenth of the probes a frame": real(probes=probes(refreshed=0.1)),
         "all probes a frame": real(probes=probes(refreshed=1.0)),
         "no adaptive probes": real(probes=probes(adaptive=0.0)),
-        "64 bounces in the cache a frame": real(cache=cache(bounces=64)),
+        "256 bounces in the cache a frame": real(cache=cache(bounces=256)),
         "32768 bounces in the cache a frame": real(cache=cache(bounces=32_768)),
         "cache without history": real(cache=cache(history=1, bounce_history=1)),
         "cells half as wide": real(cache=cache(cell_size=1.0 / 16.0)),
