@@ -17,7 +17,7 @@ import lumisplat as ls
 WARM_FRAMES, FRAMES = 4, 6
 SIZE = 640, 360
 PASSES: tuple[str, ...] = ("surfaces", "direct", "mirrors", "indirect", "filters", "sum", "antialiasing")
-COUNTS = {"gaussians": (100_000, 300_000, 1_000_000), "lights": (1, 16, 100), "models": (1, 10, 50)}
+COUNTS = {"gaussians": (100_000, 300_000, 1_000_000, 3_000_000), "lights": (1, 16, 100, 1_000), "models": (1, 10, 50)}
 GROWTH_SIZE = 320, 180
 Case = tuple[str, ls.RenderConfig, ls.Scene, ls.Camera]
 
