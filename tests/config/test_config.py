@@ -118,7 +118,7 @@ WHOLE = "expected a whole number from"
         (ls.RadianceCacheConfig, {"cell_size": -0.1}, "cell_size is -0.1, expected"),
         (ls.RadianceCacheConfig, {"cell_size": 0.0}, "cell_size is 0.0, expected"),
         (ls.RadianceCacheConfig, {"history": 0}, f"history is 0, {WHOLE} 1 to 1024"),
-        (ls.RadianceCacheConfig, {"bounces": 1.5}, f"bounces is 1.5, {WHOLE} 64 to"),
+        (ls.RadianceCacheConfig, {"bounces": 1.5}, f"bounces is 1.5, {WHOLE} 128 to"),
         (ls.AvatarLightingConfig, {"direct": 1.1}, "direct is 1.1, expected 0.0 to 1.0"),
         (ls.AvatarLightingConfig, {"shadows": 1}, "shadows is 1, expected True or False"),
         (ls.AvatarLightingConfig, {"relight": None}, "relight is None, expected True or False"),

@@ -66,6 +66,9 @@ FAR_AWAY = 1e6
 
 # --- Screen probes ---
 
+PROBE_STAYS_PX = 2.0
+"""A probe stays where it was if a pixel of its tile shows its surface within so many pixels."""
+
 PROBE_NORMALS = 16
 """Side of the map of directions to whose nearest centre a probe's normal is moved where its cosines are looked up."""
 

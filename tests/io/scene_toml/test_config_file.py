@@ -74,7 +74,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
         "history": st.none() | st.integers(1, 1024),
         "bounce_history": st.integers(1, 1024),
         "samples_min": st.integers(1, 1024),
-        "bounces": st.integers(64, 2**20),
+        "bounces": st.integers(128, 2**20),
         "unused_frames": st.integers(1, 10_000),
     },
     ls.RealtimeConfig: {"light_interval": st.integers(1, 2)},

@@ -13,6 +13,7 @@ from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.constants.realtime import OUTDATED_SHARE
 from lumisplat.device.structs.screen_probes import ProbeData
 from lumisplat.math.octahedral import directions_of_square
+from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight
@@ -79,13 +80,35 @@ def test_nothing_moves_and_nothing_changes(extent: float) -> None:
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
+@pytest.mark.parametrize("moves", ["sample", "camera"])
+def test_probes_stay_while_samples_and_camera_move(moves: str, extent: float) -> None:
+    """Those that go on are where they were, to the bit, and so are their cells, though no pixel shows that point."""
+    sequence = ProbeSequence(striped, refreshed=1.0)
+    for step in range(3):
+        sequence.render(seen_in_box(box_camera(), extent, subpixel(step)))
+    before, cells = fields(sequence.probes.probes), cells_of(sequence)
+    seen = seen_in_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
+    sequence.place(seen)
+    after, carried = fields(sequence.probes.probes), cells_of(sequence)
+    went_on = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
+    source = after["source"][went_on].astype(int)
+    stayed = (after["position"][went_on] == before["position"][source]).all(1)
+    assert len(went_on) > 50 and stayed.mean() > 0.9
+    assert np.isin(before["position"][source][:, 0], seen.position[:, 0].astype(np.float32)).mean() < 0.5
+    for i, j in zip(went_on[stayed].tolist(), source[stayed].tolist(), strict=True):
+        np.testing.assert_array_equal(one(carried, i).samples, one(cells, j).samples)
+
+
+@pytest.mark.parametrize("extent", [0.0, 0.002])
 def test_cells_are_aimed_at_their_hits_anew(extent: float) -> None:
     """Those of probes that have moved are the twin's, and most directions change."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
         sequence.render(seen_in_box(box_camera(), extent))
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    sequence.place(seen_in_box(box_camera(1.0), extent))
+    seen = seen_in_box(box_camera(1.0), extent)
+    seen.previous = seen.position + 1e-5  # else probes would stay where they were
+    sequence.place(seen)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
     moved = 0
     for i in np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0)).tolist():

@@ -5,13 +5,16 @@ The method is in docs/method/realtime.md#screen-probes. Every kernel writes each
 
 import warp as wp
 
+from lumisplat.constants.realtime import PROBE_STAYS_PX
 from lumisplat.device.gi.octahedral import cell_of_direction, cell_width, direction_in_cell
-from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile
+from lumisplat.device.gi.probe_places import LOOKED_AT, place_among, place_in_tile, reach_of
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
 from lumisplat.device.structs.screen_probes import ProbeCells, ProbeData, ProbeGrid, TileNeeds
 
 wp.set_module_options({"enable_backward": False})
+
+STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
 
 @wp.kernel
@@ -36,10 +39,32 @@ def keep_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
 
 
 @wp.func
+def is_as_before(
+    pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
+) -> bool:
+    """Whether probe ``source`` of the frame before may stay where it was: the surface stands still, and is this one.
+
+    Samples move in their pixels: a probe that went along would lose what it sees near at hand.
+    """
+    position = surfaces.position[pixel]
+    if not wp.length(surfaces.previous[pixel] - position) == 0.0:  # NaN: it is new
+        return False
+    pixel_width = reach_of(grid, camera, surfaces.distance[pixel]) / float(grid.tile)
+    return wp.length(before.position[source] - position) < STAYS_PX * pixel_width
+
+
+@wp.func
 def set_probe(
-    i: int, pixel: int, source: int, width: int, surfaces: SurfacePixels, before: ProbeData, probes_out: ProbeData
+    i: int,
+    pixel: int,
+    source: int,
+    grid: ProbeGrid,
+    camera: CameraData,
+    surfaces: SurfacePixels,
+    before: ProbeData,
+    probes_out: ProbeData,
 ):
-    """Puts probe ``i`` on the surface of a pixel; none if that is -1."""
+    """Puts probe ``i`` on the surface of a pixel, or leaves it near there where it was; none if that is -1."""
     probes_out.is_placed[i] = 0
     probes_out.source[i] = -1
     probes_out.rounds[i] = 0
@@ -47,12 +72,16 @@ def set_probe(
         return
     probes_out.is_placed[i] = 1
     probes_out.position[i] = surfaces.position[pixel]
-    probes_out.pixel[i] = wp.vec2(float(pixel % width) + 0.5, float(pixel // width) + 0.5)
+    probes_out.pixel[i] = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
     probes_out.normal[i] = surfaces.normal[pixel]
     probes_out.distance[i] = surfaces.distance[pixel]
     probes_out.extent[i] = surfaces.extent[pixel]
     if source >= 0:
         probes_out.source[i] = source
+        if is_as_before(pixel, source, grid, camera, surfaces, before):
+            probes_out.position[i] = before.position[source]
+            probes_out.normal[i] = before.normal[source]
+            probes_out.extent[i] = before.extent[source]
         probes_out.rounds[i] = before.rounds[source]
         probes_out.refreshed[i] = before.refreshed[source]
 
@@ -71,7 +100,7 @@ def place_in_tiles(
     """Places the probe of a tile."""
     tile = start + wp.tid()
     place = place_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
-    set_probe(tile, place.pixel, place.source, grids[0].width, surfaces, before, probes_out)
+    set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
 
 
 @wp.kernel
@@ -104,6 +133,7 @@ def find_needs(
 def place_adaptive(
     start: int,
     grids: wp.array[ProbeGrid],
+    cameras: wp.array[CameraData],
     order: wp.array[int],
     needs: TileNeeds,
     surfaces: SurfacePixels,
@@ -118,7 +148,7 @@ def place_adaptive(
     if rank < grids[0].adaptive:
         i = grids[0].tiles_x * grids[0].tiles_y + rank
         pixel = wp.where(needs.uncovered[tile] > 0, needs.pixel[tile], -1)
-        set_probe(i, pixel, needs.source[tile], grids[0].width, surfaces, before, probes_out)
+        set_probe(i, pixel, needs.source[tile], grids[0], cameras[0], surfaces, before, probes_out)
         if pixel >= 0:
             adaptive_of_out[tile] = i
 

@@ -87,7 +87,7 @@ class ScreenProbes:
         run(
             place_kernels.place_adaptive,
             tiles,
-            *(grids, order, self._needs, surfaces, self._before, self.adaptive_of, self.probes),
+            *(grids, camera, order, self._needs, surfaces, self._before, self.adaptive_of, self.probes),
         )
         carried = self._cells_before, self.cells
         run(place_kernels.carry_cells, self.count, grids, self.probes, self._before, *carried)
