@@ -68,6 +68,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "soft": {"shadows": ls.Shadows.SOFT},
     "no shadows": {"shadows": ls.Shadows.OFF, "aovs": ("lights",)},
     "hits": {"aovs": ("hits",)},
+    "means": {"raster": ls.RasterConfig(surface=ls.GaussianSurface.MEAN)},
     "stochastic": {
         "raster": ls.RasterConfig(strategy=ls.RasterStrategy.STOCHASTIC),
         "shadow_rays": ls.ShadowConfig(method=ls.ShadowMethod.STOCHASTIC),

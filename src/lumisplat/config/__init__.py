@@ -6,7 +6,7 @@ from lumisplat.config.avatars import AvatarLightingConfig, LightEstimationConfig
 from lumisplat.config.checks import check_flag, check_kind, check_range, check_whole, choices, enum_member, listed_names
 from lumisplat.config.paths import PathConfig, PathPrimary
 from lumisplat.config.probes import ProbeConfig
-from lumisplat.config.raster import Antialiasing, RasterConfig, RasterStrategy
+from lumisplat.config.raster import Antialiasing, GaussianSurface, RasterConfig, RasterStrategy
 from lumisplat.config.rays import (
     HitDistance,
     NormalMethod,
@@ -32,6 +32,7 @@ __all__ = [
     "AvatarLightingConfig",
     "DeepShadowConfig",
     "FilterConfig",
+    "GaussianSurface",
     "HitDistance",
     "LightEstimationConfig",
     "NormalEstimate",

@@ -19,6 +19,16 @@ class RasterStrategy(Enum):
     the mean over samples converges to the exact colour."""
 
 
+class GaussianSurface(Enum):
+    """Which surface of the Gaussians in a pixel is lit (docs/method/rasterisation.md#weighted-mean-surface)."""
+
+    ISO = "iso"
+    """Where the transmittance falls below ``depth_iso_transmittance``, with the roughness of the Gaussian there."""
+    MEAN = "mean"
+    """At the mean of where they are, each weighted by how much it shows, with their mean roughness. In frames that are
+    sorted, and of sets that are relit: those that keep their captured colours keep the other surface."""
+
+
 class Antialiasing(Enum):
     """Whose opacity is compensated for the dilation, as that of Mip-Splatting's captures is (Yu et al. 2024)."""
 
@@ -44,6 +54,8 @@ class RasterConfig:
 
     strategy: RasterStrategy = RasterStrategy.SORTED
     """How the splats of a pixel become its colour."""
+    surface: GaussianSurface = GaussianSurface.ISO
+    """Which surface of a pixel's Gaussians lights reach, in lit frames."""
     antialiasing: Antialiasing = Antialiasing.AUTO
     """When to compensate opacity for the dilation."""
     dilation: float = DILATION_PX2
@@ -57,6 +69,7 @@ class RasterConfig:
 
     def __post_init__(self) -> None:
         take_enum(self, "strategy", RasterStrategy)
+        take_enum(self, "surface", GaussianSurface)
         take_enum(self, "antialiasing", Antialiasing)
         check_range("dilation", self.dilation, 0.0, 10.0)
         check_whole("sh_degree", self.sh_degree, 0, SH_DEGREE_MAX)

@@ -18,6 +18,7 @@ from lumisplat.renderer.integrators import path_kernels
 from lumisplat.renderer.light import direct_light_kernels, surface_kernels, unshadowed_light_kernels
 from lumisplat.renderer.raster import (
     binning_kernels,
+    mean_surface_kernels,
     mesh_pixel_kernels,
     mesh_raster_kernels,
     mesh_tile_kernels,
@@ -102,6 +103,8 @@ def raster_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) ->
     modules += [splat_raster_kernels, binning_kernels]
     if plan.mixes_sets:
         modules += [relit_splat_kernels]
+    if plan.shows_means:
+        modules += [mean_surface_kernels]
     if "hits" in plan.aovs and not launcher.is_parallel:
         modules += [splat_pixel_kernels]  # those of tiles do not count
     if plan.has_meshes:

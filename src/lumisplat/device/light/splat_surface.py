@@ -93,7 +93,10 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
             surface.gaussian = relit_index - scene[0].splats[surface.instance].first
             surface.share = relit
             surface.albedo = decode_srgb_color(relit_color / relit)
-            if relit_index != index or not surface.depth < wp.inf:
+            if wave[0].gaussians.mean_depth:
+                surface.is_mean = True
+                surface.depth = wave[0].gaussians.mean_depth[i]
+            elif relit_index != index or not surface.depth < wp.inf:
                 surface.depth = distance_to_mean(i, surface, scene, wave)
         elif kept_surface:
             surface.gaussian = index - scene[0].splats[surface.instance].first
@@ -163,13 +166,27 @@ def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[Shading
 
 
 @wp.func
+def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp.vec2:
+    """Roughness and metallic of a Gaussian of an instance."""
+    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    asset = scene[0].splats[instance].asset
+    roughness = scene[0].materials[instance].roughness
+    metallic = scene[0].materials[instance].metallic
+    if scene[0].materials[instance].model == BSDF_PBR:
+        if scene[0].attributes[asset].roughness.shape[0] > 0:
+            roughness = scene[0].attributes[asset].roughness[gaussian]
+        if scene[0].attributes[asset].metallic.shape[0] > 0:
+            metallic = scene[0].attributes[asset].metallic[gaussian]
+    return wp.vec2(roughness, metallic)
+
+
+@wp.func
 def splat_interaction(
     i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
     """The interaction of ray ``i`` with the surface of its Gaussians, which must pass ``reflects_light``."""
     interaction = Interaction()
     # Fields are read one by one: copying these structs for each ray would cost more than the shading.
-    asset = scene[0].splats[surface.instance].asset
     interaction.exists = True
     interaction.wo = -wave[0].rays.direction[i]
     interaction.position = wave[0].rays.origin[i] - surface.depth * interaction.wo
@@ -180,16 +197,12 @@ def splat_interaction(
         interaction.normal = interaction.wo
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
-    roughness = scene[0].materials[surface.instance].roughness
-    metallic = scene[0].materials[surface.instance].metallic
-    if scene[0].materials[surface.instance].model == BSDF_PBR:
-        if scene[0].attributes[asset].roughness.shape[0] > 0:
-            roughness = scene[0].attributes[asset].roughness[surface.gaussian]
-        if scene[0].attributes[asset].metallic.shape[0] > 0:
-            metallic = scene[0].attributes[asset].metallic[surface.gaussian]
-    roughness = wp.max(roughness, ROUGHNESS_MIN)
+    finish = finish_of(surface.instance, surface.gaussian, scene)
+    if surface.is_mean:
+        finish = wave[0].gaussians.mean_finish[i]
+    roughness = wp.max(finish[0], ROUGHNESS_MIN)
     eta = index_around(media_of_ray(i, wave), scene[0].mesh_instances) / scene[0].materials[surface.instance].ior
-    interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, metallic, 0.0, eta)
+    interaction.bsdf = bsdf_of(scene[0].materials, surface.instance, surface.albedo, roughness, finish[1], 0.0, eta)
     interaction.weight = surface.share
     interaction.occlusion = 1.0
     interaction.shadow_only = scene[0].materials[surface.instance].shadow_only != 0

@@ -77,6 +77,11 @@ class GaussianHits:
     """Their share of the ray."""
     relit_gaussian: wp.array[int]
     """The surface's Gaussian if it is one of theirs, else the first of them; undefined if their share is 0."""
+    mean_depth: wp.array[float]
+    """Distance of the weighted-mean surface of relit sets; inf: none of them is there. Like what follows without
+    elements unless surfaces are means."""
+    mean_finish: wp.array[wp.vec2]
+    """Its roughness and metallic."""
 
 
 @struct
@@ -99,6 +104,12 @@ class HitProfiles:
 
 RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
 """Fields of `GaussianHits` for scenes with relit sets and others."""
+
+MEAN_FIELDS = ("mean_depth", "mean_finish")
+"""Fields of `GaussianHits` for surfaces that are means."""
+
+EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
+"""Fields of `GaussianHits` that not all frames need."""
 
 
 @struct

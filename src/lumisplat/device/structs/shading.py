@@ -115,6 +115,8 @@ class SplatSurface:
     """Gaussian that lights change, in its asset; -1: they change none."""
     depth: float
     """Its distance along the ray, scene units."""
+    is_mean: bool
+    """It is the weighted mean of all relit Gaussians on the ray."""
     transmittance: float
     captured: wp.vec3
     """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lumisplat.config import RasterStrategy, RenderConfig
-from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
+from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster
@@ -47,7 +47,7 @@ class RasterHits:
         """
         stage = self._launcher.stage
         is_sorted = self._config.raster.strategy is RasterStrategy.SORTED
-        gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max), RELIT_FIELDS)
+        gaussians = self._buffers.struct("raster.gaussians", GaussianHits, len(rays.t_max), EXTRA_FIELDS)
         self._binning.begin()
         with stage("mesh"):
             pixels, meshes = self._meshes.find_hits(scene, rays)
@@ -63,6 +63,8 @@ class RasterHits:
                 self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
                 if scene.mixes_sets:
                     self._splats.find_relit(scene, tiles, pixels, gaussians)
+                if scene.shows_means:
+                    self._splats.find_means(scene, splats, tiles, pixels, gaussians)
             else:
                 self._splats.sample_hits(scene, tiles, pixels, gaussians)
         return PrimaryHits(rays, meshes, gaussians)

@@ -12,8 +12,9 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.film import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
-from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits
+from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
 from lumisplat.renderer.raster import (
+    mean_surface_kernels,
     relit_splat_kernels,
     splat_block_kernels,
     splat_pixel_kernels,
@@ -102,7 +103,7 @@ class SplatRaster:
         pixels: PixelData,
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background."""
-        nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, RELIT_FIELDS)
+        nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
         self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
 
@@ -122,7 +123,7 @@ class SplatRaster:
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
         if counts and not self._launcher.is_parallel:
-            counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits), RELIT_FIELDS)
+            counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits), EXTRA_FIELDS)
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
         self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
@@ -133,7 +134,7 @@ class SplatRaster:
         Tiles that hold others, too, are composited once more, with all others black.
         """
         count, get = len(hits.hits), self._buffers.get
-        shown = self._buffers.struct("raster.relit", GaussianHits, count, RELIT_FIELDS)
+        shown = self._buffers.struct("raster.relit", GaussianHits, count, EXTRA_FIELDS)
         mixed = self._mixed_tiles(scene, tiles)
         self._composite(scene, (mixed.splats, mixed.starts, mixed.items, meshes, True, PixelData(), shown))
         hits.relit_color = get("raster.relit_color", wp.vec3, count)
@@ -156,6 +157,22 @@ class SplatRaster:
         inputs = (scene.splat_instances, tiles.splats, *lists, starts)
         run(relit_splat_kernels.list_mixed, count, *inputs, items, splats)
         return SplatTiles(splats, starts, items)
+
+    def find_means(
+        self, scene: DeviceScene, splats: ProjectedSplats, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits
+    ) -> None:
+        """Adds to sorted hits the weighted-mean surface of relit sets; the splats have shown all else before.
+
+        They are composited once more, with what is averaged in place of colours and normals.
+        """
+        count, run, kernels = len(hits.hits), self._launcher.run_banded, mean_surface_kernels
+        inputs = (scene.camera, self._settings, scene.shading, scene.gaussians, splats.rects, splats.data)
+        run(kernels.show_surfaces, splats.count, *inputs)
+        sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
+        self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
+        hits.mean_depth = self._buffers.get("raster.mean_depth", wp.float32, count)
+        hits.mean_finish = self._buffers.get("raster.mean_finish", wp.vec2, count)
+        run(kernels.store_means, math.prod(scene.image_size), scene.camera, meshes, sums, hits)
 
     def sample_hits(
         self,

@@ -72,6 +72,8 @@ class DeviceScene:
         """Triangles over all instances."""
         self.mixes_sets = False
         """What Gaussians of relit sets show is added up apart from what others do: `FramePlan.mixes_sets`."""
+        self.shows_means = False
+        """Surfaces of relit Gaussians are weighted means: `FramePlan.shows_means`."""
         self.draws_alpha = False
         """Rays meet surfaces of some alpha by chance, as `FramePlan.draws_alpha`."""
         self.traces_paths = False
@@ -139,7 +141,7 @@ class DeviceScene:
             scene = replace(scene, lights=in_order(scene.lights))
         with self._launcher.stage("sync"):
             self.mixes_sets, self.draws_alpha = plan.mixes_sets, plan.draws_alpha
-            self.traces_paths = plan.traces_paths
+            self.traces_paths, self.shows_means = plan.traces_paths, plan.shows_means
             self.keeps_captures, self.relights = plan.keeps_captures, plan.relights
             self._sync_assets(scene, plan)
             self._sync_instances(scene, camera, plan)

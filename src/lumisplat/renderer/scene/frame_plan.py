@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lumisplat.config import PATH_PARTS, PathPrimary, Pipeline, RasterStrategy, RenderConfig, ShadowMethod, Shadows
+from lumisplat.config import (
+    PATH_PARTS,
+    GaussianSurface,
+    PathPrimary,
+    Pipeline,
+    RasterConfig,
+    RasterStrategy,
+    RenderConfig,
+    ShadowMethod,
+    Shadows,
+)
 from lumisplat.constants import (
     PATH_BOUNCES,
     SAMPLES_OF_PATHS,
@@ -125,6 +135,8 @@ class FramePlan:
     """Some splat sets are relit."""
     mixes_sets: bool
     """Both are there, and what they show is added up apart."""
+    shows_means: bool
+    """Surfaces of relit Gaussians that are rasterised are weighted means."""
     has_receivers: bool
     """Paths find what shadow-only surfaces receive, as there is something that takes or adds light."""
     shows_lights_in_haze: bool
@@ -204,6 +216,7 @@ class FramePlan:
             keeps_captures=keeps,
             relights=relights,
             mixes_sets=is_lit and keeps and relights and blends_first(config),
+            shows_means=is_lit and rasterises and relights and takes_means(config.raster),
             has_shadow_only=is_lit and not is_path and any(instance.shadow_only for instance in scene.splats),
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
@@ -300,6 +313,11 @@ def materials_of(scene: Scene) -> list[Material]:
 def reflects_light(scene: Scene) -> bool:
     """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
     return bool(scene.meshes) or not all(i.shadow_only or emits_capture_only(i) for i in scene.splats)
+
+
+def takes_means(raster: RasterConfig) -> bool:
+    """Whether the rasteriser finds weighted-mean surfaces: a sample of its stochastic strategy has one Gaussian."""
+    return raster.surface is GaussianSurface.MEAN and raster.strategy is RasterStrategy.SORTED
 
 
 def keeps_captures(scene: Scene) -> bool:

@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import HITS_KEPT_CPU, PACKET_RAYS, RAY_BANDS_PER_THREAD, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
-from lumisplat.device.structs.rays import RELIT_FIELDS, GaussianHits, RayData
+from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels, stochastic_hit_kernels
@@ -76,7 +76,7 @@ class GaussianTracer:
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
         tells_relit = scene.mixes_sets and sets is SplatSets.ALL
-        hits = self._buffers.struct(name, GaussianHits, count, () if tells_relit else RELIT_FIELDS)
+        hits = self._buffers.struct(name, GaussianHits, count, MEAN_FIELDS if tells_relit else EXTRA_FIELDS)
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)
         run, bands = self._launcher.run_banded, RAY_BANDS_PER_THREAD * self._launcher.threads
