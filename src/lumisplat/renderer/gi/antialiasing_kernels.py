@@ -8,7 +8,6 @@ from lumisplat.constants.realtime import (
     ANTIALIASING_MOVING,
     ANTIALIASING_SIGMAS,
     FAR_AWAY,
-    MOVED_SHARE,
     STILL_PX,
 )
 from lumisplat.device.camera.ray_blocks import pixel_number
@@ -28,8 +27,6 @@ FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
 SIGMAS = wp.constant(wp.float32(ANTIALIASING_SIGMAS))
 LEAST = wp.constant(wp.float32(ANTIALIASING_LEAST))
-STEADY = wp.constant(wp.float32(MOVED_SHARE))
-"""Least share that is known of light which does not change, though things may move."""
 FAR = wp.constant(wp.float32(FAR_AWAY))
 STILL = wp.constant(wp.float32(STILL_PX))
 
@@ -239,8 +236,7 @@ def weigh(
             if frames > 0.0:
                 mean = image_at(history.color, size, place)
                 kept = float(1.0)
-                is_steady = stands and known_share >= STEADY
-                if not (is_steady and is_by_chance(x, y, size, colors, motions, history)):
+                if not (stands and is_by_chance(x, y, size, colors, motions, history)):
                     kept = share_inside(x, y, size, colors, mean)
                 frames *= kept
                 if stands:

@@ -33,9 +33,9 @@ class LightOfScene:
     """
 
     sources: Sequence[object]
-    """Which lights and which meshes that shine there are."""
+    """Which lights there are, and which meshes that shine, and how much."""
     strengths: list[npt.NDArray[np.float64]]
-    """Of each light and mesh that shines, by channel."""
+    """Of each light, by channel."""
     rest: Sequence[object]
     """The lights, meshes that shine and their places, and materials."""
     things: Sequence[object]
@@ -77,10 +77,9 @@ def light_of(scene: Scene) -> LightOfScene:
     """The light of a scene, to be compared."""
     shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
     # A mesh that deforms is another one with as many vertices and faces.
-    meshes = [(instance.mesh.vertex_count, instance.mesh.face_count) for instance in shining]
+    meshes = [(i.mesh.vertex_count, i.mesh.face_count, emission_of(i.mesh.material)) for i in shining]
     sources = [*((type(light), light.enabled) for light in scene.lights), *meshes]
     strengths = [strength_of(light) for light in scene.lights]
-    strengths += [emission_of(instance.mesh.material) for instance in shining]
     lights = [values_of(light) for light in scene.lights]
     places = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
     materials = [id(instance.material) for instance in scene.splats]
@@ -95,10 +94,9 @@ def strength_of(light: Light) -> npt.NDArray[np.float64]:
     return np.asarray(light.color, np.float64) * light.intensity
 
 
-def emission_of(material: Material) -> npt.NDArray[np.float64]:
-    """Of a material that shines by itself or by ambient light, by channel; shape (3,)."""
-    emission = np.asarray(material.emissive, np.float64)
-    return emission + material.ambient if isinstance(material, MaterialSimple) else emission
+def emission_of(material: Material) -> tuple[object, ...]:
+    """By what a material shines by itself, or by ambient light."""
+    return (material.emissive, material.ambient) if isinstance(material, MaterialSimple) else (material.emissive,)
 
 
 def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:
