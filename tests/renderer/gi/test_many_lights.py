@@ -121,7 +121,7 @@ def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
 
 
 def test_all_lights_may_go_and_come_back() -> None:
-    """From 200 to none, so that a headlight shines, and back: all is as before, within noise, when light has bounced."""
+    """From 200 to none, so that a headlight shines, and back: all is as before, within noise, once it has bounced."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
     scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], lamps(200))
     means: list[float] = []
