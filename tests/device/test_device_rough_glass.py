@@ -10,15 +10,14 @@ import numpy.typing as npt
 import pytest
 import warp as wp
 
-from lumisplat.device.structs.light import BSDF_PBR, Bsdf, BsdfSample
+from lumisplat.device.structs.light import BSDF_PBR, Bsdf
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.compare.chi_square import LIMIT, chi_square_z
 from support.oracles.bsdf_oracle import ggx, smith
 from support.probes import probe_light_kernels
+from support.probes.bsdf_rows import UP, Doubles, direction, samples_of
 
-Doubles = npt.NDArray[np.float64]
-UP = np.array([0.0, 0.0, 1.0])
 REFERENCE = Path(__file__).resolve().parents[1] / "reference"
 ETAS = (1.0 / 1.5, 1.5, 1.0 / 1.3)
 
@@ -45,24 +44,6 @@ def on_device(table: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[
     values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
     return values.numpy()[:, 1].astype(np.float64), densities.numpy().astype(np.float64)
-
-
-def samples_of(table: npt.NDArray[Any], view: Doubles, count: int) -> npt.NDArray[Any]:
-    """Sampled directions, weights and densities."""
-    randoms = np.random.default_rng(3).random((count, 3), dtype=np.float32)
-    vectors = [np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (UP, view)]
-    inputs = [wp.array(np.repeat(table, count), dtype=Bsdf, device="cpu")]
-    inputs += [wp.array(v, dtype=wp.vec3, device="cpu") for v in (*vectors, randoms)]
-    found = wp.zeros(count, dtype=BsdfSample, device="cpu")
-    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf_samples, count, *inputs, found)
-    return found.numpy()
-
-
-def direction(cosine: npt.ArrayLike, turn: npt.ArrayLike) -> Doubles:
-    """Unit vectors by their cosine with the normal, and their azimuth, shape (..., 3)."""
-    z, turn = np.broadcast_arrays(np.asarray(cosine, np.float64), np.asarray(turn, np.float64))
-    sine = np.sqrt(1.0 - z**2)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
 
 
 def sphere(rows: int, columns: int) -> tuple[Doubles, float]:

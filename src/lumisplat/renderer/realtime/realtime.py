@@ -58,13 +58,8 @@ class RealtimeIntegrator:
         self._antialiasing = Antialiasing(launcher, buffers)
         self._kept = Kept(launcher, buffers)
         self._bounces = config.max_bounces != 0
-        lights = {
-            "direct": (settings, 1),
-            "indirect": (
-                replace(settings, frames=min(settings.frames, settings.indirect_frames)),
-                INDIRECT_SHARED,
-            ),
-        }
+        of_indirect = replace(settings, frames=min(settings.frames, settings.indirect_frames))
+        lights = {"direct": (settings, 1), "indirect": (of_indirect, INDIRECT_SHARED)}
         self._filters = {
             (name, kind): LightFilter(launcher, buffers, given, f"{name}{kind}", shared)
             for name, (given, shared) in lights.items()
