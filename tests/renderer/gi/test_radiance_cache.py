@@ -185,8 +185,7 @@ def add_twin_bounces(
     first = np.flatnonzero(host["is_active"] & (host["ray"] == 0))
     cells = [places[tuple(host["position"][i])] for i in first]
     rays = {cell: range(i, i + host["rays"][i]) for i, cell in zip(first, cells, strict=True)}
-    albedo = {cell: host["albedo"][i].astype(float) for i, cell in zip(first, cells, strict=True)}
-    twin.add_bounces(rays, albedo, hits)
+    twin.add_bounces(rays, hits)
 
 
 def test_a_gradient_is_off_by_half_a_cell() -> None:

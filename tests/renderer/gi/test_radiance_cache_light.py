@@ -104,6 +104,24 @@ def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarr
     return position, normal
 
 
+def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
+    """A floor of black and white stripes that are narrower than its cells, under a sky of 1 seen as a lit ceiling."""
+    rng = np.random.default_rng(5)
+    rig = CacheRig()
+    position = on_floor(rng, 4000, 4.0)
+    albedo = np.where(position[:, :1] * 8.0 % 1.0 < 0.5, [[0.9, 0.1, 0.0]], [[0.1, 0.9, 1.0]])
+    for distance in (1e6, 0.1):
+        floor = made_samples(position, radiance=0.0, albedo=albedo, distance=distance)
+        rig.insert(floor, 0)
+
+        def ceiling(host: dict[str, np.ndarray]) -> tuple[Samples, Any]:
+            return made_samples(host["position"] + 3.0 * UP, normal=-UP, radiance=1.0, albedo=0.0), True
+
+        rig.bounce(0, ceiling)
+        np.testing.assert_allclose(rig.look_up(floor), np.minimum(albedo, 0.99), rtol=1e-6)
+        np.testing.assert_allclose(rig.look_up_indirect(floor), np.minimum(albedo, 0.99), rtol=1e-6)
+
+
 @pytest.mark.parametrize("albedo", [0.5, 0.8])
 def test_a_closed_room_reaches_all_bounces(albedo: float) -> None:
     """Every wall reflects 1 of the lamps: 1 / (1 - albedo) in all, in corners and for short rays too."""

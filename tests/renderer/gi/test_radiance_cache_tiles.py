@@ -136,14 +136,12 @@ def test_points_are_samples_of_their_cells() -> None:
     keys: list[int] = []
     for frame in range(200):
         position = on_floor(rng, 500, 4.0)
-        albedo = rng.uniform(0, 1, (500, 3))
-        samples = made_samples(position, albedo=albedo, extent=0.25)
+        samples = made_samples(position, extent=0.25)
         rig.insert(samples, frame)
         _, host = rig.points(frame)
         active = host["is_active"]
         index = (host["position"][active, None] == samples.position).all(2).argmax(1)
         assert (host["position"][active] == samples.position[index]).all()
-        assert (host["albedo"][active] == samples.albedo[index]).all()
         assert (host["normal"][active] == [0, 0, 1]).all() and (host["extent"][active] == 0.25).all()
         drawn += list(host["position"][active][:, 0] % 1.0)
         keys += list(host["key"][active & (host["ray"] == 0)])

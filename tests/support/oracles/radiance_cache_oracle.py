@@ -83,7 +83,7 @@ class RadianceCacheOracle:
             mean.weight += len(batch)
             mean.value = total / mean.weight
 
-    def add_bounces(self, rays: Mapping[Cell, Sequence[int]], albedo: Mapping[Cell, np.ndarray], hits: Samples) -> None:
+    def add_bounces(self, rays: Mapping[Cell, Sequence[int]], hits: Samples) -> None:
         """Adds what the rays of a frame see, by numbers of hits for each cell: four times, so that hits know of it."""
         before = {cell: copy(self.indirect.get(cell, Mean(np.zeros(3)))) for cell in rays}
         for _ in range(4):
@@ -91,7 +91,7 @@ class RadianceCacheOracle:
             for cell, numbers in rays.items():
                 mean, count = before[cell], len(numbers)
                 weight = mean_weight(mean.weight, self.bounce_history)
-                total = np.minimum(albedo[cell], ALBEDO_MAX) * seen[numbers].sum(axis=0)
+                total = seen[numbers].sum(axis=0)
                 known = min(mean.weight + count, max(self.bounce_history, self.samples_min))
                 self.indirect[cell] = Mean((mean.value * weight + total) / (weight + count), known)
 
@@ -107,7 +107,7 @@ class RadianceCacheOracle:
 
     def look_up_indirect(self, samples: Samples) -> np.ndarray:
         """What each sample's surface reflects of light from other surfaces, by the cells of long rays."""
-        return np.array([zero_if_none(self.far_indirect(samples, i)) for i in range(len(samples))])
+        return np.array([reflected(samples, i, self.far_indirect(samples, i)) for i in range(len(samples))])
 
     def radiance(self, samples: Samples, i: int) -> np.ndarray:
         """Direct and indirect radiance of one sample's surface."""
@@ -115,12 +115,12 @@ class RadianceCacheOracle:
         indirect = self.far_indirect(samples, i)
         if cell.is_near:
             near = self.best(self.indirect, [cell], 1.0)
-            return samples.radiance[i] + (near if near is not None else zero_if_none(indirect))
+            return samples.radiance[i] + reflected(samples, i, indirect if near is None else near)
         direct = self.best(self.direct, self.far_cells(samples, i), self.samples_min)
-        return (samples.radiance[i] if direct is None else direct) + zero_if_none(indirect)
+        return (samples.radiance[i] if direct is None else direct) + reflected(samples, i, indirect)
 
     def far_indirect(self, samples: Samples, i: int) -> np.ndarray | None:
-        """Indirect radiance of one sample's surface in cells of long rays."""
+        """Irradiance over pi of one sample's surface, of light from other ones, in cells of long rays."""
         return self.best(self.indirect, self.far_cells(samples, i), self.samples_min)
 
     def far_cells(self, samples: Samples, i: int) -> list[Cell]:
@@ -173,6 +173,6 @@ def square(cell: Cell, mip: int) -> list[Cell]:
     return [cell._replace(u=u + i, v=v + j) for j in range(side) for i in range(side)]
 
 
-def zero_if_none(value: np.ndarray | None) -> np.ndarray:
-    """Nothing is known: no light."""
-    return np.zeros(3) if value is None else value
+def reflected(samples: Samples, i: int, indirect: np.ndarray | None) -> np.ndarray:
+    """What a sample's surface reflects of it; where nothing is known, no light."""
+    return np.zeros(3) if indirect is None else np.minimum(samples.albedo[i], ALBEDO_MAX) * indirect

@@ -67,3 +67,10 @@ def highlight_width(bsdf: Bsdf) -> float:
     if bsdf.model == BSDF_SIMPLE:
         return wp.sqrt(2.0 / (bsdf.shininess + 2.0))
     return bsdf.alpha
+
+
+@wp.func
+def matte_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
+    """Share of light from all around that a surface sends to a view, by reflection or through it, at most 1."""
+    albedo = diffuse_albedo(bsdf, cosine) + glossy_albedo(bsdf, cosine) + transmitted_albedo(bsdf, cosine)
+    return wp.min(albedo, wp.vec3(1.0))

@@ -15,6 +15,7 @@ from lumisplat.device.structs.radiance_cache import (
     LEVEL_LAST,
     NEAR_LEVELS,
     NO_TILE,
+    REFLECTANCE_MAX,
     TILE_CELLS,
     TILE_MEANS,
     TILE_MIPS,
@@ -172,6 +173,12 @@ def color_of(mean: wp.vec4) -> wp.vec3:
 
 
 @wp.func
+def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3:
+    """What a sample's surface reflects of a cell's mean of light from other surfaces."""
+    return wp.cw_mul(wp.min(samples.albedo[i], wp.vec3(REFLECTANCE_MAX)), color_of(indirect))
+
+
+@wp.func
 def far_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, level: int) -> CellLight:
     """Direct and indirect radiance where a sample is, from its level, else from the next coarser, else the next finer.
 
@@ -190,7 +197,7 @@ def far_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: i
     light.direct = samples.radiance[i]
     if direct[3] > 0.0:
         light.direct = color_of(direct)
-    light.indirect = color_of(indirect)
+    light.indirect = reflected_light(samples, i, indirect)
     return light
 
 
@@ -206,7 +213,7 @@ def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i
         place = cell_at(samples.position[i], samples.normal[i], level - NEAR_LEVELS, True)
         near = well_known(tiles.indirect, slot_of(tiles, place.key), place.cell, 1.0, wp.vec4())
         if near[3] > 0.0:
-            return samples.radiance[i] + color_of(near)
+            return samples.radiance[i] + reflected_light(samples, i, near)
         return samples.radiance[i] + far_radiance(tiles, grid, samples, i, level).indirect
     far = far_radiance(tiles, grid, samples, i, level)
     return far.direct + far.indirect

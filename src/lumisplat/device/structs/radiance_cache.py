@@ -27,7 +27,7 @@ CELLS_REACH: float = wp.constant(8191.0)
 """Cells are no smaller than the largest coordinate of a position divided by this, nor finer ones by 1/16 of it: their
 coordinates then fit."""
 REFLECTANCE_MAX: float = wp.constant(0.99)
-"""Albedo above which cells do not reflect what they receive: light between white walls must die out."""
+"""Albedo above which surfaces do not reflect what cells receive: light between white walls must die out."""
 
 AGE_LAST: int = wp.constant(2**31 - 1)
 """Greater than all frames: where there is no tile."""
@@ -84,8 +84,6 @@ class CachePoints:
     """World space."""
     normal: wp.array[wp.vec3]
     """Unit, world space."""
-    albedo: wp.array[wp.vec3]
-    """As in the sample that the point is of."""
     extent: wp.array[float]
     """As in the sample that the point is of, scene units."""
     key: wp.array[wp.uint32]
@@ -140,7 +138,8 @@ class CacheTiles:
     direct: wp.array[wp.vec4]
     """By slot, ``TILE_MEANS`` each: mean radiance reflected of lamps and sky, linear, and the samples it is of."""
     indirect: wp.array[wp.vec4]
-    """The same of light from other surfaces; samples are rays that left from the cell."""
+    """Mean radiance that rays see along the cosine of the normal, linear: irradiance over pi, from other surfaces;
+    samples are these rays. Surfaces of a cell may differ: each reflects its own share."""
     frames: wp.array[int]
     """By slot, ``TILE_CELLS`` each: frames with samples, at most ``history``; 0: the cell is empty."""
     updated: wp.array[int]
@@ -148,8 +147,6 @@ class CacheTiles:
     position: wp.array[wp.vec3]
     """By slot and cell: one of the samples of that frame, world space."""
     normal: wp.array[wp.vec3]
-    """Of that sample."""
-    albedo: wp.array[wp.vec3]
     """Of that sample."""
     extent: wp.array[float]
     """Of that sample, scene units."""

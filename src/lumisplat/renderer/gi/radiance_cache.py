@@ -282,7 +282,7 @@ class RadianceCache:
         return self._buffers.get(f"radiance_cache.{name}", dtype, count)
 
 
-_CELL_FIELDS = ("frames", "updated", "position", "normal", "albedo", "extent")
+_CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
 """Arrays of tiles with an element a cell."""
 
 _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)

@@ -27,7 +27,6 @@ from lumisplat.device.structs.radiance_cache import (
     AGE_LAST,
     COUNT_LIVE,
     NO_TILE,
-    REFLECTANCE_MAX,
     TILE_CELLS,
     TILE_MEANS,
     TILE_MIPS,
@@ -117,7 +116,6 @@ def add_samples(
     kept = sorted_samples.order[i + drawn]
     tiles.position[at] = samples.position[kept]
     tiles.normal[at] = samples.normal[kept]
-    tiles.albedo[at] = samples.albedo[kept]
     tiles.extent[at] = samples.extent[kept]
 
 
@@ -307,7 +305,6 @@ def list_points(
     points.is_active[i] = True
     points.position[i] = tiles.position[at]
     points.normal[i] = tiles.normal[at]
-    points.albedo[i] = tiles.albedo[at]
     points.extent[i] = tiles.extent[at]
     points.key[i] = cell_key(tiles.keys[rank], cell, frame)
     points.ray[i] = number % rays
@@ -333,7 +330,7 @@ def add_bounces(
     seen: wp.array[wp.vec3],
     tiles: CacheTiles,
 ):
-    """Adds what the rays of a cell see, times the albedo, to its mean; the first one does it for all.
+    """Adds what the rays of a cell see to its mean; the first one does it for all.
 
     Rays that follow the cosine of the normal see the irradiance over pi. A slot that another tile has got since has not
     bounced.
@@ -348,12 +345,11 @@ def add_bounces(
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
-        albedo = wp.min(points.albedo[i], wp.vec3(REFLECTANCE_MAX))
         total = wp.vec3d()
         count = int(0)
         for ray in range(i, i + points.rays[i]):
             if wp.isfinite(seen[ray]):
-                total += wp.vec3d(wp.cw_mul(albedo, seen[ray]))
+                total += wp.vec3d(seen[ray])
                 count += 1
         if count > 0:
             before = means[i][3]

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.albedo import diffuse_albedo, glossy_albedo, transmitted_albedo
+from lumisplat.device.gi.albedo import matte_albedo
 from lumisplat.device.gi.light_sample import lit_surface, sample_light_of
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.light.mesh_interaction import mesh_emission
@@ -32,12 +32,10 @@ def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 @wp.func
 def matte(interaction: Interaction) -> Interaction:
     """The interaction with a surface that reflects as much, but evenly, and instead of what comes through, too."""
-    cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
-    albedo = diffuse_albedo(interaction.bsdf, cosine) + glossy_albedo(interaction.bsdf, cosine)
-    albedo += transmitted_albedo(interaction.bsdf, cosine)
+    albedo = matte_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
     interaction.bsdf = Bsdf()
     interaction.bsdf.model = BSDF_SIMPLE
-    interaction.bsdf.diffuse = wp.min(albedo, wp.vec3(1.0))
+    interaction.bsdf.diffuse = albedo
     interaction.weight = 1.0
     return interaction
 

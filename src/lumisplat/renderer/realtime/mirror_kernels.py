@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.albedo import diffuse_albedo
+from lumisplat.device.gi.albedo import matte_albedo
 from lumisplat.device.gi.light_grid import SLOTS
 from lumisplat.device.gi.light_sample import lit_surface, sample_choice
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
@@ -32,7 +32,7 @@ def list_surfaces(start: int, camera: wp.array[CameraData], wave: wp.array[WaveD
     samples_out.direction[j] = -interaction.wo
     samples_out.distance[j] = wp.length(interaction.position - wave[0].rays.origin[ray])
     samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
-    samples_out.albedo[j] = diffuse_albedo(interaction.bsdf, cosine)
+    samples_out.albedo[j] = matte_albedo(interaction.bsdf, cosine)
     samples_out.radiance[j] = wp.vec3(0.0)
     samples_out.extent[j] = 0.0
 
