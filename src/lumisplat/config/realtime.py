@@ -77,7 +77,7 @@ class RadianceCacheConfig:
     """
 
     tiles: int = 16_384
-    """Most tiles that are kept, each 8 x 8 cells and 5.7 KiB. When all are in use, those unused longest go."""
+    """Most tiles that are kept, each 8 x 8 cells and 4.9 KiB. When all are in use, those unused longest go."""
     cell_size: float = 1.0 / 8.0
     """Largest width of a cell as a share of its distance from the eye; widths are powers of two."""
     history: int | None = None

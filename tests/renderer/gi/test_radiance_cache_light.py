@@ -105,7 +105,7 @@ def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarr
 
 
 def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
-    """A floor of black and white stripes that are narrower than its cells, under a sky of 1 seen as a lit ceiling."""
+    """A floor of stripes of two colours, narrower than its cells, under a ceiling that sends radiance 1."""
     rng = np.random.default_rng(5)
     rig = CacheRig()
     position = on_floor(rng, 4000, 4.0)
