@@ -14,6 +14,9 @@ SAME_SURFACE_PX = 8.0
 """Two points are on one surface if neither is farther from the other's plane than this many pixels are wide there;
 GI-1.1's size of a tile."""
 
+SAME_PIXEL_PX = 2.0
+"""The same of a point and where it was a frame before: contact shadows are not taken from what stood on a surface."""
+
 SAME_NORMAL_MESH = 0.9
 """Least cosine between the normals of one mesh surface in two frames: what turns faster loses its history."""
 

@@ -105,6 +105,24 @@ def test_what_has_gone_leaves_no_trail() -> None:
         assert frame.color[empty].max() <= most
 
 
+@pytest.mark.parametrize("goes", [True, False])
+def test_what_starts_to_move_or_goes_leaves_no_outline(goes: bool) -> None:
+    """Its edges were means of it and of what is behind: where it is not any more, that alone is seen, at once."""
+    mesh, wall = shining(0.3, 0.3, 0.3, half=0.5, tilt=0.4), shining(0.8, 0.8, 0.8, half=6.0)
+    behind = ls.MeshInstance(wall, similarity(offset=(0.0, 0.0, 2.0)))
+    turned = [similarity((0.0, 0.0, 1.0), 0.3, offset=(x, 0.0, 0.0)) for x in (0.0, 0.4)]
+    first, then = ([ls.MeshInstance(mesh, at)] for at in turned)
+    smooth = renderer()
+    for _ in range(40):
+        smooth.render(scene_of(*first, behind), CAMERA)
+    then = [] if goes else then
+    frame = smooth.render(scene_of(*then, behind), CAMERA)
+    away = truth(scene_of(*then)).alpha == 0.0 if then else np.ones(frame.color.shape[:2], bool)
+    near = np.pad(~away, 2)
+    near = np.any([np.roll(near, (y, x), (0, 1)) for y in range(-2, 3) for x in range(-2, 3)], axis=0)[2:-2, 2:-2]
+    np.testing.assert_allclose(frame.color[~near], 0.8, atol=0.01)
+
+
 @pytest.mark.parametrize("step", [0.03, 0.2])
 def test_what_moves_has_smooth_edges_and_no_trail(step: float) -> None:
     """Half a pixel or three a frame: nearer to the truth than single samples, and nothing far from the edges."""

@@ -203,6 +203,20 @@ def test_short_histories_count_less_when_light_has_changed() -> None:
         np.testing.assert_allclose(sequence.ages(), expected, rtol=1e-6)
 
 
+def test_a_shadow_that_passes_leaves_no_trail() -> None:
+    """A dark column that moves on by two pixels a frame: where it was, light is back in the next frame."""
+    sequence, seen = FilterSequence(passes=0), plane()
+    column = np.arange(COUNT) % SIZE["width"]
+    for _ in range(20):
+        sequence.render(seen, even())
+    sequence.known_share = 0.8
+    for left in range(0, 20, 2):
+        shadow = (column == left) | (column == left + 1)
+        found = sequence.render(seen, np.where(shadow[:, None], 0.0, even()))[:, 0]
+        far = ~shadow & (np.abs(column - left) > 3)
+        np.testing.assert_allclose(found[far], even()[far], rtol=0.03)
+
+
 def test_pixels_without_samples_keep_their_history() -> None:
     """Whatever their sample says, as long as there is none."""
     sequence, seen = FilterSequence(passes=0), plane()
@@ -345,7 +359,7 @@ def test_threads_and_schedules_give_the_same_bits(threads: int, parallel: bool) 
 
 
 @pytest.mark.parametrize(("radius", "passes"), [(1, 4), (2, 3), (1, 0)])
-@pytest.mark.parametrize("moves", ["", "camera", "samples"])
+@pytest.mark.parametrize("moves", ["", "camera", "samples", "things"])
 def test_it_is_the_twin(radius: int, passes: int, moves: str) -> None:
     """A noisy sequence in float64: light and ages of histories, to 1e-5 of the light, which jumps by as much.
 
@@ -357,10 +371,12 @@ def test_it_is_the_twin(radius: int, passes: int, moves: str) -> None:
     twin = Filter(radius=radius, passes=passes, shared=shared)
     for step in range(12):
         seen, diffuse, glossy, sampled = moving(step)
+        sequence.known_share = 0.8 if moves == "things" and step % 4 else 1.0
         if moves != "camera":
             seen = moving(0)[0]
         if moves == "samples":
             seen = seen_in_box(box_camera(0.0), offset=subpixel(step))
-        found, truth = sequence.render(seen, diffuse, glossy, sampled), twin.render(seen, diffuse, glossy, sampled)
+        found = sequence.render(seen, diffuse, glossy, sampled)
+        truth = twin.render(seen, diffuse, glossy, sampled, sequence.known_share)
         np.testing.assert_allclose(sequence.ages(), twin.history.frames, rtol=2e-5)
         np.testing.assert_allclose(found, truth, rtol=1e-5, atol=2e-5 * diffuse.max() if moves == "camera" else 1e-5)

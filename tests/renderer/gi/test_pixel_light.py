@@ -65,6 +65,21 @@ def test_means_of_samples_are_what_is_known(name: str) -> None:
     assert_is(irradiance(sequence(shown, DOWN, 256, 0, realtime=settings), 0.5), truth)
 
 
+def test_a_dim_sky_beside_a_bright_lamp_makes_no_bright_pixels() -> None:
+    """The lamp has most of the samples; those of the sky in a highlight seen at a slant are not rare and bright."""
+    sky = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
+    floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
+    slanted = ls.Camera.look_at((0, 0.3, 1.9), (0, 0, 0), (0, 1, 0), width=48, height=32, fov_y=0.1)
+    settings = ls.RealtimeConfig(antialiasing=False, filter=ls.FilterConfig(frames=1, passes=0))
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, aovs=("direct_glossy",), realtime=settings)
+    renderer = ls.create_renderer(config, device="cpu")
+    shown = ls.Scene(meshes=[floor], lights=[sky, ls.LightPoint((0.0, 2.0, 1.9), intensity=20.0)])
+    samples = np.array([renderer.render(shown, slanted).direct_glossy for _ in range(64)])[..., 0]
+    truth = paths(shown, slanted, 256, 0, aovs=("direct_glossy",)).direct_glossy[..., 0]
+    assert samples.mean(dtype=np.float64) == pytest.approx(truth.mean(dtype=np.float64), rel=0.03)
+    assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the sky alone
+
+
 def test_layers_add_up_to_the_picture() -> None:
     """The five of them, of which one has the captured colours; and they do not change it."""
     lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")

@@ -74,8 +74,8 @@ def test_a_white_box_under_a_white_sky_cannot_be_seen() -> None:
     sky = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
     view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=96, height=72, fov_y=0.7)
     _, frame = sequence(ls.Scene((), [box((1.0, 1.0, 1.0), matte(1.0))], [sky]), 32, view)
-    assert frame.color.mean() == pytest.approx(1.0, abs=0.005)
-    assert np.abs(frame.color - 1.0).max() < 0.05
+    assert frame.color.mean() == pytest.approx(1.0, abs=0.002)
+    assert np.abs(frame.color - 1.0).max() < 0.03
 
 
 def test_layers_are_the_frame() -> None:
@@ -266,7 +266,8 @@ def test_lights_may_all_go_and_come_back() -> None:
     assert dark.color.max() < 0.01 * before.color.max()
     for scene in (plain, lit):
         expected = sequence(scene, 1, view, **settings)[1].color.mean()
-        assert frame_after(renderer, scene, 32, view).color.mean() == pytest.approx(expected, rel=0.05)
+        for frames in (1, 31):
+            assert frame_after(renderer, scene, frames, view).color.mean() == pytest.approx(expected, rel=0.05)
 
 
 def test_transforms_of_nan_are_refused() -> None:

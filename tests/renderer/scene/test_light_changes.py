@@ -68,8 +68,8 @@ OTHER = {
 def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
     """For some frames if it has changed a little; for next to nothing in the frame in which it is suddenly another."""
     changes = LightChanges()
-    assert [changes.share(LIT) for _ in range(3)] == [1.0] * 3
-    after = [changes.share((SAME | CHANGED | OTHER)[change]) for _ in range(CHANGED_FRAMES + 1)]
+    assert [changes.share(LIT, False) for _ in range(3)] == [1.0] * 3
+    after = [changes.share((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
     assert after[0] == (1.0 if change in SAME else CHANGED_SHARE if change in CHANGED else OUTDATED_SHARE)
     assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_SHARE] * (CHANGED_FRAMES - 1)
     assert after[CHANGED_FRAMES] in (1.0, MOVED_SHARE)  # what is gone may have moved
@@ -79,17 +79,24 @@ def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
 def test_what_is_known_fades_while_things_move(move: str) -> None:
     """More slowly, and for longer, than if a light had changed."""
     changes = LightChanges()
-    changes.share(LIT)
-    after = [changes.share(MOVED[move]) for _ in range(MOVED_FRAMES + 1)]
+    changes.share(LIT, False)
+    after = [changes.share(MOVED[move], False) for _ in range(MOVED_FRAMES + 1)]
     assert after == [MOVED_SHARE] * MOVED_FRAMES + [1.0]
 
 
 def test_nothing_is_outdated_at_the_beginning() -> None:
     """In the first frame, and in the first one of another sequence."""
     changes = LightChanges()
-    assert changes.share(LIT) == 1.0
+    assert changes.share(LIT, False) == 1.0
     changes.forget()
-    assert changes.share(ls.Scene()) == 1.0
+    assert changes.share(ls.Scene(), False) == 1.0
+
+
+def test_a_headlight_is_a_light() -> None:
+    """A scene may lose its last light, and then be lit by the headlight."""
+    changes, dark = LightChanges(), replace(LIT, lights=())
+    assert [changes.share(dark, False) for _ in range(2)] == [1.0] * 2
+    assert changes.share(dark, True) == OUTDATED_SHARE
 
 
 def test_lights_are_in_one_order() -> None:

@@ -83,7 +83,7 @@ def reprojected(seen: Seen, before: Seen, history: Light) -> Light:
     x = camera.fx * local[:, 0] / depth + camera.cx - seen.offset[0]
     y = camera.fy * local[:, 1] / depth + camera.cy - seen.offset[1]
     x, y = (np.where(np.abs(u - np.round(u)) < limits.STILL_PX, np.round(u), u) for u in (x, y))
-    tolerated = np.maximum(limits.SAME_SURFACE_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
+    tolerated = np.maximum(limits.SAME_PIXEL_PX * np.linalg.norm(way, axis=1) / camera.fx, seen.extent)
     total = np.zeros(len(way))
     near = np.stack([np.floor(x), np.floor(y)]), range(2), range(2)
     around = near[0], range(-1, 2), range(-1, 2)
@@ -126,11 +126,36 @@ def kept_shares(seen: Seen, history: Light, samples: Doubles, sampled: Mask, sha
     return np.where(old, np.where(is_change, ratio**4, 1.0).min(axis=1), 1.0)
 
 
-def accumulated(seen: Seen, history: Light, samples: Doubles, sampled: Mask, frames_max: int, shared: int) -> Light:
+def shares_inside(seen: Seen, history: Light, samples: Doubles, sampled: Mask) -> Doubles:
+    """Share that each pixel keeps when things move, by the darkest and the brightest of 5 x 5 samples; (pixels,)."""
+    found, held = luminance(samples), luminance(history.light)
+    low, high = np.full_like(held, np.inf), np.zeros_like(held)
+    for _, _, taps, inside in neighbours(seen, 2):
+        counts = inside & sampled[taps] & is_same(seen, seen.position, tolerance(seen, seen.distance), seen, taps)
+        low = np.where(counts[:, None], np.minimum(low, found[taps]), low)
+        high = np.where(counts[:, None], np.maximum(high, found[taps]), high)
+    outside, tolerated = np.maximum(low - held, held - high), limits.CHANGE_LEAST * held
+    is_change = outside > tolerated
+    return np.where(is_change, (tolerated / np.where(is_change, outside, 1.0)) ** 4, 1.0).min(axis=1)
+
+
+def accumulated(
+    seen: Seen,
+    history: Light,
+    samples: Doubles,
+    sampled: Mask,
+    frames_max: int,
+    shared: int,
+    known_share: float = 1.0,
+) -> Light:
     """A history with the samples of one more frame."""
     sampled = sampled & (seen.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
-    count = kept_shares(seen, history, samples, sampled, shared) * history.frames + 1.0
+    kept = kept_shares(seen, history, samples, sampled, shared)
+    if known_share < 1.0:
+        kept = np.minimum(kept, shares_inside(seen, history, samples, sampled))
+        kept *= np.where(history.frames < limits.YOUNG_FRAMES, known_share, 1.0)
+    count = kept * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
     add = np.where(sampled, 1.0 / count, 0.0)[:, None, None]
@@ -212,13 +237,13 @@ class Filter:
         self._before: Seen | None = None
         self.history = empty(0)
 
-    def render(self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask) -> Doubles:
+    def render(self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask, known_share: float = 1.0) -> Doubles:
         """The filtered light of the next frame, shape (pixels, 2, 3), of its samples."""
         history = empty(len(sampled))
         if self._before is not None:
             history = reprojected(seen, self._before, self.history)
         samples = np.stack([diffuse, glossy], axis=1)
-        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared)
+        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared, known_share)
         self._before = seen
         light, variance = self.history.light, variances(seen, self.history)
         for number in range(self._passes):

@@ -10,6 +10,26 @@ from lumisplat.device.structs.scene import GaussianData, MeshData, SplatInstance
 wp.set_module_options({"enable_backward": False})
 
 
+STANDS = -1
+"""In place of the number of an instance: it is where it was."""
+GONE = -2
+"""It is not there any more."""
+
+
+@wp.func
+def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
+    """Whether an instance that a pixel showed has moved, and is not the one that it shows now.
+
+    Args:
+        before: Its number among those of the frame before, splats first; -1: the background.
+        now: That of what is shown, among those of this frame.
+        moved_to: By number in the frame before, that in this one of what has moved; ``STANDS`` or ``GONE``.
+    """
+    if before < 0:
+        return False
+    return moved_to[before] != wp.static(STANDS) and moved_to[before] != now
+
+
 @wp.func
 def was_nowhere() -> wp.vec3:
     """In place of a position: the surface is new."""

@@ -8,7 +8,7 @@ from lumisplat.device.material.bsdf import bsdf_eval, bsdf_pdf, bsdf_sample
 from lumisplat.device.material.rough_glass import transmits
 from lumisplat.device.math.color import is_black
 from lumisplat.device.math.random import branch_key, sobol_2d
-from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, LightSample
+from lumisplat.device.structs.light import LIGHT_ENVIRONMENT, Bsdf, LightSample
 from lumisplat.device.structs.shading import Contribution, Interaction, ShadingScene
 
 wp.set_module_options({"enable_backward": False})
@@ -92,6 +92,44 @@ def light_sample_contribution(
 
 
 @wp.func
+def environment_sample(
+    samples_bsdf: bool,
+    bsdf: Bsdf,
+    interaction: Interaction,
+    u: wp.vec2,
+    choice: float,
+    scene: wp.array[ShadingScene],
+) -> LightSample:
+    """One of two samples of the environment, of its radiance or of a BSDF.
+
+    The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
+
+    Args:
+        samples_bsdf: Which of the two.
+        bsdf: Of the surface, or a part of it.
+        interaction: The surface.
+        u: Random, 0..1 each.
+        choice: Random, 0..1, decides between the parts of the material.
+        scene: The scene.
+    """
+    sample = LightSample()
+    environment = scene[0].environment
+    if samples_bsdf:
+        sampled = bsdf_sample(bsdf, interaction.normal, interaction.wo, u, choice)
+        sample.direction = sampled.direction
+        sample.distance = wp.inf
+        if sampled.density > 0.0:
+            both = sampled.density + environment_density(environment, sampled.direction)
+            sample.irradiance = environment_radiance(environment, sampled.direction) / both
+    else:
+        sample = sample_environment(environment, u)
+        if sample.density > 0.0:
+            other = bsdf_pdf(bsdf, interaction.normal, interaction.wo, sample.direction)
+            sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
+    return sample
+
+
+@wp.func
 def environment_contribution(
     number: int,
     samples_bsdf: bool,
@@ -100,27 +138,14 @@ def environment_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Contribution of the environment, light ``number``, by one sample of its radiance or of the BSDF.
-
-    The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
-    """
-    sample = LightSample()
-    environment = scene[0].environment
+    """Contribution of the environment, light ``number``, by one of its two samples."""
     key = light_key(pixel_key, number)
+    u = sobol_2d(key, index)
+    choice = float(0.0)
     if samples_bsdf:
         u = sobol_2d(branch_key(key, 0), index)
-        choice = sobol_2d(branch_key(key, 1), index)
-        sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice[0])
-        sample.direction = sampled.direction
-        sample.distance = wp.inf
-        if sampled.density > 0.0:
-            both = sampled.density + environment_density(environment, sampled.direction)
-            sample.irradiance = environment_radiance(environment, sampled.direction) / both
-    else:
-        sample = sample_environment(environment, sobol_2d(key, index))
-        if sample.density > 0.0:
-            other = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
-            sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
+        choice = sobol_2d(branch_key(key, 1), index)[0]
+    sample = environment_sample(samples_bsdf, interaction.bsdf, interaction, u, choice, scene)
     return contribution_of(interaction, sample, interaction.occlusion)
 
 

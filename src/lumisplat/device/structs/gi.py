@@ -87,6 +87,8 @@ class ShownPixels:
     """Linear radiance."""
     motion: wp.array[wp.vec3]
     """In pixels, of the surface that ends the pixel or of the background, and its distance; NaN: it was not there."""
+    instance: wp.array[int]
+    """Of that surface, as ``FirstSurface``; -1: the background."""
     place: wp.array[wp.vec2]
     """Where the pixel was in the frame before, in pixels from the centre of the first."""
     weight: wp.array[float]
@@ -107,6 +109,10 @@ class LightChange:
     """Pixels whose sample is brighter than their history."""
     count: float
     """Pixels."""
+    lowest: float
+    """Luminance of the darkest sample, of pixels with short histories, too; inf: there is none."""
+    highest: float
+    """That of the brightest one."""
 
 
 @struct
@@ -131,6 +137,8 @@ class ShownHistory:
     """Luminance of the last frame's sample."""
     change: wp.array[float]
     """Mean of the squared differences between the luminances of successive samples."""
+    instance: wp.array[int]
+    """Of the nearest surface that the 3 x 3 pixels around showed in the last frame, as ``FirstSurface``; -1: none."""
 
 
 @struct

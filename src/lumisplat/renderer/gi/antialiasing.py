@@ -53,7 +53,7 @@ class Antialiasing:
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
         self._run(kernels.show, wave.count, *inputs, wave.data, shown, shares)
-        self._run(kernels.weigh, width * height, size, motion.known_share, before, shown, now)
+        self._run(kernels.weigh, width * height, size, motion.known_share, motion.moved_to, before, shown, now)
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_only else {}

@@ -13,7 +13,7 @@ from lumisplat.constants.realtime import (
 from lumisplat.device.camera.ray_blocks import pixel_number
 from lumisplat.device.film.first_surface import first_surface
 from lumisplat.device.film.sample_sums import is_finite
-from lumisplat.device.gi.motion import mesh_before, motion_of, splat_before
+from lumisplat.device.gi.motion import has_left, mesh_before, motion_of, splat_before
 from lumisplat.device.gi.reprojection import snapped
 from lumisplat.device.math.color import captured_color, luminance
 from lumisplat.device.structs.camera import CameraData
@@ -72,10 +72,12 @@ def show(
     position = camera[0].eye + FAR * direction
     previous = camera_before[0].eye + FAR * direction
     depth = wp.inf
+    instance = int(-1)
     if wave[0].rays.is_active[i]:
         surface = first_surface(i, scene, wave)
         if surface.instance >= 0:
             depth = surface.depth
+            instance = surface.instance
             position = wave[0].rays.origin[i] + depth * direction
             if surface.gaussian >= 0:
                 previous = splat_before(
@@ -92,6 +94,7 @@ def show(
                 )
     moved = motion_of(position, previous, camera, camera_before)
     shown_out.motion[pixel] = wp.vec3(moved[0], moved[1], depth)
+    shown_out.instance[pixel] = instance
 
 
 @wp.func
@@ -129,15 +132,15 @@ def image_at(image: wp.array[wp.vec3], size: wp.vec2i, place: wp.vec2) -> wp.vec
 
 
 @wp.func
-def motion_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> wp.vec3:
-    """Motion of the nearest of the surfaces around a pixel: edges move with what is before; NaN: it is not known."""
-    nearest = motions[y * size[0] + x]
-    if wp.isnan(nearest[0]):
+def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> int:
+    """The pixel that shows the nearest of the surfaces around one, or itself where its motion is not known."""
+    nearest = y * size[0] + x
+    if wp.isnan(motions[nearest][0]):
         return nearest
     for row in range(wp.max(y - 1, 0), wp.min(y + 2, size[1])):
         for column in range(wp.max(x - 1, 0), wp.min(x + 2, size[0])):
-            other = motions[row * size[0] + column]
-            if other[2] < nearest[2] and not wp.isnan(other[0]):
+            other = row * size[0] + column
+            if motions[other][2] < motions[nearest][2] and not wp.isnan(motions[other][0]):
                 nearest = other
     return nearest
 
@@ -196,6 +199,7 @@ def weigh(
     start: int,
     size: wp.vec2i,
     known_share: float,
+    moved_to: wp.array[int],
     history: ShownHistory,
     shown_inout: ShownPixels,
     history_out: ShownHistory,
@@ -206,6 +210,7 @@ def weigh(
         start: First item.
         size: Width and height of the images.
         known_share: Share of its frames for which a history counts in this one, by what has changed.
+        moved_to: Where the instances of the frame before are, as ``has_left`` has it.
         history: That of the frame before.
         shown_inout: The pixels; receive place and weight.
         history_out: That of this frame.
@@ -216,7 +221,9 @@ def weigh(
     color = shown_inout.color[pixel]
     motions = shown_inout.motion
     colors = shown_inout.color
-    motion = motion_around(x, y, size, motions)
+    nearest = nearest_around(x, y, size, motions)  # edges move with what is before
+    motion = motions[nearest]
+    instance = shown_inout.instance[nearest]
     frames = float(0.0)
     mean = color
     change = float(0.0)
@@ -233,6 +240,8 @@ def weigh(
             frames = known_share * history.frames[tap]
             if place[0] != float(near_x) or place[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
+            if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
+                frames = 0.0
             if frames > 0.0:
                 mean = image_at(history.color, size, place)
                 kept = float(1.0)
@@ -255,6 +264,7 @@ def weigh(
     history_out.color[pixel] = mean + weight * (color - mean)
     history_out.sample[pixel] = bright
     history_out.change[pixel] = change
+    history_out.instance[pixel] = instance
 
 
 @wp.kernel

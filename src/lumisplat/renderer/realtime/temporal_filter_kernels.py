@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, YOUNG_FRAMES
+from lumisplat.constants.realtime import CHANGE_LEAST, CHANGE_SIGMAS, MOMENT_FRAMES, SAME_PIXEL_PX, YOUNG_FRAMES
 from lumisplat.device.gi.motion import pixel_before
 from lumisplat.device.gi.reprojection import is_near, is_same_surface, least_cosine, snapped, tolerance
 from lumisplat.device.math.color import luminance
@@ -11,6 +11,7 @@ from lumisplat.device.structs.gi import LightChange, LightHistory, PixelHistory,
 
 wp.set_module_options({"enable_backward": False})
 
+PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
 LEAST = wp.constant(wp.float32(CHANGE_LEAST))
 YOUNG = wp.constant(wp.float32(YOUNG_FRAMES))
@@ -73,7 +74,7 @@ def history_of(
     left = int(wp.floor(x))
     top = int(wp.floor(y))
     extent = surfaces.extent[pixel]
-    tolerated = tolerance(at[2], extent, camera_before)
+    tolerated = wp.max(PIXEL_PX * at[2] / camera_before[0].focal[0], extent)
     cosine_min = least_cosine(extent)
     total = float(0.0)
     for row in range(top, top + 2):
@@ -143,8 +144,14 @@ def reproject(
 
 
 @wp.func
-def with_pixel(change: LightChange, sampled: float, expected: float, mean: float, square: float) -> LightChange:
-    """A change with that of one more pixel, by luminances and their moments."""
+def with_pixel(
+    change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
+) -> LightChange:
+    """A change with that of one more pixel, by luminances and their moments; those of short histories say nothing."""
+    change.lowest = wp.min(change.lowest, sampled)
+    change.highest = wp.max(change.highest, sampled)
+    if not is_old:
+        return change
     change.sampled += sampled
     change.expected += expected
     change.variance += wp.max(square - mean * mean, 0.0)
@@ -171,6 +178,25 @@ def kept_share(change: LightChange, shared: float) -> float:
     return ratio * ratio * ratio * ratio
 
 
+@wp.func
+def share_inside(change: LightChange, held: float) -> float:
+    """Share that a history keeps when things move: all if it is between the darkest and the brightest sample around."""
+    outside = wp.max(change.lowest - held, held - change.highest)
+    tolerated = LEAST * held
+    if outside <= tolerated:
+        return 1.0
+    ratio = tolerated / outside
+    return ratio * ratio * ratio * ratio
+
+
+@wp.func
+def no_change() -> LightChange:
+    """Of no pixels yet."""
+    change = LightChange()
+    change.lowest = wp.inf
+    return change
+
+
 @wp.kernel
 def accumulate(
     start: int,
@@ -186,7 +212,8 @@ def accumulate(
 ):
     """Item = pixel: adds its sample of this frame to its history, which is the shorter the more the light has changed.
 
-    Whether it has is told by the 5 x 5 pixels around (docs/method/realtime.md#filters); short histories cannot tell.
+    Whether it has is told by the 5 x 5 pixels around (docs/method/realtime.md#filters); short histories cannot tell,
+    unless they are outside of all samples there when things move.
 
     Args:
         start: First item.
@@ -203,9 +230,10 @@ def accumulate(
     pixel = start + wp.tid()
     own = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
-        if own.frames < YOUNG:
+        is_young = own.frames < YOUNG
+        if is_young:
             own.frames *= known_share
-        else:
+        if own.frames > 0.0 and (known_share < 1.0 or not is_young):
             x = pixel % size[0]
             y = pixel // size[0]
             extent = surfaces.extent[pixel]
@@ -213,8 +241,8 @@ def accumulate(
             cosine_min = least_cosine(extent)
             position = surfaces.position[pixel]
             normal = surfaces.normal[pixel]
-            diffuse = LightChange()
-            glossy = LightChange()
+            diffuse = no_change()
+            glossy = no_change()
             # By name: through the structs, the compiler copies their descriptors for each neighbour.
             shares = surfaces.share
             positions = surfaces.position
@@ -229,15 +257,20 @@ def accumulate(
             for row in range(wp.max(y - 2, 0), wp.min(y + 3, size[1])):
                 for column in range(wp.max(x - 2, 0), wp.min(x + 3, size[0])):
                     tap = row * size[0] + column
-                    if frames[tap] >= YOUNG and is_sampled[tap] and shares[tap] > 0.0:
+                    if is_sampled[tap] and shares[tap] > 0.0:
                         if is_near(position, normal, tolerated, cosine_min, positions[tap], normals[tap]):
+                            is_old = frames[tap] >= YOUNG and not is_young
                             moments = held_moments[tap]
                             found = luminance(of_diffuses[tap])
                             held = luminance(held_diffuses[tap])
-                            diffuse = with_pixel(diffuse, found, held, moments[0], moments[1])
+                            diffuse = with_pixel(diffuse, is_old, found, held, moments[0], moments[1])
                             found = luminance(of_glossies[tap])
                             held = luminance(held_glossies[tap])
-                            glossy = with_pixel(glossy, found, held, moments[2], moments[3])
-            own.frames *= wp.min(kept_share(diffuse, shared), kept_share(glossy, shared))
+                            glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
+            kept = wp.min(kept_share(diffuse, shared), kept_share(glossy, shared))
+            if known_share < 1.0:
+                kept = wp.min(kept, share_inside(diffuse, luminance(own.diffuse)))
+                kept = wp.min(kept, share_inside(glossy, luminance(own.glossy)))
+            own.frames *= kept
         own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
     store_history(pixel, own, history_out)

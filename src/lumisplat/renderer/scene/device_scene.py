@@ -147,7 +147,7 @@ class DeviceScene:
             self._sync_instances(scene, camera, plan)
             self._camera, self.image_size = camera, (camera.width, camera.height)
             if plan.has_history:
-                self.motion.sync(scene, camera, self.mesh_data.positions)
+                self.motion.sync(scene, camera, self.mesh_data.positions, has_headlight=plan.has_headlight)
             assign_table(self.camera, camera_table(camera, CENTER))
             if plan.is_sampled:
                 self._shading.sync(

@@ -8,10 +8,11 @@ from typing import TypeVar
 import numpy as np
 import warp as wp
 
+from lumisplat.device.gi.motion import GONE, STANDS
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import InstanceMotion
 from lumisplat.renderer.scene.camera_table import camera_table
-from lumisplat.renderer.scene.light_changes import LightChanges
+from lumisplat.renderer.scene.light_changes import LightChanges, placed_assets
 from lumisplat.renderer.scene.upload import as_device_array, first_of
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.struct_tables import upload_structs
@@ -42,20 +43,28 @@ class Motion:
         self.splats: DeviceArray
         """One ``InstanceMotion`` a splat instance; like ``meshes`` written by ``sync``."""
         self.meshes: DeviceArray
+        self.moved_to: wp.array[int]
+        """One number an instance of the frame before, splats first, as ``has_left``."""
 
-    def sync(self, scene: Scene, camera: Camera, positions: wp.array[wp.vec3]) -> None:
+    def sync(self, scene: Scene, camera: Camera, positions: wp.array[wp.vec3], *, has_headlight: bool) -> None:
         """Writes the tables of a frame, and keeps what the next one is compared with.
 
         Args:
             scene: Of the frame.
             camera: Of the frame.
             positions: Vertices of all its meshes on the device, which later frames leave as they are.
+            has_headlight: Whether one replaces the lights that the scene does not have.
         """
         before = self._scene or Scene()
         assign_table(self.camera, camera_table(self._camera or camera))
-        self.splats = upload_structs(self._splat_rows(scene, before), InstanceMotion, self._device)
-        self.meshes = upload_structs(self._mesh_rows(scene, before), InstanceMotion, self._device)
-        self.known_share = self._changes.share(scene)
+        splats = numbers_before(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
+        meshes = numbers_before(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
+        self.splats = upload_structs(self._splat_rows(scene, before, splats), InstanceMotion, self._device)
+        self.meshes = upload_structs(self._mesh_rows(scene, before, meshes), InstanceMotion, self._device)
+        numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
+        places = moved_to(placed_assets(scene), placed_assets(before), numbers)
+        self.moved_to = wp.array(places, dtype=int, device=self._device)
+        self.known_share = self._changes.share(scene, has_headlight)
         self._scene, self._camera = scene, camera
         self._positions = positions
 
@@ -64,9 +73,8 @@ class Motion:
         self._scene = self._camera = self._positions = None
         self._changes.forget()
 
-    def _splat_rows(self, scene: Scene, before: Scene) -> list[InstanceMotion]:
+    def _splat_rows(self, scene: Scene, before: Scene, numbers: list[int | None]) -> list[InstanceMotion]:
         rows: list[InstanceMotion] = []
-        numbers = numbers_before(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
         for instance, number in zip(scene.splats, numbers, strict=True):
             rows.append(row := InstanceMotion())
             if number is None:
@@ -80,9 +88,8 @@ class Motion:
                 row.rotations = as_device_array(rotations, wp.quat, self._device)
         return rows
 
-    def _mesh_rows(self, scene: Scene, before: Scene) -> list[InstanceMotion]:
+    def _mesh_rows(self, scene: Scene, before: Scene, numbers: list[int | None]) -> list[InstanceMotion]:
         rows: list[InstanceMotion] = []
-        numbers = numbers_before(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
         first, first_before = first_vertices(scene), first_vertices(before)
         for instance, number in zip(scene.meshes, numbers, strict=True):
             rows.append(row := InstanceMotion())
@@ -116,6 +123,21 @@ def numbers_before(
         if numbers[number] is None and number in left and is_same(instance, before[number]):
             numbers[number] = number
     return numbers
+
+
+def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numbers: list[int | None]) -> list[int]:
+    """By instance of the frame before, its number in this one, ``STANDS`` or ``GONE``.
+
+    Args:
+        now: The instances, and where they are.
+        before: Those of the frame before.
+        numbers: By instance of now, its number then; None: it was not there.
+    """
+    places = [GONE] * len(before)
+    for number, old in enumerate(numbers):
+        if old is not None:
+            places[old] = STANDS if now[number] == before[old] else number
+    return places
 
 
 def is_same_capture(now: SplatInstance, before: SplatInstance) -> bool:
