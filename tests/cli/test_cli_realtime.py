@@ -199,3 +199,14 @@ def test_one_call_renders_a_sequence(monkeypatch):
         ls.render(scene, camera, config, frames=0, device="cpu")
     with pytest.raises(ls.ConfigError, match=r"frames is of Pipeline\.REALTIME"):
         ls.render(scene, camera, frames=2, device="cpu")
+
+
+def test_what_other_pipelines_do_not_use_is_said(work):
+    """One line each, and the picture: frames before it, and hard shadows where they are soft."""
+    options = ("--pipeline", "hybrid", "--frames", "5", "--device", "cpu")
+    outcome = work.run("render", "@scene.toml", "-o", "@a.png", *options)
+    assert outcome.status == 0
+    assert "not used by --pipeline hybrid: --frames (it is of --pipeline realtime)" in outcome.err
+    outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "1", "--shadows", "hard", "--device", "cpu")
+    assert outcome.status == 0
+    assert "not used by --pipeline realtime: --shadows hard (its shadows are soft)" in outcome.err

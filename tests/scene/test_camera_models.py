@@ -181,7 +181,7 @@ def test_still_shutters_do_not_move_at_all() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"model": FISHEYE}, "camera 'left' is fisheye, which the raster pipeline cannot draw: use Pipeline.TRACE"),
+        ({"model": FISHEYE}, "camera 'left' is fisheye, which Pipeline.RASTER cannot draw: use Pipeline.TRACE"),
         ({"model": ORTHOGRAPHIC, "name": ""}, "^camera is orthographic, which"),
         ({"aperture": 0.1}, "has an aperture of 0.1"),
         ({"camera_from_world_end": np.eye(4)}, "has a rolling shutter"),
@@ -190,9 +190,11 @@ def test_still_shutters_do_not_move_at_all() -> None:
 def test_the_raster_refuses_what_it_cannot_draw(changes: dict[str, Any], message: str) -> None:
     """One line names the feature, and the pipeline that supports it."""
     camera = front_camera(name="left")
-    refuse_lens(camera)
+    refuse_lens(camera, ls.Pipeline.RASTER)
     with pytest.raises(ls.SceneError, match=message):
-        refuse_lens(replace(camera, **changes))
+        refuse_lens(replace(camera, **changes), ls.Pipeline.RASTER)
+    with pytest.raises(ls.SceneError, match=r"which Pipeline\.REALTIME cannot draw: use Pipeline\.PATH"):
+        refuse_lens(replace(camera, **changes), ls.Pipeline.REALTIME)
 
 
 def test_depth_z_of_a_drawn_frame() -> None:

@@ -72,7 +72,7 @@ def test_normalising_twice_changes_nothing() -> None:
     [
         ({"means": np.zeros((3, 3))}, r"has shape \(\d, \d\), expected .* with N = \d from"),
         ({"means": np.zeros((2, 2))}, r"means has shape \(2, 2\), expected \(N, 3\)"),
-        ({"means": [[0, 0, np.nan], [0, np.inf, 0]]}, "means has 2 non-finite values out of 6"),
+        ({"means": [[0, 0, np.nan], [0, np.inf, 0]]}, r"means has 2 non-finite values out of 6, the first at \[0, 2\]"),
         ({"means": "abc"}, "means is not an array of numbers"),
         ({"rotations_wxyz": [[1, 0, 0, 0], [0, 0, 0, 0]]}, "rotations_wxyz: 1 of 2 are of zero length.*index 1"),
         ({"scales": [[1, 1, 1], [1, 0, 1]]}, "scales: 1 of 2 are not positive"),

@@ -18,11 +18,22 @@ from lumisplat.config.rays import (
 )
 from lumisplat.config.realtime import FilterConfig, RadianceCacheConfig, RealtimeConfig, RealtimeQuality
 from lumisplat.config.relighting import NormalEstimate, RelightConfig
-from lumisplat.config.render import AOVS, PATH_AOVS, PATH_PARTS, REALTIME_AOVS, Pipeline, RenderConfig, Shadows, ToneMap
+from lumisplat.config.render import (
+    AOVS,
+    EVERY_FRAME,
+    PATH_AOVS,
+    PATH_PARTS,
+    REALTIME_AOVS,
+    Pipeline,
+    RenderConfig,
+    Shadows,
+    ToneMap,
+)
 from lumisplat.config.shadow_maps import Absorption, AtlasLayout, DeepShadowConfig, ReceiverSampling
 
 __all__ = [
     "AOVS",
+    "EVERY_FRAME",
     "PATH_AOVS",
     "PATH_PARTS",
     "REALTIME_AOVS",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import reprlib
 from collections.abc import Iterable
@@ -88,6 +89,12 @@ def listed_names(value: object) -> tuple[str, ...] | None:
     names = list(cast(Iterable[object], value)) if isinstance(value, Iterable) else [None]
     texts = [name for name in names if isinstance(name, str)]
     return tuple(texts) if len(texts) == len(names) else None
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """A hint for an unknown name: the most similar known name, else all known names."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
 
 
 def is_number(value: object) -> TypeGuard[float]:

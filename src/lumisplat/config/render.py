@@ -13,6 +13,7 @@ from lumisplat.config.checks import (
     check_whole,
     listed_names,
     quoted,
+    suggestion,
     take_enum,
 )
 from lumisplat.config.colors import display_color
@@ -47,7 +48,7 @@ class Shadows(Enum):
     OFF = "off"
     """No shadow rays: light passes through everything."""
     HARD = "hard"
-    """To the centre of each light."""
+    """To the centre of each light; as ``SOFT`` in frames of paths and in real time."""
     SOFT = "soft"
     """To a random point of each light, another one for each sample: penumbrae, once samples average them."""
 
@@ -65,6 +66,9 @@ class ToneMap(Enum):
 
 PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 """Images whose sum is a frame of paths; the other pipelines have the last one."""
+
+EVERY_FRAME = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
+"""Images of every frame."""
 
 PATH_AOVS = (*PATH_PARTS[:4], "bounces")
 """Images that only frames of paths have."""
@@ -204,6 +208,11 @@ class RenderConfig:
 def _checked_aovs(aovs: object) -> tuple[str, ...]:
     """Names of images, in the order of `AOVS`, each once."""
     names = listed_names(aovs)
-    if names is None or not {*names} <= {*AOVS}:
+    if names is None:
         raise ConfigError(f"aovs is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
+    for name in names:
+        if name in EVERY_FRAME:
+            raise ConfigError(f"aovs has {name!r}, which every frame has: leave it out")
+        if name not in AOVS:
+            raise ConfigError(f"aovs has {name!r}, {suggestion(name, AOVS)}")
     return tuple(name for name in AOVS if name in names)

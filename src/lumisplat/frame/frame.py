@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import AOVS, ToneMap
+from lumisplat.config import AOVS, EVERY_FRAME, ToneMap
 from lumisplat.errors import FormatError
 from lumisplat.frame.aovs import COUNTS, LAYERS, RADIANCE, Image, exr_channels, layer_names, present_layers
 from lumisplat.frame.denoise import check_denoiser, denoised_light
@@ -286,9 +286,8 @@ class Frame(FrameData):
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Every image by name, and the lights' names if there are any."""
-        always = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
         present = [name for name in (*_LIT_PARTS, *RADIANCE, *COUNTS) if self.has(name)]
-        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*always, *present)}
+        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*EVERY_FRAME, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 
     def _picture(self) -> npt.NDArray[Any]:

@@ -53,7 +53,8 @@ def finite_array(name: str, values: npt.ArrayLike, dtype: type[_Float]) -> npt.N
         raise SceneError(f"{name} is not an array of numbers: {error}") from None
     invalid = array.size - np.count_nonzero(np.isfinite(array))
     if invalid:
-        raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}")
+        place = ", ".join(map(str, np.argwhere(~np.isfinite(array))[0]))
+        raise SceneError(f"{name} has {invalid:,} non-finite values out of {array.size:,}, the first at [{place}]")
     return array
 
 

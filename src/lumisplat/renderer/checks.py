@@ -45,7 +45,7 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
 def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
     """Raises ConfigError unless the pipeline has the images that its settings ask for."""
     lacking: set[str] = {*PATH_AOVS}
-    others = "Pipeline.PATH does"
+    others = "Pipeline.PATH does" if "bounces" in plan.aovs else "Pipeline.PATH or Pipeline.REALTIME does"
     if plan.traces_paths:
         lacking, others = {"reflection"}, "Pipeline.HYBRID does"
     if plan.has_history:

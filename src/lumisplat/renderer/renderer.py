@@ -118,7 +118,7 @@ class Renderer:
         check_camera(camera)
         plan = FramePlan.of(self.config, scene)
         if plan.rasterises and camera.is_distorted:
-            refuse_lens(camera)
+            refuse_lens(camera, self.config.pipeline)
             if resume is not None:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
             return redistorted(self.render(scene, undistorted_camera(camera), progress=progress), camera)
@@ -227,7 +227,7 @@ class Renderer:
             check_resumed_scene(resume, scene)
         check_aovs(self.config, plan)
         if plan.rasterises:
-            refuse_lens(camera)
+            refuse_lens(camera, self.config.pipeline)
             self._warnings.warn_of_degree(scene)
         if self.config.pipeline is Pipeline.HYBRID and scene.splats:
             self._warnings.warn_of_normals(self.config.trace)

@@ -14,6 +14,7 @@ from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.frame import FrameCommand
 from lumisplat.cli.options.remarks import frame_remarks
 from lumisplat.cli.options.settings import Changes, given_options, setting, without_none
+from lumisplat.cli.options.unused import not_used
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.frame_progress import FrameProgress
 from lumisplat.cli.output.frame_source import FrameSource, WarmUp
@@ -25,6 +26,7 @@ from lumisplat.cli.output.stats import print_stats
 _log = logging.getLogger("lumisplat")
 
 _OF_RASTER = ("raster_strategy",)
+_OF_REALTIME = ("frames",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +99,8 @@ class Render(FrameCommand):
             renderer = self.start_renderer(report, config, profile=self.stats)
             scene = self.viewpoint.upright(self.load_scene(self.scene, report))
             scene = self.light.lit_scene(scene, environment)
+            if config.pipeline is not ls.Pipeline.REALTIME and (unused := given_options(self, _OF_REALTIME)):
+                _log.warning("%s", not_used(config, unused, "realtime"))
             for line in frame_remarks(config, scene, given_options(self, _OF_RASTER), self.rays, self.light):
                 _log.warning("%s", line)
             shots = shots or self._shots([self.own_camera(scene, *self.scene)])

@@ -25,7 +25,7 @@ class LightOptions:
     captures as trained, meshes in their flat colours."""
     shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
     """soft: lights that have a size cast penumbrae, which --samples make smooth. off: light passes through
-    everything."""
+    everything. Paths and frames in real time have soft ones instead of hard ones."""
     shadow_method: Annotated[
         Literal["exact", "first-hits", "stochastic"] | None, setting("{exact,first-hits,stochastic}", "exact")
     ] = None

@@ -57,6 +57,8 @@ def unused_options(
         if unused:
             why = "--lighting is off" if config.lighting is False else "no lights: --lighting on has one at the camera"
             yield f"not used in an unlit frame: {', '.join(unused)} ({why})"
+    elif config.pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME) and light.shadows == "hard":
+        yield f"not used by --pipeline {config.pipeline.value}: --shadows hard (its shadows are soft)"
     elif not shadowed:
         unused = given_options(light, _OF_SHADOWS)
         if unused:

@@ -20,10 +20,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from lumisplat.config.checks import suggestion
 from lumisplat.errors import SceneError
 from lumisplat.io.images.radiance import read_radiance
 from lumisplat.io.scene_toml.fields import required_keys, schema, with_radians
-from lumisplat.io.scene_toml.toml_table import PAIR, TEXT, VECTOR, Kind, TomlTable, Values, suggestion
+from lumisplat.io.scene_toml.toml_table import PAIR, TEXT, VECTOR, Kind, TomlTable, Values
 from lumisplat.scene.lights import (
     Light,
     LightDirectional,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import reprlib
 import tomllib
@@ -11,6 +10,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, TypeGuard
 
+from lumisplat.config.checks import suggestion
 from lumisplat.constants import TOML_KEY_PARTS_MAX
 from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.limits import TextureBytes
@@ -215,12 +215,6 @@ class TomlTable:
         if not path.exists():
             raise self.error(f"{key} is {self.values[key]!r}, no such file", key)
         return path
-
-
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """A hint for an unknown name: the most similar known name, else all known names."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}"
 
 
 def _quote(value: object) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lumisplat.config import Pipeline
 from lumisplat.constants import IMAGE_PIXELS_MAX, JACOBIAN_CLAMP, SUBPIXEL_STEPS, TILE_PX
 from lumisplat.device.camera.camera import FISHEYE, ORTHOGRAPHIC, PINHOLE
 from lumisplat.device.structs.camera import CameraData
@@ -32,7 +33,7 @@ def check_camera(camera: object) -> None:
         )
 
 
-def refuse_lens(camera: Camera) -> None:
+def refuse_lens(camera: Camera, pipeline: Pipeline) -> None:
     """Raises a `SceneError` for a camera that only rays can draw: not a sharp pinhole, or with a rolling shutter."""
     problem = None
     if camera.model is not CameraModel.PINHOLE:
@@ -43,7 +44,8 @@ def refuse_lens(camera: Camera) -> None:
         problem = "has a rolling shutter"
     if problem:
         name = f" '{camera.name}'" if camera.name else ""
-        raise SceneError(f"camera{name} {problem}, which the raster pipeline cannot draw: use Pipeline.TRACE")
+        others = "PATH" if pipeline is Pipeline.REALTIME else "TRACE"
+        raise SceneError(f"camera{name} {problem}, which Pipeline.{pipeline.name} cannot draw: use Pipeline.{others}")
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
