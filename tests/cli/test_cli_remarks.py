@@ -41,6 +41,7 @@ def test_black_sides_beside_captures_are_announced(scene: ls.Scene, things: str)
     assert line.startswith(f"sides of {things} that no light reaches are black: [environment]")
     assert "--environment FILE" in line
     assert remarks(scene, lighting=False) == []
+    assert remarks(scene, pipeline="realtime") == []  # the capture lights them
 
 
 @pytest.mark.parametrize(
