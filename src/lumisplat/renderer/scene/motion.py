@@ -63,7 +63,7 @@ class Motion:
         self.meshes = upload_structs(self._mesh_rows(scene, before, meshes), InstanceMotion, self._device)
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
         places = moved_to(placed_assets(scene), placed_assets(before), numbers)
-        self.moved_to = wp.array(places, dtype=int, device=self._device)
+        self.moved_to = as_device_array(np.array(places, np.int32), wp.int32, self._device)
         self.known_share = self._changes.share(scene, has_headlight)
         self._scene, self._camera = scene, camera
         self._positions = positions
