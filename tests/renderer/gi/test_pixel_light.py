@@ -75,7 +75,8 @@ def test_a_dim_sky_beside_a_bright_lamp_makes_no_bright_pixels() -> None:
     renderer = ls.create_renderer(config, device="cpu")
     shown = ls.Scene(meshes=[floor], lights=[sky, ls.LightPoint((0.0, 2.0, 1.9), intensity=20.0)])
     samples = np.array([renderer.render(shown, slanted).direct_glossy for _ in range(64)])[..., 0]
-    truth = paths(shown, slanted, 256, 0, aovs=("direct_glossy",)).direct_glossy[..., 0]
+    bright: Any = paths(shown, slanted, 256, 0, aovs=("direct_glossy",))
+    truth = bright.direct_glossy[..., 0]
     assert samples.mean(dtype=np.float64) == pytest.approx(truth.mean(dtype=np.float64), rel=0.03)
     assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the sky alone
 
