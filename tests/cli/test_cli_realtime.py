@@ -201,12 +201,13 @@ def test_one_call_renders_a_sequence(monkeypatch):
         ls.render(scene, camera, frames=2, device="cpu")
 
 
-def test_what_other_pipelines_do_not_use_is_said(work):
+def test_what_other_pipelines_do_not_use_is_said(work, caplog):
     """One line each, and the picture: frames before it, and hard shadows where they are soft."""
     options = ("--pipeline", "hybrid", "--frames", "5", "--device", "cpu")
     outcome = work.run("render", "@scene.toml", "-o", "@a.png", *options)
     assert outcome.status == 0
-    assert "not used by --pipeline hybrid: --frames (it is of --pipeline realtime)" in outcome.err
+    assert caplog.messages == ["not used by --pipeline hybrid: --frames (it is of --pipeline realtime)"]
+    caplog.clear()
     outcome = work.run("render", "@scene.toml", "-o", "@a.png", "--frames", "1", "--shadows", "hard", "--device", "cpu")
     assert outcome.status == 0
-    assert "not used by --pipeline realtime: --shadows hard (its shadows are soft)" in outcome.err
+    assert caplog.messages == ["not used by --pipeline realtime: --shadows hard (its shadows are soft)"]

@@ -115,7 +115,8 @@ def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
         rig.insert(floor, 0)
 
         def ceiling(host: dict[str, np.ndarray]) -> tuple[Samples, Any]:
-            return made_samples(host["position"] + 3.0 * UP, normal=-UP, radiance=1.0, albedo=0.0), True
+            position = np.where(host["is_active"][:, None], host["position"], 0.0)  # the others may hold anything
+            return made_samples(position + 3.0 * UP, normal=-UP, radiance=1.0, albedo=0.0), True
 
         rig.bounce(0, ceiling)
         np.testing.assert_allclose(rig.look_up(floor), np.minimum(albedo, 0.99), rtol=1e-6)

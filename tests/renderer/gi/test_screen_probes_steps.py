@@ -40,7 +40,8 @@ def striped(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
 
 def fields(probes: ProbeData) -> dict[str, npt.NDArray[np.float64]]:
     """Copies of what is known of probes."""
-    return {name: getattr(probes, name).numpy().astype(np.float64) for name in ProbeData.vars}  # pyright: ignore
+    with np.errstate(invalid="ignore"):  # what is not placed may hold anything
+        return {name: getattr(probes, name).numpy().astype(np.float64) for name in ProbeData.vars}  # pyright: ignore
 
 
 def cells_of(sequence: ProbeSequence) -> oracle.Cells:
