@@ -38,7 +38,7 @@ _OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     RealtimeQuality.HIGH: {
         "filter": {"frames": 64, "indirect_frames": 16},
         "probes": {"refreshed": 0.5},
-        "cache": {"cell_size": 1.0 / 16.0, "bounces": 16_384},
+        "cache": {"tiles": 32_768, "cell_size": 1.0 / 16.0, "bounces": 16_384},
     },
 }
 """Settings that take the place of defaults, by group; those of ``RealtimeConfig`` itself under no name."""
