@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -131,6 +133,33 @@ def behind_panel(seen: Seen) -> Seen:
     position = np.where(covered[:, None], camera.eye + 0.1 * ways, seen.position)
     normal = np.where(covered[:, None], -ways, seen.normal)
     return Seen(camera, seen.share, position, normal, distance, seen.extent, position.copy(), seen.face)
+
+
+def test_no_light_leaks_round_a_post() -> None:
+    """Walls that are bright left of a post and dark right of it: each of their pixels is either, beside the post too."""
+    camera = box_camera()
+    plane, columns = seen_in_box(camera), np.tile(np.arange(camera.width), camera.height)
+    is_post = (columns >= 77) & (columns < 84)
+    ways = (plane.position - camera.eye) / plane.distance[:, None]
+    seen = replace(
+        plane,
+        position=np.where(is_post[:, None], camera.eye + 0.1 * ways, plane.position),
+        normal=np.where(is_post[:, None], -ways, plane.normal),
+        distance=np.where(is_post, 0.1, plane.distance),
+    )
+    seen.previous = seen.position.copy()
+    middle = np.asarray(camera.world_from_camera)[:3, 0]
+
+    def left_half(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
+        is_left = (origins - camera.eye) @ middle < 0.0
+        return np.where(is_left[:, None], GREY, 0.0), np.full(len(ways), 1.0)
+
+    sequence = ProbeSequence(left_half, refreshed=1.0)
+    for _ in range(8):
+        light = sequence.render(seen)
+    expected = np.where((columns < 77)[:, None], np.pi * GREY, 0.0)
+    off = np.abs(light - expected).max(axis=1)[~is_post] / (np.pi * GREY.max())
+    assert off.max() < 0.05
 
 
 def test_few_visible_surfaces_are_lit_too() -> None:

@@ -119,6 +119,19 @@ class Probe:
     """What it says."""
 
 
+def is_cut_off(point: Doubles, probe_point: Doubles, nearer: float, picture: Doubles) -> bool:
+    """Whether a surface is nearer than 0.95 of ``nearer`` a quarter, half or three quarters of the way to a probe.
+
+    Args:
+        point: The pixel's centre, (x, y).
+        probe_point: The probe's.
+        nearer: The smaller of their distances from the eye.
+        picture: Distances in all pixels, shape (H, W); inf: nothing is there.
+    """
+    between = [point + share * (probe_point - point) for share in (0.25, 0.5, 0.75)]
+    return any(picture[int(y), int(x)] < 0.95 * nearer for x, y in between)
+
+
 def near_mean(
     position: Doubles,
     normal: Doubles,

@@ -22,6 +22,10 @@ POORER = wp.constant(wp.float32(1e12))
 """Added to what is compared for such surfaces."""
 SECOND = wp.constant(wp.float32(1e6))
 """Added to the distance of an adaptive probe that a tile's own would continue: the two must not change places."""
+LOOKS = wp.constant(4)
+"""Parts of the way from a pixel to a probe, between which it is looked whether a nearer surface cuts the probe off."""
+NEARER = wp.constant(wp.float32(0.95))
+"""How far away such a surface is at most, as a share of the nearer of the two."""
 UNIT_32 = wp.constant(wp.float32(2.0**-32))
 
 
@@ -46,6 +50,20 @@ def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: f
     if wp.dot(normal, probes.normal[i]) <= cosine_min:
         return False
     return wp.abs(wp.dot(normal, probes.position[i] - position)) < wp.max(reach, extent)
+
+
+@wp.func
+def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels, probes: ProbeData) -> bool:
+    """Whether a nearer surface, such as the end of a wall, is between a pixel and a probe in the image."""
+    start = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
+    way = probes.pixel[probe] - start
+    nearer = NEARER * wp.min(surfaces.distance[pixel], probes.distance[probe])
+    for k in range(1, LOOKS):
+        at = start + (float(k) / float(LOOKS)) * way
+        between = int(at[1]) * grid.width + int(at[0])
+        if surfaces.share[between] > 0.0 and surfaces.distance[between] < nearer:
+            return True
+    return False
 
 
 @wp.func
@@ -133,7 +151,8 @@ def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: Su
     for k in range(4):
         i = tile_of(grid, left + k % 2, above + k // 2)
         if fits(probes, i, surfaces.position[pixel], surfaces.normal[pixel], reach, surfaces.extent[pixel]):
-            return True
+            if not is_cut_off(pixel, i, grid, surfaces, probes):
+                return True
     return False
 
 

@@ -9,7 +9,7 @@ import warp as wp
 
 from lumisplat.constants import SH_C0
 from lumisplat.device.gi.octahedral import square_of_direction, wrapped_cell
-from lumisplat.device.gi.probe_places import fits, probe_of_tile, reach_of, tile_of
+from lumisplat.device.gi.probe_places import fits, is_cut_off, probe_of_tile, reach_of, tile_of
 from lumisplat.device.math.sh import C1, C2_XX, C2_XY, C2_ZZ
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gi import SurfacePixels
@@ -25,6 +25,8 @@ COSINE_1 = wp.constant(wp.float32(2.0 * math.pi / 3.0))
 COSINE_2 = wp.constant(wp.float32(math.pi / 4.0))
 APART_MIN = wp.constant(wp.float32(0.05))
 """Added to the squared distance of a pixel from a probe, in tiles, over which the probe is weighed."""
+CUT_OFF_WEIGHT = wp.constant(wp.float32(1e-3))
+"""What is left of the weight of a probe that is cut off: it counts where all are."""
 WEIGHT_MIN = wp.constant(wp.float32(1e-6))
 """Probes that weigh less together say nothing of a pixel."""
 
@@ -120,7 +122,7 @@ def near_probes(
         for adaptive in range(2):
             i = probe_of_tile(tile, adaptive, adaptive_of)
             if fits(probes, i, surfaces.position[pixel], normal, reach, surfaces.extent[pixel]):
-                if light.exists[i] != 0:
+                if light.exists[i] != 0 and not is_cut_off(pixel, i, grid, surfaces, probes):
                     apart = (probes.pixel[i] - point) / float(grid.tile)
                     vote = nearness_weight(distance, probes.distance[i]) / (wp.length_sq(apart) + APART_MIN)
                     vote *= facing_weight(normal, probes.normal[i])
@@ -152,6 +154,8 @@ def wider_probes(
                 if probes.is_placed[i] != 0 and light.exists[i] != 0:
                     vote = nearness_weight(surfaces.distance[pixel], probes.distance[i])
                     vote *= wp.max(wp.dot(normal, probes.normal[i]), 0.0)
+                    if is_cut_off(pixel, i, grid, surfaces, probes):
+                        vote *= CUT_OFF_WEIGHT
                     ballot = cast_vote(ballot, vote, i, grid.cells, direction, glossy, light)
     return ballot
 

@@ -269,7 +269,8 @@ class RadianceCache:
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
                 self._is_overflow_told = True
                 _log.warning(
-                    "the radiance cache is full: %s tiles had to go, %s found no room; set realtime.cache.tiles above %s",
+                    "the radiance cache is full: %s tiles had to go, %s found no room; "
+                    "set realtime.cache.tiles above %s",
                     *(f"{number:,}" for number in (*counts[[COUNT_EVICTED, COUNT_DROPPED]], self._config.tiles)),
                 )
 
