@@ -1,4 +1,4 @@
-"""Normals of Gaussians whose axes are off, found in three ways, beside those of the mesh that they were put on.
+"""Normals of Gaussians whose axes are off, found in four ways, beside those of the mesh that they were put on.
 
 ``python -m bench.gaussian_normals MESH [MESH ...]`` prints a table: mean errors in degrees, over the pixels that show
 both, of the normals that are blended from the Gaussians, of the gradient of their weighted-mean depth, of the latter
