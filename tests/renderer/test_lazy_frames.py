@@ -322,3 +322,16 @@ def test_changed_light_is_shown() -> None:
     assert frame.light is not None
     frame.light[...] = 100.0
     assert (np.asarray(frame, dtype=np.uint8) > before).mean() > 0.5
+
+
+@pytest.mark.parametrize("name", ["unlit", "unlit rays", "lit", "transparent"])
+def test_a_cpu_encodes_pictures_when_it_is_asked_to(name: str) -> None:
+    """Then the bytes are there with the frame, on several threads, and are those of the frame that has none."""
+    renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
+    plain = renderer.render(scene(*LAMPS, SKY), camera())
+    encoded = renderer.render(scene(*LAMPS, SKY), camera(), encode=True)
+    assert "picture" not in plain._fetches() and "picture" in encoded._fetches()
+    assert encoded._picture().dtype == np.uint8
+    difference = np.abs(np.asarray(encoded, np.uint8).astype(int) - np.asarray(plain, np.uint8))
+    assert difference.max() <= (name == "lit")
+    np.testing.assert_array_equal(encoded.color, plain.color)

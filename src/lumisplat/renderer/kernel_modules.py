@@ -84,8 +84,13 @@ def frame_modules(plan: FramePlan, launcher: Launcher, config: RenderConfig) -> 
     if plan.traces_rays:
         modules += [mesh_trace_kernels]
     if launcher.is_cuda:
-        modules += [lit_picture_kernels if plan.is_lit else picture_kernels]
+        modules += picture_modules(plan)
     return modules
+
+
+def picture_modules(plan: FramePlan) -> list[KernelModule]:
+    """The kernel modules that encode the picture of a frame."""
+    return [lit_picture_kernels if plan.is_lit else picture_kernels]
 
 
 def realtime_modules() -> list[KernelModule]:

@@ -28,7 +28,7 @@ from lumisplat.renderer.checks import (
 from lumisplat.renderer.film.film import Film
 from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
-from lumisplat.renderer.kernel_modules import frame_modules, transmittance_modules
+from lumisplat.renderer.kernel_modules import frame_modules, picture_modules, transmittance_modules
 from lumisplat.renderer.light.grain_warning import GrainWarning
 from lumisplat.renderer.light.media_warning import MediaWarning
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
@@ -93,7 +93,13 @@ class Renderer:
         return self._launcher.device
 
     def render(
-        self, scene: Scene, camera: Camera, *, resume: Frame | None = None, progress: Progress | None = None
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        resume: Frame | None = None,
+        encode: bool = False,
+        progress: Progress | None = None,
     ) -> Frame:
         """Renders one frame.
 
@@ -104,6 +110,8 @@ class Renderer:
                 ones have found of the light, whatever has moved since; ``reset`` forgets it.
             resume: A frame of samples of the same scene, view and settings, but for ``samples`` and ``time_limit``:
                 more are added to it, as if all had been rendered at once.
+            encode: Whether the device tone-maps the picture and encodes its bytes, so that ``numpy.asarray(frame,
+                numpy.uint8)`` and saving a PNG need not; CUDA always does.
             progress: Called after each sample with a label and the fraction done, 0..1. The label has the number of
                 samples and, once they are enough to tell, their noise, after commas.
 
@@ -123,16 +131,22 @@ class Renderer:
                 raise ConfigError("a rasterised frame of a distorting lens cannot be resumed: it is resampled")
             return redistorted(self.render(scene, undistorted_camera(camera), progress=progress), camera)
         self._check(plan, scene, camera, resume)
-        self._load(frame_modules(plan, self._launcher, self.config), progress)
+        modules = frame_modules(plan, self._launcher, self.config) + (picture_modules(plan) if encode else [])
+        self._load(modules, progress)
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, plan)
         if not plan.is_sampled:
             pixels = self._unlit_raster.draw(self._scene)
             with self._launcher.stage("download"):
-                images = self._film.unlit_images(pixels, transparent=self.config.background is None)
+                transparent = self.config.background is None
+                images = self._film.unlit_images(pixels, transparent=transparent, encodes=encode)
                 return self._frame(scene, camera, images, self._binning.counts, samples=0)
 
-        images, counts, budget = self._sampled(plan, camera.exposure, resume, progress)
+        counts, budget = self._sampled(plan, camera.exposure, resume, progress)
+        with self._launcher.stage("download"):
+            images = self._film.images(camera.exposure, self.config, encodes=encode)
+            if "lights" in plan.aovs:
+                images["light_names"] = self._scene.lights.names
         self._media.warn_of(plan, scene, self._buffers)
         return self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
 
@@ -144,8 +158,8 @@ class Renderer:
 
     def _sampled(
         self, plan: FramePlan, exposure: float, resume: Frame | None, progress: Progress | None
-    ) -> tuple[dict[str, Any], BinningCounts, SampleBudget]:
-        """The images of the synced scene by samples, what was counted, and how many samples of what noise there are."""
+    ) -> tuple[BinningCounts, SampleBudget]:
+        """Samples the synced scene on the film: what was counted, and how many samples of what noise there are."""
         self._film.begin(self._scene, plan, resume)
         first = 0 if resume is None else resume.samples
         self._grain.warn_of(plan, first + plan.samples)
@@ -159,13 +173,8 @@ class Renderer:
         budget.close()
         self._frame_number += plan.has_history
         self._film.finish(self._scene)
-        with self._launcher.stage("download"):
-            images = self._film.images(exposure, self.config)
-            if "lights" in plan.aovs:
-                images["light_names"] = self._scene.lights.names
-            counts = self._binning.counts if plan.rasterises else BinningCounts()
-            counts = replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count)
-            return images, counts, budget
+        counts = self._binning.counts if plan.rasterises else BinningCounts()
+        return replace(counts, nonfinite=counts.nonfinite + self._film.nonfinite_count), budget
 
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
         """Adds a sample of each pixel to the film."""

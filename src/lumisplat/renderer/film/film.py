@@ -139,17 +139,18 @@ class Film:
                 self._launcher.run_banded(film_kernels.add_image, wave.count, *inputs)
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
-    def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool) -> dict[str, Any]:
+    def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool, encodes: bool) -> dict[str, Any]:
         """As ``images``, of a frame whose ``pixels`` were drawn in one go."""
         encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
-        return self._copied(pixels, {}, encode, transparent=transparent)[1]
+        return self._copied(pixels, {}, encode, transparent=transparent, encodes=encodes)[1]
 
-    def images(self, exposure: float, config: RenderConfig) -> dict[str, Any]:
+    def images(self, exposure: float, config: RenderConfig, *, encodes: bool) -> dict[str, Any]:
         """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them.
 
         Args:
-            exposure: Of the camera, for the picture that is encoded on CUDA.
+            exposure: Of the camera, for the picture that is encoded.
             config: Says how that is shown.
+            encodes: Whether there is one; on CUDA there always is.
         """
         transparent = config.background is None
         arrays = self._accumulated()
@@ -164,7 +165,7 @@ class Film:
             encode = partial(encoded_lit_pixels, self._launcher, self._buffers, self._pixels, self._lit, display)
         else:
             encode = partial(encoded_pixels, self._launcher, self._buffers, self._pixels, transparent=transparent)
-        copies, images = self._copied(self._pixels, arrays, encode, transparent=transparent)
+        copies, images = self._copied(self._pixels, arrays, encode, transparent=transparent, encodes=encodes)
         if self._plan.is_lit:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
@@ -249,15 +250,16 @@ class Film:
         encode: Callable[[], DeviceArray],
         *,
         transparent: bool,
+        encodes: bool,
     ) -> tuple[Copies, dict[str, Any]]:
-        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA a picture, too."""
+        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA or if asked for, a picture."""
         arrays = {"pixels": pixels.block} | arrays
-        is_lazy = self._buffers.downloads.is_lazy
-        if is_lazy:
+        encodes = encodes or self._buffers.downloads.is_lazy
+        if encodes:
             arrays["picture"] = encode()
         copies = self._buffers.downloads.copies(arrays)
         images = _images_of_pixels(pixels, copies)
-        if is_lazy:
+        if encodes:
             images["picture"] = picture_of(copies, "picture", pixels.size, transparent=transparent)
         return copies, images
 

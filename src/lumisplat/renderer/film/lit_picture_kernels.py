@@ -10,16 +10,18 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def encode_lit_pixels(picture: PictureData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]):
-    """As ``encode_pixels``, of a lit frame, which is exposed and tone-mapped. Not to be banded: atomic."""
-    i = wp.tid()
+def encode_lit_pixels(
+    start: int, picture: PictureData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
+):
+    """As ``encode_pixels``, of a lit frame, which is exposed and tone-mapped."""
+    i = start + wp.tid()
     captured = pixels.color[i]
     alpha = pixels.alpha[i]
     weight = lit.captured_weight[i]
     light = lit.light[i]
     finite = channels_finite(captured) and channels_finite(light) and channels_finite(lit.color[i])
     if not (finite and wp.isfinite(alpha) and wp.isfinite(weight)):
-        wp.atomic_add(picture_out, picture_out.shape[0] - 1, wp.uint32(1))
+        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # the same from every thread
         return
     if picture.straight != 0:
         captured = straightened(captured, alpha)

@@ -28,7 +28,7 @@ def encoded_pixels(
 ) -> DeviceArray:
     """The bytes of all pixels of an unlit frame, one word each, and a word more, see the kernel."""
     picture = _empty_picture(buffers, pixels)
-    launcher.run(picture_kernels.encode_pixels, len(picture) - 1, transparent, pixels.data, picture)
+    launcher.run_banded(picture_kernels.encode_pixels, len(picture) - 1, transparent, pixels.data, picture)
     return picture
 
 
@@ -41,7 +41,8 @@ def encoded_lit_pixels(
 ) -> DeviceArray:
     """The same of a lit frame. Its bytes are the host's but for some that are next to one another's edge."""
     picture = _empty_picture(buffers, pixels)
-    launcher.run(lit_picture_kernels.encode_lit_pixels, len(picture) - 1, display, pixels.data, lit.data, picture)
+    inputs = display, pixels.data, lit.data, picture
+    launcher.run_banded(lit_picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)
     return picture
 
 

@@ -10,16 +10,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
-def encode_pixels(straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
-    """Red, green, blue and alpha of each pixel in one word, and in the last word how many pixels are not finite.
+def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
+    """Red, green, blue and alpha of each pixel in one word, and in the last word 1 if some pixel is not finite.
 
-    Colours are divided by alpha if they are to be ``straight``. Not to be banded: atomic.
+    Colours are divided by alpha if they are to be ``straight``.
     """
-    i = wp.tid()
+    i = start + wp.tid()
     color = pixels.color[i]
     alpha = pixels.alpha[i]
     if not (channels_finite(color) and wp.isfinite(alpha)):
-        wp.atomic_add(picture_out, picture_out.shape[0] - 1, wp.uint32(1))
+        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # the same from every thread
         return
     if straight:
         color = straightened(color, alpha)
